@@ -33,10 +33,10 @@ class InputError(ThinlayerError, ValueError):
     key = ""
 
 
-def require(good: object, what: str, value: object, wanted: str) -> None:
-    """Raise InputError with the message "{what} is {value}; {wanted}" unless `good` is true."""
-    if not good:
-        raise InputError(f"{what} is {value!r:.200}; {wanted}")
+def require(condition: object, quantity: str, value: object, wanted: str) -> None:
+    """Raise InputError with the message "{what} is {value}; {wanted}" unless `condition` is true."""
+    if not condition:
+        raise InputError(f"{quantity} is {value!r:.200}; {wanted}")
 
 
 def import_optional(name: str) -> ModuleType:
@@ -67,12 +67,12 @@ def unknown_name_message(kind: str, name: object, allowed: Iterable[str]) -> str
         name: the unknown name.
         allowed: the known names.
     """
-    allowed, start = sorted(allowed), str(name).lower()
+    allowed, prefix = sorted(allowed), str(name).lower()
     lowered = {candidate.lower(): candidate for candidate in allowed}
-    longer = [key for key in lowered if key.startswith(start)]
-    near = difflib.get_close_matches(start, lowered, n=1) or (longer if len(longer) == 1 and start else [])
-    meant = f", did you mean {lowered[near[0]]!r}?" if near else ""
-    return f"unknown {kind} {name!r}{meant}; known: {', '.join(allowed)}"
+    longer = [key for key in lowered if key.startswith(prefix)]
+    matches = difflib.get_close_matches(prefix, lowered, n=1) or (longer if len(longer) == 1 and prefix else [])
+    suggestion = f", did you mean {lowered[matches[0]]!r}?" if matches else ""
+    return f"unknown {kind} {name!r}{suggestion}; known: {', '.join(allowed)}"
 
 
 def is_number(value: object) -> TypeGuard[float]:
@@ -82,8 +82,8 @@ def is_number(value: object) -> TypeGuard[float]:
 
 def is_finite(value: object) -> TypeGuard[float]:
     """Whether a value is a real number in the range of 64-bit floats; False for NaN and infinity."""
-    plain = value.item() if isinstance(value, np.generic) else value  # numpy would round the bound to 32 bits
-    return is_number(plain) and bool(abs(plain) <= sys.float_info.max)
+    number = value.item() if isinstance(value, np.generic) else value  # numpy would round the bound to 32 bits
+    return is_number(number) and bool(abs(number) <= sys.float_info.max)
 
 
 def is_integer(value: object, least: int) -> bool:

@@ -75,58 +75,58 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
     numeric_law, name, method = law.mapped(_number), type(law).__name__, law.methods[0]
     d = 3 if law.traits.compiled else d
     point = symbolic(numeric_law, d=d)
-    expressions = _evaluate_methods(point.law, point.step)
+    expressions = _method_expressions(point.law, point.step)
     if isinstance(expressions[method], Zero) and not law.traits.compiled:
         raise InputError(f"{name}.{method} is zero, whatever the strain; a law of this kind needs a stiffness")
     flat = mandel_vector(expressions[method])
-    asked: dict[str, Expr] = {**expressions, "tangent": ufl.diff(flat, point.strain)}
+    exprs: dict[str, Expr] = {**expressions, "tangent": ufl.diff(flat, point.strain)}
     if law.traits.has_energy and law.traits.symmetric and not (law.traits.rate or law.internal):
-        asked["slope"] = ufl.diff(expressions["energy"], point.strain) - flat
+        exprs["slope"] = ufl.diff(expressions["energy"], point.strain) - flat
     with explained_errors(law, method):
-        asked = {key: expand_derivatives(expression) for key, expression in asked.items()}
+        exprs = {key: expand_derivatives(expression) for key, expression in exprs.items()}
 
-    def values(key: str, sample: Array) -> Array | None:
-        return _evaluated(asked[key], {point.numbers: sample})
+    def value(key: str, sample: Array) -> Array | None:
+        return _evaluated(exprs[key], {point.numbers: sample})
 
     for size in SAMPLE_STRAINS:
         e, sample = _sample(numeric_law, size, d or 3)
-        _require_no_decisions(law, d, sample, values)
+        _require_no_branches(law, d, sample, value)
         for key in expressions:
-            tensor = values(key, sample)
+            tensor = value(key, sample)
             if tensor is not None and tensor.ndim == 2 and (skew := _relative_difference(tensor, tensor.T)):
-                what = f"{name}.{key} is not symmetric: by {skew:.1e} of its size"
-                raise InputError(f"{what}; use ufl.sym, or a vector (3,)")
-        turned = [np.concatenate([change, sample[6:]]) for change in (e, -e, 3 * e[::-1])]
-        tangents = [C for inputs in turned if (C := values("tangent", inputs)) is not None]
+                text = f"{name}.{key} is not symmetric: by {skew:.1e} of its size"
+                raise InputError(f"{text}; use ufl.sym, or a vector (3,)")
+        samples = [np.concatenate([change, sample[6:]]) for change in (e, -e, 3 * e[::-1])]
+        tangents = [C for inputs in samples if (C := value("tangent", inputs)) is not None]
         for C in tangents:
             if law.traits.linear and _relative_difference(C, tangents[0]):
-                what = f"{name} declares linear = True, but its stress is not affine in the strain"
-                raise InputError(f"{what}; write linear = False in the class, or correct the stress")
+                text = f"{name} declares linear = True, but its stress is not affine in the strain"
+                raise InputError(f"{text}; write linear = False in the class, or correct the stress")
             if law.traits.symmetric and (skew := _relative_difference(C, C.T)):
-                memory = f". The memory was random numbers: {', '.join(law.internal)}" * bool(law.internal)
-                raise InputError(ASYMMETRY_MESSAGE.format(name, skew) + memory)
-        slope, stress = (values(key, sample) if "slope" in asked else None for key in ("slope", method))
-        if slope is not None and stress is not None and np.abs(slope).max() > RELATIVE_TOLERANCE * np.abs(stress).max():
-            away = f"it is {np.abs(slope).max() / (np.abs(stress).max() or 1.0):.1e} of the stress away"
-            what = f"{name}: the derivative of the energy by the strain is not the stress, {away}"
-            raise InputError(f"{what}; correct one of them, or write symmetric = False if the stress has no energy")
+                note = f". The memory was random numbers: {', '.join(law.internal)}" * bool(law.internal)
+                raise InputError(ASYMMETRY_MESSAGE.format(name, skew) + note)
+        error, stress = (value(key, sample) if "slope" in exprs else None for key in ("slope", method))
+        if error is not None and stress is not None and np.abs(error).max() > RELATIVE_TOLERANCE * np.abs(stress).max():
+            away = f"it is {np.abs(error).max() / (np.abs(stress).max() or 1.0):.1e} of the stress away"
+            text = f"{name}: the derivative of the energy by the strain is not the stress, {away}"
+            raise InputError(f"{text}; correct one of them, or write symmetric = False if the stress has no energy")
 
 
-def _evaluate_methods(law: BulkLaw, step: Step) -> dict[str, Expr]:
+def _method_expressions(law: BulkLaw, step: Step) -> dict[str, Expr]:
     """UFL expressions of a law's stress, new internal variables and energies in a step, by name of the method.
 
     Raises:
         InputError: a method fails, or returns a wrong shape or the wrong internal variables.
     """
-    name, (method, advances) = type(law).__name__, law.methods
+    name, (method, update) = type(law).__name__, law.methods
     expressions = {method: checked_stress(law, law.own_step(step))}
-    with explained_errors(law, advances):
+    with explained_errors(law, update):
         new = law.advance(step)
     if not isinstance(new, dict) or set(new) != set(law.internal):
-        actual = sorted(new) if isinstance(new, dict) else repr(new)
-        raise InputError(f"{name}.{advances} gives {actual}; it must give {sorted(law.internal)}")
+        returned = sorted(new) if isinstance(new, dict) else repr(new)
+        raise InputError(f"{name}.{update} gives {returned}; it must give {sorted(law.internal)}")
     for variable, shape in law.internal.items():
-        key = f"{advances}[{variable!r}]"
+        key = f"{update}[{variable!r}]"
         expressions[key] = require_shape(law, key, new[variable], shape)
     if law.traits.has_energy:
         with explained_errors(law, "energy or dissipation"):
@@ -141,13 +141,13 @@ def _sample(law: BulkLaw, size: float, d: int) -> tuple[Array, Array]:
     Its components are those of `SymbolicLaw.numbers`: e, e_old, internal variables, unit normal n, dt = 0.1, theta = 1,
     parameters. d is the number of components of n that are not zero.
     """
-    random = np.random.default_rng(3)
-    e, n = size * random.normal(size=6), np.pad(random.normal(size=d), (0, 3 - d))
-    before = 0.1 * size * random.normal(size=6), size * random.random(law.memory)
-    return e, np.concatenate([e, *before, n / np.linalg.norm(n), [0.1, 1.0], law.parameter_values()])
+    rng = np.random.default_rng(3)
+    e, n = size * rng.normal(size=6), np.pad(rng.normal(size=d), (0, 3 - d))
+    old_state = 0.1 * size * rng.normal(size=6), size * rng.random(law.memory)
+    return e, np.concatenate([e, *old_state, n / np.linalg.norm(n), [0.1, 1.0], law.parameter_values()])
 
 
-def _require_no_decisions(law: BulkLaw, d: int | None, sample: Array, values: Callable[..., Array | None]) -> None:
+def _require_no_branches(law: BulkLaw, d: int | None, sample: Array, values: Callable[..., Array | None]) -> None:
     """Raise InputError if a law computes other values with numbers than with symbols for its parameters.
 
     Args:
@@ -156,27 +156,27 @@ def _require_no_decisions(law: BulkLaw, d: int | None, sample: Array, values: Ca
         sample: inputs of the law, as `_sample` returns them.
         values: name of a method and inputs -> values of the law with symbols; None if they cannot be evaluated.
     """
-    place, stress = 12 + law.memory, values(law.methods[0], sample)
+    n_start, stress = 12 + law.memory, values(law.methods[0], sample)
     work = 0.0 if stress is None else float(np.abs(stress).max() * np.abs(sample[:6]).max())
-    least = {"energy": work, "dissipation": work}  # scale of rounding errors where an energy is zero
-    for dt, theta, of_place in ((0.1, 1.0, 1.0), (0.0, 0.5, 0.0)):
-        numeric_law = law.mapped(partial(_number, of_place=of_place))
-        inputs = np.concatenate([sample[: place + 3], [dt, theta], numeric_law.parameter_values()])
+    scales = {"energy": work, "dissipation": work}  # scale of rounding errors where an energy is zero
+    for dt, theta, field_value in ((0.1, 1.0, 1.0), (0.0, 0.5, 0.0)):
+        numeric_law = law.mapped(partial(_number, field_value=field_value))
+        inputs = np.concatenate([sample[: n_start + 3], [dt, theta], numeric_law.parameter_values()])
         try:
             point = symbolic(numeric_law, inputs, d)
-            expressions = _evaluate_methods(point.law, point.step)
+            expressions = _method_expressions(point.law, point.step)
         except Exception:  # for example a division by zero
             continue
         for key, expression in expressions.items():
             direct, traced = _evaluated(expression), values(key, inputs)
-            if direct is not None and traced is not None and _relative_difference(direct, traced, least.get(key, 0.0)):
-                what = f"{type(law).__name__}.{key}: a parameter, or a value computed from it, is in a Python condition"
-                raise InputError(f"{what}, which runs once for all numbers; write ufl.conditional(ufl.eq(a, b), c, d)")
+            if direct is not None and traced is not None and _relative_difference(direct, traced, scales.get(key, 0.0)):
+                text = f"{type(law).__name__}.{key}: a parameter, or a value computed from it, is in a Python condition"
+                raise InputError(f"{text}, which runs once for all numbers; write ufl.conditional(ufl.eq(a, b), c, d)")
 
 
-def _relative_difference(a: Array, b: Array, least: float = 0.0) -> float:
-    """Largest difference of two arrays over the largest of their entries and `least`; 0 if it is only rounding."""
-    difference, largest = np.abs(a - b).max(), max(np.abs(a).max(), np.abs(b).max(), least, MIN_NORMAL_NUMBER)
+def _relative_difference(a: Array, b: Array, scale: float = 0.0) -> float:
+    """Largest difference of two arrays over the largest of their entries and `scale`; 0 if it is only rounding."""
+    difference, largest = np.abs(a - b).max(), max(np.abs(a).max(), np.abs(b).max(), scale, MIN_NORMAL_NUMBER)
     return float(difference / largest) if difference > RELATIVE_TOLERANCE * largest else 0.0
 
 
@@ -190,12 +190,12 @@ def _evaluated(expression: Expr, values: dict[Expr, Array] | None = None) -> Arr
     return numbers if np.isfinite(numbers).all() else None
 
 
-def _number(value: ParameterValue, _power: float = 0.0, of_place: float = 1.0) -> ParameterValue:
-    """Float or array of a number or a Constant; `of_place` for a function of the place; other values unchanged."""
+def _number(value: ParameterValue, _power: float = 0.0, field_value: float = 1.0) -> ParameterValue:
+    """Float or array of a number or a Constant; `field_value` for a function of the place; other values unchanged."""
     if isinstance(value, (ParameterField, Indexed)):  # a function of the place, or values at quadrature points
-        return of_place
+        return field_value
     try:
         array = np.asarray(getattr(value, "value", value), float)
     except (TypeError, ValueError):
         return value
-    return array if array.ndim else float(array) if np.isfinite(array) else of_place
+    return array if array.ndim else float(array) if np.isfinite(array) else field_value

@@ -120,8 +120,8 @@ class ContactLaw(Law):
     def _trial(self, w: Array, slip: Array | None) -> tuple[Array, Array, Array, Array]:
         """Pressure (n,), threshold (n,), tangential traction (n, d - 1) before further slip, its magnitude (n,)."""
         p = self.pressure(w)
-        elastic = self.K_T * (w[:, :-1] if slip is None else w[:, :-1] - slip)
-        return p, self.threshold(p), elastic, np.linalg.norm(elastic, axis=1)
+        trial_t = self.K_T * (w[:, :-1] if slip is None else w[:, :-1] - slip)
+        return p, self.threshold(p), trial_t, np.linalg.norm(trial_t, axis=1)
 
     def traction(self, w: Array, slip: Array | None = None) -> Array:
         """Traction (n, d) that the upper side of S exerts on the lower one, in the frame of S.
@@ -130,9 +130,9 @@ class ContactLaw(Law):
             w: jumps (n, d) at the end of the step, tangential components first.
             slip: slip (n, d - 1) at the beginning of the step; None: zero.
         """
-        p, bound, elastic, size = self._trial(w, slip)
-        shorter = np.where(size <= bound, 1.0, bound / np.where(size > 0, size, 1.0))
-        return np.column_stack([elastic * shorter[:, None], -p])
+        p, bound, trial_t, norm = self._trial(w, slip)
+        factor = np.where(norm <= bound, 1.0, bound / np.where(norm > 0, norm, 1.0))
+        return np.column_stack([trial_t * factor[:, None], -p])
 
     def tangent(self, w: Array, slip: Array | None = None) -> Array:
         """Derivative (n, d, d) of the traction by the jump. It is not symmetric where S slides with friction.
@@ -141,19 +141,19 @@ class ContactLaw(Law):
             w: jumps (n, d) at the end of the step, tangential components first.
             slip: slip (n, d - 1) at the beginning of the step; None: zero.
         """
-        p, bound, elastic, size = self._trial(w, slip)
+        p, bound, trial_t, norm = self._trial(w, slip)
         n, d = w.shape
-        out = np.zeros((n, d, d))
-        out[:, -1, -1] = np.where(p > 0, self.K_N, 0.0)
-        slides = size > bound
-        out[~slides, : d - 1, : d - 1] = self.K_T * np.eye(d - 1)
+        tangents = np.zeros((n, d, d))
+        tangents[:, -1, -1] = np.where(p > 0, self.K_N, 0.0)
+        slides = norm > bound
+        tangents[~slides, : d - 1, : d - 1] = self.K_T * np.eye(d - 1)
         if slides.any():
-            along = elastic[slides] / size[slides, None]
-            across = np.eye(d - 1) - along[:, :, None] * along[:, None, :]
-            out[slides, : d - 1, : d - 1] = (self.K_T * bound[slides] / size[slides])[:, None, None] * across
-            rate = -self.K_N * np.where(p > 0, self.threshold_rate(p), 0.0)[slides]
-            out[slides, : d - 1, -1] = along * rate[:, None]
-        return out
+            slip_way = trial_t[slides] / norm[slides, None]
+            projector = np.eye(d - 1) - slip_way[:, :, None] * slip_way[:, None, :]
+            tangents[slides, : d - 1, : d - 1] = (self.K_T * bound[slides] / norm[slides])[:, None, None] * projector
+            bound_rate = -self.K_N * np.where(p > 0, self.threshold_rate(p), 0.0)[slides]
+            tangents[slides, : d - 1, -1] = slip_way * bound_rate[:, None]
+        return tangents
 
     def bonded(self, n: int, d: int) -> Array:
         """Tangents (n, d, d) of n nodes that neither open nor slide: diag(K_T, ..., K_N) at each."""
@@ -168,8 +168,8 @@ class ContactLaw(Law):
             w: jumps (n, d) at the end of the step, tangential components first.
             slip: slip (n, d - 1) at the beginning of the step; None: zero.
         """
-        p, bound, _, size = self._trial(w, slip)
-        return np.where(p <= 0, Status.SEPARATED, np.where(size <= bound, Status.STICK, Status.SLIDING)).astype(np.int8)
+        p, bound, _, norm = self._trial(w, slip)
+        return np.where(p <= 0, Status.SEPARATED, np.where(norm <= bound, Status.STICK, Status.SLIDING)).astype(np.int8)
 
     def slip_after(self, w: Array, slip: Array) -> Array:
         """Slip (n, d - 1) at the end of a step with the jumps w (n, d), from the slip (n, d - 1) at its beginning."""
@@ -235,8 +235,8 @@ class ContactHomotopy:
 
     def traction(self, w: Array, slip: Array | None = None) -> Array:
         """Traction (n, d) at jumps w (n, d), for a slip (n, d - 1) before the step; None: no slip."""
-        along = w[:, :-1] if slip is None else w[:, :-1] - slip
-        elastic = np.column_stack([self.law.K_T * along, self.law.K_N * w[:, -1]])
+        elastic_slip = w[:, :-1] if slip is None else w[:, :-1] - slip
+        elastic = np.column_stack([self.law.K_T * elastic_slip, self.law.K_N * w[:, -1]])
         return (1 - self.share) * self.law.traction(w, slip) + self.share * elastic
 
     def tangent(self, w: Array, slip: Array | None = None) -> Array:

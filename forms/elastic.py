@@ -48,8 +48,8 @@ class IsotropicLaw(BulkLaw):
 
     def check(self) -> None:
         require_positive(self, "mu")
-        bound = -2 / 3 * self.mu
-        self.require(bound < self.lmbda < math.inf, "lmbda", f"> -2 mu/3 = {bound:g}")
+        minimum = -2 / 3 * self.mu
+        self.require(minimum < self.lmbda < math.inf, "lmbda", f"> -2 mu/3 = {minimum:g}")
 
     def stiffness(self, n: Array) -> Array:
         return isotropic_tensor(float(self.lmbda), float(self.mu))
@@ -107,7 +107,7 @@ class LinearElastic(LinearLaw, IsotropicLaw):
         """
         E, nu = as_parameter_field(E), as_parameter_field(nu)
         if isinstance(E, ParameterField) or isinstance(nu, ParameterField):
-            moduli = [ParameterField(of_young, (E, nu)) for of_young in (_lmbda_of_young, _mu_of_young)]
+            moduli = [ParameterField(modulus, (E, nu)) for modulus in (_lmbda_of_young, _mu_of_young)]
             return cls(*moduli)  # type: ignore[arg-type]
         return cls(_lmbda_of_young(E, nu), _mu_of_young(E, nu))
 
@@ -134,15 +134,15 @@ class LinearElastic(LinearLaw, IsotropicLaw):
         The change of the strain from face to face causes no traction: its stress times n is zero. Displacements linear
         through the thickness would lock in a nearly incompressible layer.
         """
-        return gauss_stations(self, self._change)
+        return gauss_stations(self, self._strain_change)
 
     @staticmethod
-    def _change(law: LinearElastic, faces: Faces) -> Expr:
+    def _strain_change(law: LinearElastic, faces: Faces) -> Expr:
         in_s = faces.in_s(faces.change)
-        return in_s - law._share * ufl.tr(in_s) * faces.normal
+        return in_s - law._thinning_ratio * ufl.tr(in_s) * faces.normal
 
     @property
-    def _share(self) -> float:
+    def _thinning_ratio(self) -> float:
         """The ratio lmbda/(lmbda + 2 mu): thinning of a layer with free faces per stretch along it."""
         return self.lmbda / (self.lmbda + 2 * self.mu)
 
@@ -168,9 +168,9 @@ class LinearElastic(LinearLaw, IsotropicLaw):
         """
 
         def strain(k: int) -> Callable[[LinearElastic, Faces], Expr]:
-            return lambda law, faces: weights.strains(faces, law._share)[k]
+            return lambda law, faces: weights.strains(faces, law._thinning_ratio)[k]
 
-        return [Station(self, 1, strain(0)), Station(self, 1, strain(1)), Station(self, 1 / 12, self._change)]
+        return [Station(self, 1, strain(0)), Station(self, 1, strain(1)), Station(self, 1 / 12, self._strain_change)]
 
     def plane_stress(self) -> LinearElastic:
         return self.with_parameters({"lmbda": 2 * self.lmbda * self.mu / (self.lmbda + 2 * self.mu)})
@@ -195,9 +195,9 @@ def _require_young(E: float, nu: float) -> None:
     """
     for name, values, least, most, allowed in (("E", E, 0.0, math.inf, "> 0"), ("nu", nu, -1.0, 0.5, "-1 < nu < 0.5")):
         require(np.asarray(values).dtype.kind in "iuf", f"LinearElastic: {name}", values, f"allowed: {allowed}")
-        good = (np.asarray(values) > least) & (np.asarray(values) < most)
-        if not np.all(good):
-            k = int(np.argmin(good))
+        allowed_ones = (np.asarray(values) > least) & (np.asarray(values) < most)
+        if not np.all(allowed_ones):
+            k = int(np.argmin(allowed_ones))
             raise ParameterRangeError(f"{name} is {np.ravel(values)[k]:g}; allowed: {allowed}", k)
 
 
@@ -246,21 +246,21 @@ class Anisotropic(LinearLaw):
     def stress(self, step: Step) -> Expr:
         if self.frame == "layer" and step.n is None:
             raise InputError("Anisotropic: frame='layer' needs a layer; in a body use frame='global'")
-        turn = layer_frame(step.n) if self.frame == "layer" else ufl.Identity(3)
-        e = turn.T * step.mid * turn
+        rotation = layer_frame(step.n) if self.frame == "layer" else ufl.Identity(3)
+        e = rotation.T * step.mid * rotation
         voigt = ufl.as_vector([e[i, j] if i == j else 2 * e[i, j] for i, j in VOIGT_PAIRS])
         s = ufl.dot(ufl.as_tensor(self.C) if isinstance(self.C, np.ndarray) else self.C, voigt)
-        return turn * ufl.as_tensor([[s[k] for k in row] for row in VOIGT_INDEX]) * turn.T
+        return rotation * ufl.as_tensor([[s[k] for k in row] for row in VOIGT_INDEX]) * rotation.T
 
     def stiffness(self, n: Array) -> Array:
-        rows = np.array(VOIGT_INDEX)
-        C = np.asarray(self.C, float)[rows[:, :, None, None], rows[None, None]]
+        voigt_index = np.array(VOIGT_INDEX)
+        C = np.asarray(self.C, float)[voigt_index[:, :, None, None], voigt_index[None, None]]
         if self.frame == "layer":
-            turn = Rotation.align_vectors([np.pad(n, (0, 3 - len(n)))], [[0.0, 1.0, 0.0]])[0].as_matrix()
-            C = np.einsum("ia,jb,kc,ld,abcd->ijkl", turn, turn, turn, turn, C, optimize=True)
+            rotation = Rotation.align_vectors([np.pad(n, (0, 3 - len(n)))], [[0.0, 1.0, 0.0]])[0].as_matrix()
+            C = np.einsum("ia,jb,kc,ld,abcd->ijkl", rotation, rotation, rotation, rotation, C, optimize=True)
         first, second = np.array(MANDEL_PAIRS).T
-        weight = np.where(first == second, 1.0, SQRT2)
-        return np.asarray(C[first[:, None], second[:, None], first, second] * np.outer(weight, weight))
+        mandel_factor = np.where(first == second, 1.0, SQRT2)
+        return np.asarray(C[first[:, None], second[:, None], first, second] * np.outer(mandel_factor, mandel_factor))
 
     def plane_stress(self) -> Anisotropic:
         C = np.zeros((6, 6))

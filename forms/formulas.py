@@ -45,11 +45,11 @@ def mohr_coulomb_fixed_opening(
     if not (R > 0 and abs(s_N) <= R * (1 + 1e-12)):
         raise InputError(f"|s| = {abs(s_N):g} at the start exceeds R = {R:g}")
     sign = -1.0 if np.any(x < 0) else 1.0
-    first = sign * np.sqrt(max(R**2 - s_N**2, 0.0))
-    beyond = (mu * x - first) / R  # shear after first yield
+    yield_shear = sign * np.sqrt(max(R**2 - s_N**2, 0.0))
+    past_yield = (mu * x - yield_shear) / R  # shear after first yield
     with np.errstate(divide="ignore"):
-        angle_y = beyond + np.arctanh(first / R)
-    yields = sign * beyond > 0
+        angle_y = past_yield + np.arctanh(yield_shear / R)
+    yields = sign * past_yield > 0
     t_T = np.where(yields, R * np.tanh(angle_y), mu * x)
     return np.stack([t_T, p + np.where(yields, np.sign(s_N) * R / np.cosh(np.minimum(np.abs(angle_y), 300)), s_N)], -1)
 
@@ -259,8 +259,8 @@ class BarResponse(NamedTuple):
 
         In `Bar.layouts` this is the one with the smallest transformed part.
         """
-        where = np.argmin(self.energy, axis=-1)[..., None]
-        return BarResponse._make(np.take_along_axis(array, where, -1)[..., 0] for array in self)
+        indices = np.argmin(self.energy, axis=-1)[..., None]
+        return BarResponse._make(np.take_along_axis(array, indices, -1)[..., 0] for array in self)
 
 
 @dataclass(frozen=True)
@@ -409,9 +409,9 @@ class Bar:
         sigma = np.asarray((delta - phase * self.free_elongation) / (self.l * self.R), float)
         U = np.asarray(self.l * (sigma + self.alpha * phase) / self.kbar, float)
         energy = self.l * self.R * sigma**2 / 2 + share * self.sigma_m * self.free_elongation
-        kept = (share == 1) | (np.abs(sigma) <= self.sigma_up)
-        changed = (share == 0) | (np.sign(phase) * sigma >= self.sigma_up - self.alpha)
-        return BarResponse(phase, sigma, U, energy, kept & changed)
+        old_stable = (share == 1) | (np.abs(sigma) <= self.sigma_up)
+        new_stable = (share == 0) | (np.sign(phase) * sigma >= self.sigma_up - self.alpha)
+        return BarResponse(phase, sigma, U, energy, old_stable & new_stable)
 
     def layouts(self, delta: Array | float, n: int) -> BarResponse:
         """Responses of a bar whose layer has n equal elements, with m = 0, ..., n of them in phase 1 (delta < 0: -1).
@@ -450,8 +450,8 @@ class Bar:
             mixing: fraction of the energy gain of mixing, from 0 to 1.
             end: elongation of the bar at the last vertex, beyond the others; None: twice the largest of these.
         """
-        change = mixing * self.alpha / 2
-        sigma = np.array([0, self.sigma_up - change, self.sigma_up - self.alpha + change])
+        half_drop = mixing * self.alpha / 2
+        sigma = np.array([0, self.sigma_up - half_drop, self.sigma_up - self.alpha + half_drop])
         delta = self.l * self.R * sigma + np.array([0, 0, self.free_elongation])
-        last = 2 * delta.max() if end is None else end
-        return np.column_stack([[*delta, last], [*sigma, (last - self.free_elongation) / (self.l * self.R)]])
+        end_delta = 2 * delta.max() if end is None else end
+        return np.column_stack([[*delta, end_delta], [*sigma, (end_delta - self.free_elongation) / (self.l * self.R)]])

@@ -332,9 +332,9 @@ class Law(LayerResults):
         """
         if not self.fields:
             return [self]
-        extreme = x[:, extreme_places(list(self.fields_at(x).values()))]
-        self.check_at(extreme)
-        return list(self.at_places(extreme))
+        extreme_x = x[:, extreme_places(list(self.fields_at(x).values()))]
+        self.check_at(extreme_x)
+        return list(self.at_places(extreme_x))
 
 
 class BulkLaw(Law):
@@ -361,10 +361,10 @@ class BulkLaw(Law):
     switching_variables: ClassVar[tuple[str, ...]] = ("phase", "drive", "bound")
 
     def _traits_of_methods(self) -> dict[str, bool]:
-        kind, declared = type(self), Traits.of(self)
+        cls, declared = type(self), Traits.of(self)
         return super()._traits_of_methods() | {
-            "has_energy": kind.energy is not BulkLaw.energy,
-            "has_homotopy": kind.homotopy is not BulkLaw.homotopy,
+            "has_energy": cls.energy is not BulkLaw.energy,
+            "has_homotopy": cls.homotopy is not BulkLaw.homotopy,
             "in_series": not (declared.constrained or declared.switches),
             "in_ufl": True,
             "compiled": declared.rate or bool(self.internal) or declared.varies,
@@ -488,8 +488,8 @@ class BulkLaw(Law):
             InputError: the law has a pressure field or phases that switch, and does not override plane_stress.
         """
         if self.traits.constrained or self.traits.switches:
-            what = "its pressure needs" if self.traits.constrained else "its phases need"
-            why = f"{type(self).__name__}, because {what} more than a strain out of the plane"
+            lack = "its pressure needs" if self.traits.constrained else "its phases need"
+            why = f"{type(self).__name__}, because {lack} more than a strain out of the plane"
             raise InputError(f"plane stress is not defined for {why}; use plane='strain', or write plane_stress(self)")
         return PlaneStressLaw(self)
 
@@ -597,20 +597,20 @@ class PlaneStressLaw(WrappedLaw):
         """
         lmbda, mu = average_lame(C)
         lmbda *= 2 * mu / (lmbda + 2 * mu) if lmbda + 2 * mu > 0 else 0.0
-        out = isotropic_tensor(lmbda, mu)
-        out[np.ix_(IN_PLANE_MANDEL, IN_PLANE_MANDEL)] = condensed_tangent(C, IN_PLANE_MANDEL, OUT_OF_PLANE_MANDEL)
-        return out
+        tangent = isotropic_tensor(lmbda, mu)
+        tangent[np.ix_(IN_PLANE_MANDEL, IN_PLANE_MANDEL)] = condensed_tangent(C, IN_PLANE_MANDEL, OUT_OF_PLANE_MANDEL)
+        return tangent
 
 
-def scalar_fields(kind: type[Law]) -> set[str]:
+def scalar_fields(cls: type[Law]) -> set[str]:
     """Names of the dataclass fields of a law class whose values are single numbers.
 
     These are fields annotated as float or int, or as a union of these with None or functions. The annotation is matched
     as text.
     """
-    texts = {f.name: str(f.type) for f in fields(kind)}
-    numbers = {name for name, text in texts.items() if NUMBER_ANNOTATION.search(text)}
-    return {name for name in numbers if not ARRAY_ANNOTATION.search(texts[name])}
+    annotations = {f.name: str(f.type) for f in fields(cls)}
+    number_fields = {name for name, text in annotations.items() if NUMBER_ANNOTATION.search(text)}
+    return {name for name in number_fields if not ARRAY_ANNOTATION.search(annotations[name])}
 
 
 @contextmanager
@@ -628,21 +628,21 @@ def explained_errors(law: Law, method: str) -> Iterator[None]:
         ) from error
 
 
-def require_shape(law: Law, what: str, value: Expr, shape: tuple[int, ...]) -> Expr:
+def require_shape(law: Law, output: str, value: Expr, shape: tuple[int, ...]) -> Expr:
     """Return the value of a law's method as UFL, or raise InputError if it is no UFL or number of the given shape.
 
     Args:
         law: the law, for messages.
-        what: name of the value, for messages.
+        output: name of the value, for messages.
         value: the value.
         shape: the shape that it must have.
     """
     try:
         expression = ufl.as_ufl(value)
     except Exception as error:
-        raise InputError(f"{type(law).__name__}.{what} is {value!r}; it must be UFL of shape {shape}") from error
+        raise InputError(f"{type(law).__name__}.{output} is {value!r}; it must be UFL of shape {shape}") from error
     if expression.ufl_shape != shape:
-        raise InputError(f"{type(law).__name__}.{what} has the shape {expression.ufl_shape}; it must have {shape}")
+        raise InputError(f"{type(law).__name__}.{output} has the shape {expression.ufl_shape}; it must have {shape}")
     return expression
 
 

@@ -95,15 +95,15 @@ def symbolic(law: BulkLaw, values: Array | None = None, d: int | None = 3) -> Sy
     numbers = _symbols(length) if values is None else ufl.as_vector([ufl.as_ufl(float(value)) for value in values])
     inputs = iter(numbers[i] for i in range(length))
 
-    def take(shape: tuple[int, ...]) -> Expr:
-        return ufl.as_tensor([take(shape[1:]) for _ in range(shape[0])]) if shape else next(inputs)
+    def read(shape: tuple[int, ...]) -> Expr:
+        return ufl.as_tensor([read(shape[1:]) for _ in range(shape[0])]) if shape else next(inputs)
 
-    end, old = variable(take((6,))), take((6,))
-    q = {name: mandel_tensor(take((6,))) if shape == (3, 3) else take(shape) for name, shape in law.internal.items()}
-    normal, dt, theta = take((3,)), take(()), take(())
+    new_e, old_e = variable(read((6,))), read((6,))
+    q = {name: mandel_tensor(read((6,))) if shape == (3, 3) else read(shape) for name, shape in law.internal.items()}
+    normal, dt, theta = read((3,)), read(()), read(())
     n = None if d is None else normal if d == 3 else ufl.as_vector([normal[0], normal[1]])
-    step = Step(mandel_tensor(end), n, mandel_tensor(old), q, dt, theta, law.traits.rate)
-    return SymbolicLaw(law.with_parameters({name: take(shape) for name, shape in shapes.items()}), step, end, numbers)
+    step = Step(mandel_tensor(new_e), n, mandel_tensor(old_e), q, dt, theta, law.traits.rate)
+    return SymbolicLaw(law.with_parameters({name: read(shape) for name, shape in shapes.items()}), step, new_e, numbers)
 
 
 def _shape(value: ParameterValue) -> tuple[int, ...]:
@@ -132,7 +132,7 @@ def reads_input(law: BulkLaw, name: str) -> bool:
     symbol = ufl.Constant(_SYMBOL_MESH, shape=getattr(point.step, name).ufl_shape)
     step = point.step._replace(**{name: symbol})
     outputs = [point.law.stress(point.law.own_step(step)), *point.law.advance(step).values()]
-    return any(symbol is part for output in outputs for part in traverse_unique_terminals(ufl.as_ufl(output)))
+    return any(symbol is node for output in outputs for node in traverse_unique_terminals(ufl.as_ufl(output)))
 
 
 def require_numbers_alone(law: BulkLaw, numbers: Expr, expressions: Iterable[Expr]) -> None:
@@ -145,8 +145,8 @@ def require_numbers_alone(law: BulkLaw, numbers: Expr, expressions: Iterable[Exp
     """
     for node in (node for expression in expressions for node in traverse_unique_terminals(expression)):
         if node is not numbers and not isinstance(node, (ConstantValue, MultiIndex, Label)):
-            what = f"{type(law).__name__} contains {str(node)[:80]}, a {type(node).__name__}"
-            raise InputError(f"{what}; a compiled law knows its parameters and step: declare one, or `varies` and `at`")
+            text = f"{type(law).__name__} contains {str(node)[:80]}, a {type(node).__name__}"
+            raise InputError(f"{text}; a compiled law knows its parameters and step: declare one, or `varies` and `at`")
 
 
 Values = npt.NDArray[Any]  # floats; of a condition booleans
@@ -167,55 +167,55 @@ def evaluate(expression: Expr, values: Mapping[Expr, Values] | None = None) -> V
     """
     arrays: dict[Expr, Values] = dict(values or {})  # axes of each array: shape of the part, then its free indices
     with np.errstate(all="ignore"):
-        for part in unique_post_traversal(expression):
-            if part not in arrays:
-                arrays[part] = _evaluate_node(part, [arrays[operand] for operand in part.ufl_operands])
+        for node in unique_post_traversal(expression):
+            if node not in arrays:
+                arrays[node] = _evaluate_node(node, [arrays[operand] for operand in node.ufl_operands])
     return np.asarray(arrays[expression])
 
 
-def _evaluate_node(part: Expr, operands: list[Values]) -> Values:
+def _evaluate_node(node: Expr, operands: list[Values]) -> Values:
     """Values of a node of an expression from the values of its operands.
 
     Their axes are the shape of the node, then one axis for each free index. A `MultiIndex` gives its indices, a `Label`
     nothing.
     """
-    if isinstance(part, (MultiIndex, Label)):
-        return part.indices() if isinstance(part, MultiIndex) else np.empty(0)
-    if isinstance(part, Variable):
+    if isinstance(node, (MultiIndex, Label)):
+        return node.indices() if isinstance(node, MultiIndex) else np.empty(0)
+    if isinstance(node, Variable):
         return operands[0]
-    if isinstance(part, (ScalarValue, Zero)) and not part.ufl_free_indices:
-        return np.full(part.ufl_shape, _real(part.value()) if isinstance(part, ScalarValue) else 0.0)
-    if isinstance(part, Terminal):
-        places = np.ndindex(*part.ufl_shape)
-        return np.reshape([_real(part((0.0,), component=place)) for place in places], part.ufl_shape)
-    if isinstance(part, ListTensor):
+    if isinstance(node, (ScalarValue, Zero)) and not node.ufl_free_indices:
+        return np.full(node.ufl_shape, _real(node.value()) if isinstance(node, ScalarValue) else 0.0)
+    if isinstance(node, Terminal):
+        components = np.ndindex(*node.ufl_shape)
+        return np.reshape([_real(node((0.0,), component=component)) for component in components], node.ufl_shape)
+    if isinstance(node, ListTensor):
         return np.stack(operands)
-    if isinstance(part, (Indexed, ComponentTensor, IndexSum)):
-        return _evaluate_indexing(part, *operands)
-    if not isinstance(part, Sum):  # operands of a sum have the same free indices
-        pairs, free = zip(operands, part.ufl_operands, strict=True), [*part.ufl_free_indices]
-        operands = [_broadcast(values, operand, len(part.ufl_shape), free) for values, operand in pairs]
-    function = NUMPY_FUNCTIONS.get(type(part)) or np.vectorize(lambda *values: _scalar_function(part, values))
+    if isinstance(node, (Indexed, ComponentTensor, IndexSum)):
+        return _evaluate_indexing(node, *operands)
+    if not isinstance(node, Sum):  # operands of a sum have the same free indices
+        pairs, free_indices = zip(operands, node.ufl_operands, strict=True), [*node.ufl_free_indices]
+        operands = [_broadcast(values, operand, len(node.ufl_shape), free_indices) for values, operand in pairs]
+    function = NUMPY_FUNCTIONS.get(type(node)) or np.vectorize(lambda *values: _scalar_function(node, values))
     return np.asarray(function(*operands))
 
 
-def _evaluate_indexing(part: Expr, values: Values, indices: Iterable[Expr]) -> Values:
+def _evaluate_indexing(node: Expr, values: Values, indices: Iterable[Expr]) -> Values:
     """Values of a UFL `Indexed`, `ComponentTensor` or `IndexSum`.
 
     Args:
-        part: the node.
+        node: the node.
         values: values of its operand: axes of the shape, then of the free indices.
         indices: its indices.
     """
-    free, inner = [*part.ufl_free_indices], [*part.ufl_operands[0].ufl_free_indices]
+    free, operand_free = [*node.ufl_free_indices], [*node.ufl_operands[0].ufl_free_indices]
     named = [i.count() for i in indices if isinstance(i, Index)]
-    if isinstance(part, Indexed):
-        place = tuple(slice(None) if isinstance(i, Index) else int(i) for i in indices)
-        return _index_sum(values[place], named + inner, free)
-    if isinstance(part, ComponentTensor):
-        return _index_sum(values, inner, named + free)
-    shape = [-1 - k for k in range(len(part.ufl_shape))]
-    return _index_sum(values, shape + inner, shape + free)
+    if isinstance(node, Indexed):
+        selection = tuple(slice(None) if isinstance(i, Index) else int(i) for i in indices)
+        return _index_sum(values[selection], named + operand_free, free)
+    if isinstance(node, ComponentTensor):
+        return _index_sum(values, operand_free, named + free)
+    shape = [-1 - k for k in range(len(node.ufl_shape))]
+    return _index_sum(values, shape + operand_free, shape + free)
 
 
 def _index_sum(values: Values, axes: list[int], kept: list[int]) -> Values:
@@ -226,8 +226,8 @@ def _index_sum(values: Values, axes: list[int], kept: list[int]) -> Values:
         axes: a number for each axis; axes with equal numbers form a diagonal.
         kept: numbers of the axes of the result.
     """
-    places = {name: k for k, name in enumerate(dict.fromkeys(axes))}
-    return np.einsum(values, [places[name] for name in axes], [places[name] for name in kept])
+    axis_numbers = {name: k for k, name in enumerate(dict.fromkeys(axes))}
+    return np.einsum(values, [axis_numbers[name] for name in axes], [axis_numbers[name] for name in kept])
 
 
 def _broadcast(values: Values, operand: Expr, axes: int, free: list[int]) -> Values:
@@ -244,15 +244,15 @@ def _broadcast(values: Values, operand: Expr, axes: int, free: list[int]) -> Val
     return np.reshape(values, [*[1] * (axes - len(shape)), *shape, *(sizes.get(name, 1) for name in free)])
 
 
-def _scalar_function(part: Expr, values: tuple[float, ...]) -> float:
+def _scalar_function(node: Expr, values: tuple[float, ...]) -> float:
     """Value of a function of scalars, or of a comparison, at numbers; NaN where it is undefined.
 
     Args:
-        part: UFL node of the function.
+        node: UFL node of the function.
         values: its arguments.
     """
     try:
-        value = part._ufl_expr_reconstruct_(*map(ufl.as_ufl, map(float, values))).evaluate((0.0,), {}, (), {})
+        value = node._ufl_expr_reconstruct_(*map(ufl.as_ufl, map(float, values))).evaluate((0.0,), {}, (), {})
         return bool(value) if isinstance(value, (bool, np.bool_)) else _real(value)
     except (ValueError, ZeroDivisionError, OverflowError):
         return math.nan

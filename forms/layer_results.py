@@ -64,12 +64,12 @@ class LayerResults:
         elastic gives the status.
         """
         flow = np.einsum("pij,pj->pi", points.plastic, points.n)
-        t_N, closed = ((vector * points.n).sum(axis=1) for vector in (points.traction, -flow))
-        slip = 2 * np.linalg.norm(flow + closed[:, None] * points.n, axis=1)
-        free = (points.opening > 0) & (np.abs(t_N) <= ZERO_TRACTION_SHARE * points.largest_traction)
-        still = np.maximum(slip, np.abs(closed)) <= ZERO_TRACTION_SHARE * points.largest_strain
-        kinds = {OPEN: free, ELASTIC: still, SLIDING: slip >= np.abs(closed), CRUSHED: closed > 0}
-        return np.select([*kinds.values()], [*kinds], TORN)
+        t_N, closure = ((vector * points.n).sum(axis=1) for vector in (points.traction, -flow))
+        slip = 2 * np.linalg.norm(flow + closure[:, None] * points.n, axis=1)
+        is_open = (points.opening > 0) & (np.abs(t_N) <= ZERO_TRACTION_SHARE * points.largest_traction)
+        is_elastic = np.maximum(slip, np.abs(closure)) <= ZERO_TRACTION_SHARE * points.largest_strain
+        masks = {OPEN: is_open, ELASTIC: is_elastic, SLIDING: slip >= np.abs(closure), CRUSHED: closure > 0}
+        return np.select([*masks.values()], [*masks], TORN)
 
     def plastic_strain(self, internal: Mapping[str, Array]) -> Array | None:
         """Plastic strain (points, 3, 3), by default the internal variable "plastic" if it has the shape (3, 3).

@@ -91,8 +91,8 @@ class Phases(IsotropicLaw):
         chi = np.array(self.chi, float)
         self.require(chi.shape in ((2, 2), (3, 3)), "shape of chi", "(2, 2) in plane strain, (3, 3) in 3D", chi.shape)
         self.require(bool(np.isfinite(chi).all()), "chi", "finite numbers", "not finite")
-        rounding = 1e-12 * float(np.abs(chi).max())
-        self.require(bool((np.abs(chi - chi.T) <= rounding).all()), "chi", "a symmetric tensor", chi.tolist())
+        tolerance = 1e-12 * float(np.abs(chi).max())
+        self.require(bool((np.abs(chi - chi.T) <= tolerance).all()), "chi", "a symmetric tensor", chi.tolist())
         self.require(bool(chi.any()), "chi", "a tensor that is not zero", "zero")
         object.__setattr__(self, "chi", (chi + chi.T) / 2)
 
@@ -120,16 +120,16 @@ class Phases(IsotropicLaw):
     def check_dimension(self, d: int) -> None:
         self.require(len(self.chi) == d, "shape of chi", f"({d}, {d}) in a model of dimension {d}", self.chi.shape)
 
-    def _check_phases(self, phases: Mapping[str, Array], where: Callable[[int], str]) -> None:
+    def _check_phases(self, parameters: Mapping[str, Array], where: Callable[[int], str]) -> None:
         """Raise InputError unless parameters of the phases are > 0 and finite.
 
         Args:
-            phases: values (n,) of each of `PHASE_PARAMETERS` at n places.
+            parameters: values (n,) of each of `PHASE_PARAMETERS` at n places.
             where: index of a place -> text of the place, for messages.
         """
-        for name, values in phases.items():
-            bad = np.flatnonzero(~((values > 0) & np.isfinite(values)))
-            for k in bad[np.argsort(values[bad])][:1]:
+        for name, values in parameters.items():
+            invalid = np.flatnonzero(~((values > 0) & np.isfinite(values)))
+            for k in invalid[np.argsort(values[invalid])][:1]:
                 self.require(False, name + where(k), "> 0", f"{values[k]:g}")
 
     @property
@@ -170,8 +170,8 @@ class Phases(IsotropicLaw):
 
     def _transformation_stress(self, n: Expr) -> Expr:
         """Transformation stress alpha chi (3, 3) in the axes of the joint, for the normal n of the layer."""
-        turn = layer_frame(n)
-        return self.alpha * turn * three_dimensional(ufl.as_tensor(self.chi)) * turn.T
+        rotation = layer_frame(n)
+        return self.alpha * rotation * three_dimensional(ufl.as_tensor(self.chi)) * rotation.T
 
     def remainder(self, step: Step) -> Expr:
         """Work of the stress in a step minus the increase of the stored energy, UFL, per volume.
@@ -226,9 +226,9 @@ class NonMonotone(Phases):
         object.__setattr__(self, "G", lamination_gain(self.lmbda, self.mu, self.chi))
         self._check_temperature()
 
-    def _check_phases(self, phases: Mapping[str, Array], where: Callable[[int], str]) -> None:
-        super()._check_phases(phases, where)
-        values, least = phases["transformation_energy"], self.mixing * self.G * np.square(phases["alpha"]) / 2
+    def _check_phases(self, parameters: Mapping[str, Array], where: Callable[[int], str]) -> None:
+        super()._check_phases(parameters, where)
+        values, least = parameters["transformation_energy"], self.mixing * self.G * np.square(parameters["alpha"]) / 2
         for k in np.flatnonzero(~(values >= least * (1 - 1e-12)))[:1]:
             allowed = f">= mixing alpha^2 G/2 = {least[k]:g}: phases 1 and -1 would mix"
             self.require(False, f"transformation_energy{where(k)}", allowed, f"{values[k]:g}")
@@ -239,8 +239,8 @@ class NonMonotone(Phases):
 
     @property
     def plateau(self) -> bool:
-        across, normal = np.asarray(self.chi)[:, 1], np.asarray(self.chi)[1, 1]
-        gain = (across @ across - normal**2) / self.mu + normal**2 / (self.lmbda + 2 * self.mu)
+        chi_n, normal = np.asarray(self.chi)[:, 1], np.asarray(self.chi)[1, 1]
+        gain = (chi_n @ chi_n - normal**2) / self.mu + normal**2 / (self.lmbda + 2 * self.mu)
         return bool(gain > self.mixing * self.G * (1 - 1e-9))
 
     @property
@@ -265,8 +265,8 @@ class NonMonotone(Phases):
     def energy(self, step: Step) -> Expr:
         m = self._drive(step.e, step.n)
         theta, g = self._fraction(m), self._gain
-        mixed = theta * (abs(m) - self.transformation_energy) + theta * (1 - theta) * g / 2
-        return isotropic_energy(self.lmbda, self.mu, step.e) - mixed
+        phase_energy = theta * (abs(m) - self.transformation_energy) + theta * (1 - theta) * g / 2
+        return isotropic_energy(self.lmbda, self.mu, step.e) - phase_energy
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,8 +302,8 @@ class NonMonotoneUnrelaxed(Phases):
 
     def energy(self, step: Step) -> Expr:
         z = step.q["phase"]
-        of_phase = abs(z) * self.transformation_energy - z * self._drive(step.e, step.n)
-        return isotropic_energy(self.lmbda, self.mu, step.e) + of_phase
+        phase_energy = abs(z) * self.transformation_energy - z * self._drive(step.e, step.n)
+        return isotropic_energy(self.lmbda, self.mu, step.e) + phase_energy
 
     def excess(self, phase: Array, drive: Array, bound: Array) -> Array:
         """Energy (n,) by which the phases of columns exceed that of another phase, over Psi; > 0: the column switches.
@@ -325,5 +325,5 @@ class NonMonotoneUnrelaxed(Phases):
             drive: means (n,) of the driving force alpha chi:e over the columns, energy per volume.
             bound: means (n,) of the transformation energy Psi, energy per volume.
         """
-        lowest = np.where(drive > bound, 1.0, np.where(drive < -bound, -1.0, 0.0))
-        return np.where(self.excess(phase, drive, bound) > 0, lowest, phase)
+        best_phase = np.where(drive > bound, 1.0, np.where(drive < -bound, -1.0, 0.0))
+        return np.where(self.excess(phase, drive, bound) > 0, best_phase, phase)

@@ -36,7 +36,7 @@ def _operators(combine: Combine) -> tuple[FieldOperator, FieldOperator]:
 
     The first has the other operand on the right of the operator, the second on its left.
     """
-    return lambda self, other: self._with(combine, other), lambda self, other: self._with(combine, other, turned=True)
+    return lambda self, other: self._with(combine, other), lambda self, other: self._with(combine, other, swapped=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +60,8 @@ class ParameterField:
             ParameterRangeError: a value is not finite, or out of the range of the function.
             TypeError: the function does not return n real numbers.
         """
-        arguments = [operand(x) if isinstance(operand, ParameterField) else operand for operand in self.operands]
-        array = real_values(self.function(*arguments or [x.copy()]))
+        operand_values = [operand(x) if isinstance(operand, ParameterField) else operand for operand in self.operands]
+        array = real_values(self.function(*operand_values or [x.copy()]))
         if array.shape not in ((), x.shape[1:]):
             raise TypeError(f"it gives the shape {array.shape} for x of shape {x.shape}; allowed: {x.shape[1:]}")
         values = np.array(np.broadcast_to(array, x.shape[1:]))
@@ -73,12 +73,12 @@ class ParameterField:
         name = getattr(self.function, "__qualname__", type(self.function).__name__)
         return f"{name}({', '.join(map(repr, self.operands)) or 'x'})"
 
-    def _with(self, combine: Combine, other: object, *, turned: bool = False) -> ParameterField:
+    def _with(self, combine: Combine, other: object, *, swapped: bool = False) -> ParameterField:
         value = other[()] if isinstance(other, np.ndarray) and not other.ndim else other
         if not (isinstance(value, ParameterField) or is_number(value)):
             return NotImplemented
         operand = value if isinstance(value, ParameterField) else float(value)
-        return ParameterField(combine, (operand, self) if turned else (self, operand))
+        return ParameterField(combine, (operand, self) if swapped else (self, operand))
 
     __add__, __radd__ = _operators(operator.add)
     __sub__, __rsub__ = _operators(operator.sub)
@@ -140,8 +140,8 @@ def extreme_places(values: Sequence[Array], *, differences: bool = False) -> lis
         values: values (n,) of each quantity at n places.
         differences: whether the differences of two quantities count, too.
     """
-    fields = list(values)
+    arrays = list(values)
     with np.errstate(all="ignore"):
         for a, b in combinations(values, 2):
-            fields += [a / b] + ([a - b] if differences else [])
-    return sorted({int(pick(f)) for f in fields for pick in (np.nanargmin, np.nanargmax) if np.isfinite(f).any()})
+            arrays += [a / b] + ([a - b] if differences else [])
+    return sorted({int(pick(f)) for f in arrays for pick in (np.nanargmin, np.nanargmax) if np.isfinite(f).any()})

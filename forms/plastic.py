@@ -225,22 +225,22 @@ class MohrCoulombMonodirectional(Plastic):
         e_N = ufl.dot(n, ufl.dot(e, n))
         t_N, t_T = self.lmbda * ufl.tr(e) + 2 * self.mu * e_N, 2 * self.mu * (ufl.dot(e, n) - e_N * n)
         t_N = ufl.min_value(t_N, 0) if self.unilateral else t_N
-        cohesion = self.cohesion + self.hardening * p + self.saturation * p / (self._half + p)
+        cohesion = self.cohesion + self.hardening * p + self.saturation * p / (self._half_strain + p)
         bound = cohesion - ufl.tan(ufl.pi / 180 * self.friction_angle) * t_N
-        size2 = ufl.inner(t_T, t_T)
-        beyond = ufl.gt(size2, ufl.max_value(bound, 0) ** 2)
-        size = ufl.sqrt(ufl.conditional(beyond, size2, 1))
-        excess = ufl.conditional(beyond, size - bound, 1)
-        slip = ufl.min_value(self._size(p, excess), size / self.mu)  # beyond the apex no shear traction remains
-        slip = ufl.conditional(beyond, slip, 0)
+        squared_size = ufl.inner(t_T, t_T)
+        is_plastic = ufl.gt(squared_size, ufl.max_value(bound, 0) ** 2)
+        size = ufl.sqrt(ufl.conditional(is_plastic, squared_size, 1))
+        excess = ufl.conditional(is_plastic, size - bound, 1)
+        slip = ufl.min_value(self._slip_size(p, excess), size / self.mu)  # beyond the apex no shear traction remains
+        slip = ufl.conditional(is_plastic, slip, 0)
         return slip / size * ufl.sym(ufl.outer(t_T, n)), slip
 
     @property
-    def _half(self) -> Expr:
+    def _half_strain(self) -> Expr:
         """The saturation strain p_0, at which half of the saturation is reached; 1 without saturation."""
         return ufl.conditional(ufl.gt(self.saturation, 0), self.saturation_strain, 1.0)
 
-    def _size(self, p: Expr, excess: Expr) -> Expr:
+    def _slip_size(self, p: Expr, excess: Expr) -> Expr:
         """Increment x > 0 of the accumulated plastic strain, with excess = mu x + c(p + x) - c(p).
 
         It is the root of a quadratic equation.
@@ -249,8 +249,8 @@ class MohrCoulombMonodirectional(Plastic):
             p: accumulated plastic strain at the beginning of the step.
             excess: shear stress beyond its bound, if no plastic strain is added.
         """
-        d, a = self._half + p, self.mu + self.hardening
-        b = a * d + self.saturation * self._half / d - excess
+        d, a = self._half_strain + p, self.mu + self.hardening
+        b = a * d + self.saturation * self._half_strain / d - excess
         root = ufl.sqrt(b * b + 4 * a * excess * d)
         return ufl.conditional(ufl.gt(b, 0), 2 * excess * d / (b + root), (root - b) / (2 * a))
 
@@ -260,8 +260,8 @@ class MohrCoulombMonodirectional(Plastic):
 
     def advance(self, step: Step) -> dict[str, Expr]:
         flow, slip = self._flow(step)
-        growth = {"plastic": flow, "accumulated": slip}
-        return {name: step.q[name] + change / step.theta for name, change in growth.items()}
+        increments = {"plastic": flow, "accumulated": slip}
+        return {name: step.q[name] + change / step.theta for name, change in increments.items()}
 
     def dissipated(self, step: Step) -> Expr:
         flow, _ = self._flow(step)

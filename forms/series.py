@@ -55,10 +55,10 @@ class EqualTractionSublayers(AveragedElastic):
             faces: displacements of the faces of the layer.
         """
         n, across = three_dimensional(faces.n), faces.across() + faces.mean
-        thinned = faces.split(self.lateral_normal, self.lateral_tangential).difference
-        turned = faces.split(self.normal, self.tangential).difference
-        stretch = self.lateral * ufl.tr(faces.in_s(across)) + ufl.tr(faces.in_s(thinned))
-        shear = 2 * ufl.dot(across + turned, n)
+        thinning_change = faces.split(self.lateral_normal, self.lateral_tangential).difference
+        rotation_change = faces.split(self.normal, self.tangential).difference
+        stretch = self.lateral * ufl.tr(faces.in_s(across)) + ufl.tr(faces.in_s(thinning_change))
+        shear = 2 * ufl.dot(across + rotation_change, n)
         shear -= ufl.dot(shear, n) * n
         return (ufl.dot(n, ufl.dot(across, n)) + stretch) * faces.normal + jump_strain(shear, n)
 
@@ -88,25 +88,25 @@ def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[AnyStation]:
         return sum(a * value for a, value in zip(fractions, values, strict=True))
 
     stiffness, mu = [lmbda + 2 * mu for lmbda, mu in moduli], [mu for _, mu in moduli]
-    whole, sheared = 1 / mean(1 / modulus for modulus in stiffness), 1 / mean(1 / modulus for modulus in mu)
+    M_mean, mu_mean = 1 / mean(1 / modulus for modulus in stiffness), 1 / mean(1 / modulus for modulus in mu)
     r = [lmbda / modulus for (lmbda, _), modulus in zip(moduli, stiffness, strict=True)]
-    steps_n = [a * whole / modulus for a, modulus in zip(fractions, stiffness, strict=True)]
-    steps_t = [a * sheared / shear for a, shear in zip(fractions, mu, strict=True)]
+    steps_n = [a * M_mean / modulus for a, modulus in zip(fractions, stiffness, strict=True)]
+    steps_t = [a * mu_mean / shear for a, shear in zip(fractions, mu, strict=True)]
     # for each sublayer: means of Phi_N, Phi_T and Phi_T^2
     normal, tangential = ([at + step / 2 for at, step in _from_below(steps)] for steps in (steps_n, steps_t))
-    squared = [at * at + at * step + step * step / 3 for at, step in _from_below(steps_t)]
+    squares = [at * at + at * step + step * step / 3 for at, step in _from_below(steps_t)]
 
-    def times(first: list[float], second: list[float]) -> list[float]:
+    def product(first: list[float], second: list[float]) -> list[float]:
         return [a * b for a, b in zip(first, second, strict=True)]
 
     def along(phi: float, shares: list[float]) -> AnyStation:
-        law = AveragedElastic(2 * mean(times(times(shares, r), mu)), mean(times(shares, mu)))
+        law = AveragedElastic(2 * mean(product(product(shares, r), mu)), mean(product(shares, mu)))
         return Station(law, 1, lambda law, faces: faces.in_s(faces.mean + phi * faces.difference))
 
-    means = map(mean, (r, times(r, normal), times(r, tangential), normal, tangential))
-    across = EqualTractionSublayers(whole - 2 * sheared, sheared, *means)
-    pairs = list(zip(squared, tangential, strict=True))
-    low, middle = [2 * p - q for p, q in pairs], [1 - 4 * p for p in squared]
+    means = map(mean, (r, product(r, normal), product(r, tangential), normal, tangential))
+    across = EqualTractionSublayers(M_mean - 2 * mu_mean, mu_mean, *means)
+    pairs = list(zip(squares, tangential, strict=True))
+    low, middle = [2 * p - q for p, q in pairs], [1 - 4 * p for p in squares]
     in_s = along(-0.5, low), along(0.0, middle), along(0.5, [2 * p + q for p, q in pairs])
     return [Station(across, 1, EqualTractionSublayers.strain), *in_s]
 
@@ -154,8 +154,8 @@ class Stack(BulkLaw):
             pairs = [(float(a), getattr(law, "sublayers", ((1.0, law),))) for a, law in sublayers]
         except (TypeError, ValueError) as error:
             raise InputError(f"Stack needs pairs (fraction, law): {error}") from error
-        one_by_one = [(a * b, law) for a, parts in pairs for b, law in parts]
-        vars(self).update(fractions=tuple(a for a, _ in one_by_one), laws=tuple(law for _, law in one_by_one))
+        sublayer_list = [(a * b, law) for a, parts in pairs for b, law in parts]
+        vars(self).update(fractions=tuple(a for a, _ in sublayer_list), laws=tuple(law for _, law in sublayer_list))
         self.check()
         require_declarations(self)
 
@@ -218,8 +218,8 @@ class Stack(BulkLaw):
         if len(self.laws) == 1:
             return self.laws[0].stations()
         if self.fields:
-            what = "order=1 of a Stack with parameters that are functions"
-            raise InputError(f"{what}: the sublayers' shares of the jump would change along S; {ORDER_0_REMEDY}")
+            subject = "order=1 of a Stack with parameters that are functions"
+            raise InputError(f"{subject}: the sublayers' shares of the jump would change along S; {ORDER_0_REMEDY}")
         return in_series(self.sublayers)
 
     def with_laws(self, laws: Sequence[BulkLaw]) -> Stack:

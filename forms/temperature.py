@@ -44,8 +44,8 @@ class Tabulated:
         """Values (n,) of the parameter at temperatures (n,), or one value at one temperature."""
         require(np.asarray(T).dtype.kind in "iuf", "T", T, "a table is a function of temperatures, numbers")
         T, rows = np.asarray(T, float), np.array(self.values)
-        for outside in T[~((rows[0, 0] <= T) & (rows[-1, 0] >= T))][:1]:
-            raise InputError(f"T is {outside:g}; the table knows {rows[0, 0]:g} to {rows[-1, 0]:g}")
+        for bad_T in T[~((rows[0, 0] <= T) & (rows[-1, 0] >= T))][:1]:
+            raise InputError(f"T is {bad_T:g}; the table knows {rows[0, 0]:g} to {rows[-1, 0]:g}")
         return np.asarray(np.interp(T, rows[:, 0], rows[:, 1]))
 
 

@@ -72,16 +72,16 @@ def isotropic_tensor(lmbda: float, mu: float) -> Array:
     return np.asarray(lmbda * np.outer(volume, volume) + 2 * mu * np.eye(6))
 
 
-def condensed_tangent(C: Array, kept: Sequence[int], out: Sequence[int]) -> Array:
+def condensed_tangent(C: Array, kept: Sequence[int], eliminated: Sequence[int]) -> Array:
     """Tangent of some strain components while the stresses of others are zero, a Schur complement.
 
     Args:
         C: tangent (6, 6).
         kept: indices of the components of the result.
-        out: indices of the components without stress.
+        eliminated: indices of the components without stress.
     """
-    inner = np.linalg.pinv(C[np.ix_(out, out)])
-    return np.asarray(C[np.ix_(kept, kept)] - C[np.ix_(kept, out)] @ inner @ C[np.ix_(out, kept)])
+    inner = np.linalg.pinv(C[np.ix_(eliminated, eliminated)])
+    return np.asarray(C[np.ix_(kept, kept)] - C[np.ix_(kept, eliminated)] @ inner @ C[np.ix_(eliminated, kept)])
 
 
 def average_lame(C: Array) -> tuple[float, float]:
@@ -103,7 +103,7 @@ def layer_frame(n: Expr) -> Expr:
     squares = n[0] * n[0] + n[2] * n[2]
     downwards = (1 - n[1]) / ufl.conditional(opposite, 1, squares)  # = 1/(1 + n_2) without cancellation
     s = ufl.conditional(ufl.lt(n[1], 0), downwards, 1 / ufl.conditional(ufl.lt(n[1], 0), 1, 1 + n[1]))
-    first, third = [1 - s * n[0] * n[0], n[0], -s * n[0] * n[2]], [-s * n[0] * n[2], n[2], 1 - s * n[2] * n[2]]
-    turn = ufl.as_tensor([first, [-n[0], n[1], -n[2]], third])
+    row_1, row_3 = [1 - s * n[0] * n[0], n[0], -s * n[0] * n[2]], [-s * n[0] * n[2], n[2], 1 - s * n[2] * n[2]]
+    turn = ufl.as_tensor([row_1, [-n[0], n[1], -n[2]], row_3])
     half_turn = ufl.as_tensor([[-1, 0, 0], [0, -1, 0], [0, 0, 1]])
     return ufl.as_tensor([[ufl.conditional(opposite, half_turn[i, j], turn[i, j]) for j in range(3)] for i in range(3)])

@@ -59,8 +59,8 @@ class TractionLaw(Law):
         return super()._traits_of_methods() | traits
 
     def as_bulk_law(self) -> BulkLaw:
-        kind: type = type(self)
-        return _bulk_law_class(kind)(self)
+        cls: type = type(self)
+        return _bulk_law_class(cls)(self)
 
     def traction(self, step: JumpStep) -> Expr:
         """Traction (3,), UFL, at t + theta dt, the time in the step from t to t + dt after which forces balance."""
@@ -110,9 +110,9 @@ class TractionAsBulkLaw(WrappedLaw):
 
 
 @cache
-def _bulk_law_class(kind: type) -> type[TractionAsBulkLaw]:
+def _bulk_law_class(cls: type) -> type[TractionAsBulkLaw]:
     """Subclass of `TractionAsBulkLaw` for a class of traction laws, with the name and module of this class.
 
     Messages and the keys of compiled code need these names.
     """
-    return type(kind.__name__, (TractionAsBulkLaw,), {"__module__": kind.__module__, "__qualname__": kind.__qualname__})
+    return type(cls.__name__, (TractionAsBulkLaw,), {"__module__": cls.__module__, "__qualname__": cls.__qualname__})

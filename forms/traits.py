@@ -65,22 +65,22 @@ def show_warnings() -> None:
         logging.captureWarnings(False)
 
 
-def accept_renamed(kind: type, new_names: Mapping[str, str]) -> None:
+def accept_renamed(cls: type, new_names: Mapping[str, str]) -> None:
     """Copy attributes that a class defines under names of version 1.0 to their new names.
 
     Issue a DeprecationWarning for each of them.
 
     Args:
-        kind: the class.
+        cls: the class.
         new_names: old name -> new name.
     """
     for old, new in new_names.items():
-        if old in vars(kind):
-            warn_outside(DeprecationWarning(f"{kind.__name__}.{old} is deprecated since thinlayer 1.1; call it {new}"))
-            setattr(kind, new, vars(kind)[old])
+        if old in vars(cls):
+            warn_outside(DeprecationWarning(f"{cls.__name__}.{old} is deprecated since thinlayer 1.1; call it {new}"))
+            setattr(cls, new, vars(cls)[old])
 
 
-def reset_inherited(kind: type[Law]) -> None:
+def reset_inherited(cls: type[Law]) -> None:
     """Reset inherited attributes of a law class to the defaults if they were written for another stress than its own.
 
     Attributes that the class itself defines stay, also `plane_stress = Parent.plane_stress`. Traits that are checked or
@@ -89,50 +89,50 @@ def reset_inherited(kind: type[Law]) -> None:
     `ENERGY_METHODS`.
     """
     for name in STRESS_ATTRIBUTES:
-        if _is_for_another_stress(kind, name, RESPONSE_ATTRIBUTES + UPDATE_METHODS):
-            _reset(kind, name)
-    written = [name for name in ENERGY_METHODS if _own(kind, name)]
-    unchecked = getattr(kind, "rate", False) or kind.internal or not getattr(kind, "symmetric", True)
-    if unchecked and all(_is_for_another_stress(kind, name, RESPONSE_ATTRIBUTES) for name in written):
-        for name in written:
-            _reset(kind, name)
-    if _own(kind, "quadratic") and _place(kind, "energy") < _place(kind, "quadratic"):
-        _reset(kind, "quadratic", False)
+        if _is_for_another_stress(cls, name, RESPONSE_ATTRIBUTES + UPDATE_METHODS):
+            _reset(cls, name)
+    own_energies = [name for name in ENERGY_METHODS if _is_own(cls, name)]
+    unchecked = getattr(cls, "rate", False) or cls.internal or not getattr(cls, "symmetric", True)
+    if unchecked and all(_is_for_another_stress(cls, name, RESPONSE_ATTRIBUTES) for name in own_energies):
+        for name in own_energies:
+            _reset(cls, name)
+    if _is_own(cls, "quadratic") and _place(cls, "energy") < _place(cls, "quadratic"):
+        _reset(cls, "quadratic", False)
 
 
-def _is_for_another_stress(kind: type, name: str, responses: tuple[str, ...]) -> bool:
+def _is_for_another_stress(cls: type, name: str, responses: tuple[str, ...]) -> bool:
     """Whether a class inherits an attribute from a class that has another stress or traction.
 
     An attribute of a base class without a stress belongs to the first stress that a subclass defines. Adding internal
     variables does not count as another stress.
 
     Args:
-        kind: the class.
+        cls: the class.
         name: name of the attribute.
         responses: names of the attributes that give the stress or update internal variables.
     """
-    if not _own(kind, name):
+    if not _is_own(cls, name):
         return False
-    above = reversed(kind.__mro__[: _place(kind, name) + 1])
-    now = _responses(kind, responses)
-    before = next((attributes for base in above if (attributes := _responses(base, responses))), now)
-    return any(before.get(key) is not now.get(key) for key in responses if key in before or key not in UPDATE_METHODS)
+    bases = reversed(cls.__mro__[: _place(cls, name) + 1])
+    own = _responses(cls, responses)
+    before = next((attributes for base in bases if (attributes := _responses(base, responses))), own)
+    return any(before.get(key) is not own.get(key) for key in responses if key in before or key not in UPDATE_METHODS)
 
 
-def _responses(kind: type, names: tuple[str, ...]) -> dict[str, object]:
+def _responses(cls: type, names: tuple[str, ...]) -> dict[str, object]:
     """Attributes of a class with these names, by name, without those that have the default of all laws."""
-    return {name: inspect.getattr_static(kind, name) for name in names if _own(kind, name)}
+    return {name: inspect.getattr_static(cls, name) for name in names if _is_own(cls, name)}
 
 
-def _place(kind: type, name: str) -> int:
+def _place(cls: type, name: str) -> int:
     """Index, in the method resolution order of a class, of the first class that defines a name; 0: the class itself."""
-    return next((k for k, base in enumerate(kind.__mro__) if name in vars(base)), len(kind.__mro__))
+    return next((k for k, base in enumerate(cls.__mro__) if name in vars(base)), len(cls.__mro__))
 
 
-def _reset(kind: type, name: str, default: object = None) -> None:
+def _reset(cls: type, name: str, default: object = None) -> None:
     """Reset an attribute of a class to the default of all laws, or to `default` if they have none."""
-    defaults = (vars(base)[name] for base in kind.__mro__ if base.__module__ in DEFAULT_MODULES and name in vars(base))
-    setattr(kind, name, next(defaults, default))
+    defaults = (vars(base)[name] for base in cls.__mro__ if base.__module__ in DEFAULT_MODULES and name in vars(base))
+    setattr(cls, name, next(defaults, default))
 
 
 def require_declarations(law: Law) -> None:
@@ -140,9 +140,9 @@ def require_declarations(law: Law) -> None:
 
     Declarations are the powers of eps, the internal variables and the methods.
     """
-    kind, name, parameters = type(law), type(law).__name__, law.parameters()
-    declared = [field_name for field_name, note in inspect.get_annotations(kind).items() if "ClassVar" not in str(note)]
-    if declared and "__dataclass_params__" not in vars(kind):  # its constructor does not take them
+    cls, name, parameters = type(law), type(law).__name__, law.parameters()
+    declared = [field_name for field_name, note in inspect.get_annotations(cls).items() if "ClassVar" not in str(note)]
+    if declared and "__dataclass_params__" not in vars(cls):  # its constructor does not take them
         raise InputError(f"{name} is not a dataclass: write @dataclass(frozen=True) above the class")
     for parameter, power in law.powers.items():
         if parameter not in parameters:
@@ -156,24 +156,24 @@ def require_declarations(law: Law) -> None:
 
 def _require_used(law: Law) -> None:
     """Raise InputError if a law's class has methods or attributes that would never be used."""
-    kind, name = type(law), type(law).__name__
-    defining = min(_place(kind, attribute) for attribute in ("source", "ignored"))
-    for method in kind.ignored:
-        if _own(kind, method) and _place(kind, method) < defining:
-            source = f"the source, sublayers or the traction of {kind.__mro__[defining].__name__}"
+    cls, name = type(law), type(law).__name__
+    defining = min(_place(cls, attribute) for attribute in ("source", "ignored"))
+    for method in cls.ignored:
+        if _is_own(cls, method) and _place(cls, method) < defining:
+            source = f"the source, sublayers or the traction of {cls.__mro__[defining].__name__}"
             raise InputError(f"{name} has a method {method} that is never called: change {source}, or write a BulkLaw")
-    advancing = [method for method in UPDATE_METHODS if _own(kind, method)]
+    advancing = [method for method in UPDATE_METHODS if _is_own(cls, method)]
     if advancing and not law.internal:
         raise InputError(f"{name} has a method {advancing[0]} but no internal variables: internal = {{name: shape}}")
-    if (_own(kind, "dissipation") or _own(kind, "dissipated")) and not law.traits.has_energy:
+    if (_is_own(cls, "dissipation") or _is_own(cls, "dissipated")) and not law.traits.has_energy:
         raise InputError(f"{name} declares a dissipation but no energy; write a method energy(step) too")
-    if _own(kind, "at") and (not _own(kind, "varies") or inspect.getattr_static(kind, "varies") is False):
+    if _is_own(cls, "at") and (not _is_own(cls, "varies") or inspect.getattr_static(cls, "varies") is False):
         raise InputError(f"{name} has a method at, but no parameters vary; write varies = True in the class")
 
 
-def _own(kind: type, name: str) -> bool:
+def _is_own(cls: type, name: str) -> bool:
     """Whether an attribute of a class differs from the default of all laws."""
-    defining = next((base for base in kind.__mro__ if name in vars(base)), None)
+    defining = next((base for base in cls.__mro__ if name in vars(base)), None)
     written = getattr(vars(defining)[name], "__module__", None) if defining else None  # also where `_reset` restored it
     return defining is not None and not {defining.__module__, written} & {*DEFAULT_MODULES}
 
@@ -267,12 +267,12 @@ class Traits:
         """
         declared = {f.name: getattr(law, f.name, f.default) for f in fields(cls) if f.name not in of_methods}
         for name, value in declared.items():
-            where = f"{type(law).__name__}: {name}"
-            require(isinstance(value, bool | np.bool_), where, value, "a trait is True or False")
+            subject = f"{type(law).__name__}: {name}"
+            require(isinstance(value, bool | np.bool_), subject, value, "a trait is True or False")
         return cls(**{name: bool(value) for name, value in (declared | of_methods).items()})
 
     @classmethod
     def of_series(cls, sublayers: Iterable[Traits]) -> Traits:
         """Traits of a Stack from the traits of its sublayers."""
         stack = list(sublayers)
-        return cls(**{f.name: f.metadata["fold"](getattr(each, f.name) for each in stack) for f in fields(cls)})
+        return cls(**{f.name: f.metadata["fold"](getattr(traits, f.name) for traits in stack) for f in fields(cls)})

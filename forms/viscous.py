@@ -243,9 +243,9 @@ class Norton(ParallelDashpot):
     def _viscous(self, step: Step) -> Expr:
         dt: Expr = step.dt
         # for p < 2, the strain rate at which the dashpot has the largest stiffness
-        stiffest = (self.eta / (MAX_DASHPOT_STIFFNESS * self.mu * dt)) ** (1 / (2 - self.p))
-        least = ufl.conditional(ufl.lt(self.p, 2), ufl.min_value(stiffest, REST_STRAIN / dt), 0)
-        q = ufl.inner(step.rate, step.rate) + self.rest**2 + least**2 + 1e-300  # powers have no derivative at 0
+        stiffest_rate = (self.eta / (MAX_DASHPOT_STIFFNESS * self.mu * dt)) ** (1 / (2 - self.p))
+        min_rate = ufl.conditional(ufl.lt(self.p, 2), ufl.min_value(stiffest_rate, REST_STRAIN / dt), 0)
+        q = ufl.inner(step.rate, step.rate) + self.rest**2 + min_rate**2 + 1e-300  # powers have no derivative at 0
         return self.eta * q ** (self.p / 2 - 1) * step.rate
 
 

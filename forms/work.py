@@ -25,8 +25,8 @@ def constant_law(law: BulkLaw) -> BulkLaw:
         InputError: a parameter is a function of the place, which needs a mesh.
     """
     if law.fields:
-        what = f"order=1 of {type(law).__name__} with parameters that are functions"
-        raise InputError(f"{what}: use it in a Model, or give `Interface(law_on_surface=...)`")
+        subject = f"order=1 of {type(law).__name__} with parameters that are functions"
+        raise InputError(f"{subject}: use it in a Model, or give `Interface(law_on_surface=...)`")
     return law
 
 
@@ -127,13 +127,13 @@ class Interface:
             to_s: (d,) vectors from the facets to S.
             upper, lower: sides of S; the inverse gradient of the upper side is added here.
         """
-        mesh, back = measure.ufl_domain(), upper(_inverse_gradient(to_s))
-        N = -ufl.dot(upper(ufl.FacetNormal(mesh)), back)
+        mesh, inverse_map = measure.ufl_domain(), upper(_inverse_gradient(to_s))
+        N = -ufl.dot(upper(ufl.FacetNormal(mesh)), inverse_map)
         length = ufl.sqrt(ufl.dot(N, N))
         n, x = N / length, upper(ufl.SpatialCoordinate(mesh) + to_s)
         fibre = upper(to_s) / ufl.dot(upper(to_s), n)
-        area = length / abs(ufl.det(back))
-        return cls(measure, x, n, fibre, InterfaceSide(upper.restrict, back), lower, kinematics.at(x), area)
+        area = length / abs(ufl.det(inverse_map))
+        return cls(measure, x, n, fibre, InterfaceSide(upper.restrict, inverse_map), lower, kinematics.at(x), area)
 
     @property
     def factor(self) -> Expr:
@@ -152,8 +152,8 @@ class Interface:
             eps: thickness of the layer.
             slope: gradient (d,) of the thickness along S; None: it is uniform.
         """
-        along_s = ufl.Identity(len(self.n)) - ufl.outer(self.director, self.n)
-        upper, lower = (ufl.dot(side.gradient(u), along_s) for side in (self.upper, self.lower))
+        projector = ufl.Identity(len(self.n)) - ufl.outer(self.director, self.n)
+        upper, lower = (ufl.dot(side.gradient(u), projector) for side in (self.upper, self.lower))
         mean = self.kinematics.along((upper + lower) / 2, (self.upper(u) + self.lower(u)) / 2)
         return Faces(self.n, eps, self.jump(u), upper - lower, mean, self.kinematics.along, slope)
 
@@ -209,9 +209,9 @@ class Term:
         if not traits.linear or traits.remembers or traits.rate:
             return False
         laws = [law.in_space for _, law in self.law.sublayers]
-        numbered = [law.with_parameters(dict.fromkeys(law.fields, 1.0)) for law in laws]
+        numeric_laws = [law.with_parameters(dict.fromkeys(law.fields, 1.0)) for law in laws]
         n = three_dimensional(self.n) if self.n is not None and traits.compiled else self.n
-        return all(isinstance(checked_stress(law, Step(ufl.zero(3, 3), n)), Zero) for law in numbered)
+        return all(isinstance(checked_stress(law, Step(ufl.zero(3, 3), n)), Zero) for law in numeric_laws)
 
 
 def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, volume: int | None = None) -> Term:
@@ -287,7 +287,7 @@ def surface(
         return [term(law, lambda u: jump_strain(sides.jump(u), n) / eps, weight, prescribed_strain=prescribed_strain)]
     fixed_faces = Faces(n, eps, ufl.zero(d), ufl.zero(d, d), prescribed_strain, sides.kinematics.along)
 
-    def opened(i: int) -> Faces:
+    def unit_opening(i: int) -> Faces:
         unit = ufl.as_vector([float(i == j) for j in range(d)])
         return Faces(n, eps, unit, ufl.zero(d, d), ufl.zero(3, 3), lambda gradient, u: ufl.zero(3, 3), slope)
 
@@ -296,7 +296,7 @@ def surface(
         strain = partial(station.strain, surface_law)
 
         def traction(stress: Expr) -> Expr:
-            return ufl.as_vector([eps * share * ufl.inner(stress, strain(opened(i))) for i in range(d)])
+            return ufl.as_vector([eps * share * ufl.inner(stress, strain(unit_opening(i))) for i in range(d)])
 
         fixed = None if prescribed_strain is None else strain(fixed_faces)
         at_station = partial(term, prescribed_strain=fixed, flow=eps**3 * station.flow(surface_law), traction=traction)

@@ -60,12 +60,12 @@ def create_mesh(
     element, x = basix.ufl.element("Lagrange", cell_type, degree, shape=(dim,)), np.ascontiguousarray(points)
     arguments = dict(comm=comm, cells=cells, x=x, partitioner=partitioner)
 
-    def by_names() -> dolfinx.mesh.Mesh:
+    def by_keywords() -> dolfinx.mesh.Mesh:
         """Pass arguments by name: without names the bindings first try to convert each cell to an array, slowly."""
         map_of_cells = dolfinx.fem.coordinate_element(element.basix_element)._cpp_object
         return dolfinx.mesh.Mesh(dolfinx.cpp.mesh.create_mesh(**arguments, element=map_of_cells), ufl.Mesh(element))
 
-    return first_accepted(by_names, lambda: dolfinx.mesh.create_mesh(**arguments, e=element))
+    return first_accepted(by_keywords, lambda: dolfinx.mesh.create_mesh(**arguments, e=element))
 
 
 def cell_nodes(mesh: dolfinx.mesh.Mesh) -> Indices:
@@ -89,12 +89,12 @@ def with_cell_points(mesh: dolfinx.mesh.Mesh, x: FloatArray) -> dolfinx.mesh.Mes
     ghosts = np.asarray(cells.ghosts, np.int64)[:, None] * k + np.arange(k)
     nodes = index_map(mesh.comm, cells.size_local * k, ghosts.ravel(), np.repeat(cells.owners, k))
     old = mesh._cpp_object.geometry
-    of_cells = np.arange(x.shape[0] * k, dtype=np.int32).reshape(-1, k)
-    from_file = np.asarray(mesh.geometry.input_global_indices, np.int64)[cell_nodes(mesh)].ravel()
+    dofmap = np.arange(x.shape[0] * k, dtype=np.int32).reshape(-1, k)
+    input_indices = np.asarray(mesh.geometry.input_global_indices, np.int64)[cell_nodes(mesh)].ravel()
     element = old.cmap if callable(old.cmaps) else old.cmaps[0]
-    geometry = type(old)(nodes, of_cells, element, np.ascontiguousarray(x.reshape(-1, x.shape[2])), from_file)
-    moved = type(mesh._cpp_object)(mesh.comm, mesh._cpp_object.topology, geometry)
-    return dolfinx.mesh.Mesh(moved, ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()))
+    geometry = type(old)(nodes, dofmap, element, np.ascontiguousarray(x.reshape(-1, x.shape[2])), input_indices)
+    cpp_mesh = type(mesh._cpp_object)(mesh.comm, mesh._cpp_object.topology, geometry)
+    return dolfinx.mesh.Mesh(cpp_mesh, ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()))
 
 
 def index_map(comm: MPI.Intracomm, n: int, ghosts: IntArray, owners: Indices) -> dolfinx.cpp.common.IndexMap:
@@ -121,8 +121,8 @@ def cells_of_facets(mesh: dolfinx.mesh.Mesh, facets: Indices) -> tuple[Indices, 
     """
     topology, dim = mesh.topology, mesh.topology.dim
     create_connectivity(mesh, dim - 1)
-    to_cells = topology.connectivity(dim - 1, dim)
-    cells = to_cells.array[to_cells.offsets[facets]]
+    facet_cells = topology.connectivity(dim - 1, dim)
+    cells = facet_cells.array[facet_cells.offsets[facets]]
     return cells, (_facets_of_cells(mesh)[cells] == facets[:, None]).argmax(axis=1)
 
 
@@ -142,8 +142,8 @@ def vertices_of_facets(mesh: dolfinx.mesh.Mesh, cell_type: str, facets: Indices,
         facets: (n,) numbers of local facets.
         corners: (n_cells, m) numbers of the m vertices of each local cell, for example those in the joint.
     """
-    cells, which = cells_of_facets(mesh, facets)
-    return np.take_along_axis(corners[cells], local_facets(cell_type)[which], axis=1)
+    cells, local = cells_of_facets(mesh, facets)
+    return np.take_along_axis(corners[cells], local_facets(cell_type)[local], axis=1)
 
 
 @dataclass(frozen=True)
@@ -186,11 +186,11 @@ class Domain:
         original = np.asarray(mesh.topology.original_cell_index, np.int64)
         if joint.parted is not None:
             mesh = with_cell_points(mesh, joint.parted[original])
-        numbers = np.arange(len(original), dtype=np.int32)
-        cell_tags = dolfinx.mesh.meshtags(mesh, joint.dim, numbers, (joint.region[original] + 1).astype(np.int32))
+        local_cells = np.arange(len(original), dtype=np.int32)
+        cell_tags = dolfinx.mesh.meshtags(mesh, joint.dim, local_cells, (joint.region[original] + 1).astype(np.int32))
         rows, combination, values = on_root(comm, lambda: _name_combinations(joint))
-        facets, which = _local_facets(joint, mesh, original, rows)
-        facet_tags = dolfinx.mesh.meshtags(mesh, joint.dim - 1, facets, combination[which])
+        facets, row_index = _local_facets(joint, mesh, original, rows)
+        facet_tags = dolfinx.mesh.meshtags(mesh, joint.dim - 1, facets, combination[row_index])
         return cls(joint, mesh, cell_tags, facet_tags, values, original, comm)
 
     @property
@@ -293,19 +293,19 @@ def _local_facets(
         Local facet numbers, ascending, and the position of each in `rows`.
     """
     create_connectivity(mesh, joint.dim - 1)
-    cells, which = positions(original, len(joint.cells))[joint.table.cells[rows]], joint.table.local[rows]
-    here = (cells >= 0) & (which >= 0)
-    kept = np.flatnonzero(here.any(axis=1))
-    side = here[kept].argmax(axis=1)
-    facets = _facets_of_cells(mesh)[cells[kept, side], which[kept, side]]
+    cells, local = positions(original, len(joint.cells))[joint.table.cells[rows]], joint.table.local[rows]
+    is_local = (cells >= 0) & (local >= 0)
+    local_rows = np.flatnonzero(is_local.any(axis=1))
+    side = is_local[local_rows].argmax(axis=1)
+    facets = _facets_of_cells(mesh)[cells[local_rows, side], local[local_rows, side]]
     order = np.argsort(facets)
-    return facets[order], kept[order]
+    return facets[order], local_rows[order]
 
 
 def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
     """Yield name and row numbers in `joint.table` of each facet set, also "NAME/REGION", "NAME/LAYER" and "S"."""
     seams = () if joint.band else joint.seams
-    on_s = np.unique(joint.table.vertices[joint.surface_rows]) if seams else np.empty(0, np.int64)
+    s_vertices = np.unique(joint.table.vertices[joint.surface_rows]) if seams else np.empty(0, np.int64)
     if seams and S not in seams:
         yield S, joint.surface_rows
     for name, facets in joint.facets.items():
@@ -317,7 +317,7 @@ def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
         for number, region in enumerate(joint.regions):
             if not joint.band or region not in joint.band.regions:
                 yield str(FacetName(name, region)), rows[joint.region[cells] == number]
-        if joint.band is None and np.isin(facets, on_s).any() and len(continued_ridges(joint, facets)):
+        if joint.band is None and np.isin(facets, s_vertices).any() and len(continued_ridges(joint, facets)):
             yield str(FacetName(name, LAYER)), rows[:0]
 
 
@@ -328,14 +328,14 @@ def _name_combinations(joint: Joint) -> tuple[IntArray, Indices, dict[str, tuple
         Row numbers in `joint.table` of all facets with names; the number, from 1, of the combination of each; and name
         -> numbers of the combinations that contain it.
     """
-    sets = dict(_named_sets(joint))
-    tagged = np.unique(np.concatenate([*sets.values()]))
-    places = {name: np.searchsorted(tagged, rows) for name, rows in sets.items()}
-    combination: IntArray = np.zeros(len(tagged), np.int64)
-    for k, place in enumerate(places.values(), 1):
+    rows_by_name = dict(_named_sets(joint))
+    tagged_rows = np.unique(np.concatenate([*rows_by_name.values()]))
+    indices = {name: np.searchsorted(tagged_rows, rows) for name, rows in rows_by_name.items()}
+    combination: IntArray = np.zeros(len(tagged_rows), np.int64)
+    for k, index in enumerate(indices.values(), 1):
         combination *= 2
-        combination[place] += 1
-        if k % NAMES_PER_CODE == 0 or k == len(sets):
+        combination[index] += 1
+        if k % NAMES_PER_CODE == 0 or k == len(rows_by_name):
             combination = np.unique(combination, return_inverse=True)[1]
-    values = {name: tuple(map(int, np.unique(combination[place]) + 1)) for name, place in places.items()}
-    return tagged, (combination + 1).astype(np.int32), values
+    values = {name: tuple(map(int, np.unique(combination[index]) + 1)) for name, index in indices.items()}
+    return tagged_rows, (combination + 1).astype(np.int32), values

@@ -43,10 +43,10 @@ class Periods:
     def masters(self, n: int) -> IntArray:
         """Return (n,) lowest number of the nodes that are identified with each of n nodes, itself included."""
         first, second = np.concatenate(self.pairs).T
-        label = connected(first, second, n)
+        component = connected(first, second, n)
         master = np.full(n, n)
-        np.minimum.at(master, label, np.arange(n))
-        return master[label]
+        np.minimum.at(master, component, np.arange(n))
+        return master[component]
 
     def check(self, points: FloatArray, corners: IntArray, cell_type: str, seams: IntArray) -> None:
         """Raise InputError unless sides match, no seam lies on them, and at least three cells lie between two sides.
@@ -64,22 +64,22 @@ class Periods:
         master = self.masters(len(points))
         tied = np.bincount(master, minlength=len(master))[master] > 1
         refuse(tied[seams].all(axis=1), points[seams], f"a seam lies on the periodic boundary, at {{at}}: {CUT_ADVICE}")
-        nodes = corners[:, np.array(basix.topology(basix.CellType[cell_type])[1])].reshape(-1, 2)
+        edges = corners[:, np.array(basix.topology(basix.CellType[cell_type])[1])].reshape(-1, 2)
         names = " and ".join(f"{first!r} and {second!r}" for first, second in self.sides)
         narrow = f"a periodic cell needs three cells or more between its sides ({names}); use a finer mesh near {{at}}"
-        refuse(_folded_edges(points, nodes, master), points[nodes], narrow)
+        refuse(_folded_edges(points, edges, master), points[edges], narrow)
 
 
-def _folded_edges(points: FloatArray, nodes: IntArray, master: IntArray) -> BoolArray:
+def _folded_edges(points: FloatArray, edges: IntArray, master: IntArray) -> BoolArray:
     """Return (n,) whether an edge becomes a loop, or the same as another edge, once periodic sides are identified.
 
     Args:
         points: (n_points, d) coordinates of the nodes in d dimensions.
-        nodes: (n, 2) numbers of the two ends of each edge.
+        edges: (n, 2) numbers of the two ends of each edge.
         master: (n_points,) lowest number of the nodes identified with each node, itself included.
     """
-    ends = master[nodes]
-    along = (points[nodes[:, 1]] - points[nodes[:, 0]]) * np.where(ends[:, 0] > ends[:, 1], -1.0, 1.0)[:, None]
-    _, first, number = np.unique(ridge_keys(ends), return_index=True, return_inverse=True)
-    difference = np.abs(along - along[first[number.ravel()]]).max(axis=1)
+    ends = master[edges]
+    edge = (points[edges[:, 1]] - points[edges[:, 0]]) * np.where(ends[:, 0] > ends[:, 1], -1.0, 1.0)[:, None]
+    _, row, code = np.unique(ridge_keys(ends), return_index=True, return_inverse=True)
+    difference = np.abs(edge - edge[row[code.ravel()]]).max(axis=1)
     return np.asarray((ends[:, 0] == ends[:, 1]) | (difference > DISTANCE_TOLERANCE * np.ptp(points, axis=0).max()))

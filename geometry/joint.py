@@ -129,13 +129,13 @@ class Joint:
         for name, facets in self.facets.items():
             if len(facets) == 0:
                 raise InputError(f"the facets named {name!r} are an empty set")
-            missing = f"some facets named {name!r} are not facets of the mesh's cells, as at {{at}}"
-            refuse(self.table.index(facets) < 0, self.points[facets], missing)
+            complaint = f"some facets named {name!r} are not facets of the mesh's cells, as at {{at}}"
+            refuse(self.table.index(facets) < 0, self.points[facets], complaint)
         if self.band is None:
             self._check_seams()
             rows = {name: self.table.index(facets) for name, facets in self.facets.items()}
-            kept = {name: np.isin(of, self.surface_rows, invert=name not in self.seams) for name, of in rows.items()}
-            sets = {name: facets[kept[name]] for name, facets in self.facets.items() if kept[name].any()}
+            is_kept = {name: np.isin(of, self.surface_rows, invert=name not in self.seams) for name, of in rows.items()}
+            sets = {name: facets[is_kept[name]] for name, facets in self.facets.items() if is_kept[name].any()}
             object.__setattr__(self, "facets", sets)
         if self.periods:
             outer = self.surface_rows[self.surface_cells[:, 0] < 0] if self.band is None else np.empty(0, np.int64)
@@ -149,9 +149,9 @@ class Joint:
 
     def _check_seams(self) -> None:
         for name in (*self.regions, *self.facets):
-            taken = (LAYER, JUNCTIONS) if name in self.regions else RESERVED_NAMES
-            if not isinstance(name, str) or name in taken or "/" in name:
-                raise InputError(f"{name!r} cannot be a name; not allowed: {', '.join(taken)} and names with '/'")
+            reserved = (LAYER, JUNCTIONS) if name in self.regions else RESERVED_NAMES
+            if not isinstance(name, str) or name in reserved or "/" in name:
+                raise InputError(f"{name!r} cannot be a name; not allowed: {', '.join(reserved)} and names with '/'")
         for number, name in enumerate(self.regions):
             if not (self.region == number).any():
                 raise InputError(f"region {name!r} has no cells")
@@ -165,8 +165,8 @@ class Joint:
         rows, counts = np.unique(np.concatenate([*map(self.rows_of, self.seams)]), return_counts=True)
         if (counts > 1).any():
             first, second, *_ = (name for name in self.seams if rows[counts > 1][0] in self.rows_of(name))
-            both = f"{{bad}} facets are in two seams, {first!r} and {second!r}, the first at {{at}}"
-            refuse(counts > 1, self.points[self.table.vertices[rows]], f"{both}; a facet has one layer")
+            shared_text = f"{{bad}} facets are in two seams, {first!r} and {second!r}, the first at {{at}}"
+            refuse(counts > 1, self.points[self.table.vertices[rows]], f"{shared_text}; a facet has one layer")
         _ = self.surface_cells
 
     @cached_property
@@ -202,9 +202,9 @@ class Joint:
     @property
     def bodies(self) -> tuple[str, ...]:
         """Names of the regions of bodies (not layers), those below seams first, then those above, then others."""
-        sides = [seam.lower for seam in self.seams.values()] + [seam.upper for seam in self.seams.values()]
-        layer = self.band.regions if self.band else ()
-        return tuple(name for name in dict.fromkeys(chain(*sides, self.regions)) if name not in layer)
+        side_regions = [seam.lower for seam in self.seams.values()] + [seam.upper for seam in self.seams.values()]
+        layer_regions = self.band.regions if self.band else ()
+        return tuple(name for name in dict.fromkeys(chain(*side_regions, self.regions)) if name not in layer_regions)
 
     @property
     def reference(self) -> FloatArray:
@@ -232,10 +232,10 @@ class Joint:
     @cached_property
     def seam_numbers(self) -> IntArray:
         """(n_S,) for each of the n_S facets of S the position of its seam in `seams`."""
-        out = np.empty(len(self.surface_rows), np.int64)
+        numbers = np.empty(len(self.surface_rows), np.int64)
         for number, name in enumerate(self.seams):
-            out[np.searchsorted(self.surface_rows, self.rows_of(name))] = number
-        return out
+            numbers[np.searchsorted(self.surface_rows, self.rows_of(name))] = number
+        return numbers
 
     @cached_property
     def surface_cells(self) -> IntArray:
@@ -244,24 +244,24 @@ class Joint:
         Raises:
             InputError: a seam lies partly on the outer boundary, or does not determine its upper side.
         """
-        out = self.table.cells[self.surface_rows][:, ::-1].copy()
+        pair = self.table.cells[self.surface_rows][:, ::-1].copy()
         for number, (name, seam) in enumerate(self.seams.items()):
-            here = np.flatnonzero(self.seam_numbers == number)
-            outer, nodes = out[here, 0] < 0, self.surface[here]
+            mine = np.flatnonzero(self.seam_numbers == number)
+            outer, nodes = pair[mine, 0] < 0, self.surface[mine]
             if seam.lower or not outer.all():
-                sides = f"between {'+'.join(seam.lower)} and {'+'.join(seam.upper)} " if seam.lower else ""
-                some = f"{{bad}} of {{all}} facets of {name!r} lie on the outer boundary, as at {{at}}; {sides}each"
-                refuse(outer, self.points[nodes], f"{some} needs cells on both sides, or all stand on a rigid base")
+                bodies = f"between {'+'.join(seam.lower)} and {'+'.join(seam.upper)} " if seam.lower else ""
+                text = f"{{bad}} of {{all}} facets of {name!r} lie on the outer boundary, as at {{at}}; {bodies}each"
+                refuse(outer, self.points[nodes], f"{text} needs cells on both sides, or all stand on a rigid base")
             if not outer.any():
                 x = self.points[nodes].mean(axis=1)
                 if seam.direction is None:
-                    right = seam.between_regions(name, x, self.region[out[here]], self.regions)
+                    is_upwards = seam.between_regions(name, x, self.region[pair[mine]], self.regions)
                 else:
                     normals = facet_normals(self.points, nodes, self.cell_type).mean(axis=1)
-                    to_second = self.points[self.corners[out[here, 1]]].mean(axis=1) - x
-                    right = seam.along_direction(name, x, normals, to_second)
-                out[here[~right]] = out[here[~right]][:, ::-1]
-        return out
+                    to_second = self.points[self.corners[pair[mine, 1]]].mean(axis=1) - x
+                    is_upwards = seam.along_direction(name, x, normals, to_second)
+                pair[mine[~is_upwards]] = pair[mine[~is_upwards]][:, ::-1]
+        return pair
 
     @property
     def rigid_base(self) -> bool:
@@ -289,8 +289,8 @@ class Joint:
         """
         keys = keys_of_ridges(self.table.vertices[self.outer_rows], self.dim - 1)
         keys[~np.isin(keys, ridge_keys(ridges(self.surface, self.cell_type)[0]))] = -1
-        adjacent = (keys >= 0).any(axis=1)
-        return self.outer_rows[adjacent], keys[adjacent]
+        is_beside = (keys >= 0).any(axis=1)
+        return self.outer_rows[is_beside], keys[is_beside]
 
     @cached_property
     def split_mesh(self) -> Splitting:
@@ -369,8 +369,8 @@ class Joint:
         ridge_vertices, counts = ridges(self.masters[self.surface], self.cell_type)
         vertices = self.masters[self.table.vertices[self.surface_rows]]
         keys = np.unique(vertices * len(self.seams) + self.seam_numbers[:, None])
-        several, seams = np.unique(keys // len(self.seams), return_counts=True)
-        return np.union1d(ridge_vertices[counts > 2], several[seams > 1])
+        shared, seams = np.unique(keys // len(self.seams), return_counts=True)
+        return np.union1d(ridge_vertices[counts > 2], shared[seams > 1])
 
     @property
     def seams_meet(self) -> bool:
@@ -381,9 +381,9 @@ class Joint:
     def tips(self) -> IntArray:
         """(n, 1 or 2) numbers of the vertices of the points (2D) or edges (3D) where S ends inside the bodies."""
         ridge_vertices, counts = ridges(self.surface, self.cell_type)
-        at_outer, _ = ridges(self.table.nodes(self.outer_rows, self.corners, self.cell_type), self.cell_type)
-        ends = ridge_vertices[counts == 1]
-        return np.asarray(ends[~np.isin(ridge_keys(ends), ridge_keys(at_outer))])
+        outer_ridges, _ = ridges(self.table.nodes(self.outer_rows, self.corners, self.cell_type), self.cell_type)
+        free_ridges = ridge_vertices[counts == 1]
+        return np.asarray(free_ridges[~np.isin(ridge_keys(free_ridges), ridge_keys(outer_ridges))])
 
     @property
     def tip(self) -> FloatArray | None:
@@ -395,8 +395,8 @@ class Joint:
         """(n_S, k, d) unit normals of S in d dimensions at the k nodes of each of its n_S facets, to the upper side."""
         above = self.surface_cells[:, 1]
         normals = facet_normals(self.points, self.surface, self.cell_type)
-        towards = self.points[self.corners[above]].mean(axis=1) - self.points[self.surface].mean(axis=1)
-        return normals * np.sign((normals.mean(axis=1) * towards).sum(axis=1))[:, None, None]
+        upwards = self.points[self.corners[above]].mean(axis=1) - self.points[self.surface].mean(axis=1)
+        return normals * np.sign((normals.mean(axis=1) * upwards).sum(axis=1))[:, None, None]
 
     @cached_property
     def interface_normals(self) -> FloatArray:
@@ -424,11 +424,11 @@ class Joint:
         if profile is None:
             return values
         rows = self.rows_of(name)
-        vertices, what = np.unique(self.table.vertices[rows]), "the thickness profile"
+        vertices, subject = np.unique(self.table.vertices[rows]), "the thickness profile"
         x, wanted = self.points[vertices], "it must be a numpy function of coordinates (d, n) that gives n numbers > 0"
-        thickness = checked_values(what, profile, x.T, wanted=wanted, where=lambda k: f" at {place_text(x[k])}")
+        thickness = checked_values(subject, profile, x.T, wanted=wanted, where=lambda k: f" at {place_text(x[k])}")
         for k in np.flatnonzero(thickness <= 0)[:1]:
-            raise InputError(f"{what} is {thickness[k]:g} at {place_text(x[k])}; it must be > 0 on S")
+            raise InputError(f"{subject} is {thickness[k]:g} at {place_text(x[k])}; it must be > 0 on S")
         values[vertices] = thickness
         if self.degree == 2:
             facet_type = FACET_TYPES[self.cell_type]
@@ -439,10 +439,10 @@ class Joint:
     def rotated(self, angle: float) -> Joint:
         """Return the joint rotated by an angle in radians, counter-clockwise, in 3D about the third axis."""
         require(is_finite(angle), "angle", angle, "it must be a number, in radians")
-        turn = np.eye(self.dim)
-        turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-        seams = {name: seam.turned(turn) for name, seam in self.seams.items()}
-        return replace(self, points=self.points @ turn.T, seams=seams)
+        rotation = np.eye(self.dim)
+        rotation[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        seams = {name: seam.rotated_by(rotation) for name, seam in self.seams.items()}
+        return replace(self, points=self.points @ rotation.T, seams=seams)
 
     def moved(self, by: Sequence[float]) -> Joint:
         """Return the joint translated by a vector, for example to turn a rectangle into the wall of a tube.

@@ -68,17 +68,17 @@ def on_root(comm: Comm, build: Callable[[], ResultType]) -> ResultType:
 
 def _broadcast(comm: MPI.Intracomm, result: ResultType) -> ResultType:
     """Return the result of rank 0 on every rank; ranks of one machine share its large arrays. Collective."""
-    large: list[memoryview] = []
+    large_buffers: list[memoryview] = []
 
     def is_small(buffer: pickle.PickleBuffer) -> bool:
         raw = buffer.raw()
         if raw.nbytes >= SHARED_MEMORY_BYTES:
-            large.append(raw)
+            large_buffers.append(raw)
         return raw.nbytes < SHARED_MEMORY_BYTES
 
     content = pickle.dumps(result, 5, buffer_callback=is_small) if comm.rank == 0 else b""
-    content, sizes = comm.bcast((content, [raw.nbytes for raw in large]))
-    received: ResultType = pickle.loads(content, buffers=_shared_copies(comm, large, sizes) if sizes else ())
+    content, sizes = comm.bcast((content, [raw.nbytes for raw in large_buffers]))
+    received: ResultType = pickle.loads(content, buffers=_shared_copies(comm, large_buffers, sizes) if sizes else ())
     return received
 
 
@@ -94,24 +94,24 @@ def _shared_copies(comm: MPI.Intracomm, sources: list[memoryview], sizes: list[i
     """
     *starts, total = accumulate((size + -size % ALIGNMENT_BYTES for size in sizes), initial=0)
     node, file = comm.Split_type(MPI.COMM_TYPE_SHARED), os.memfd_create("thinlayer")
-    path, number = node.bcast((f"/proc/{os.getpid()}/fd/{file}", os.fstat(file).st_ino))
-    reached = os.access(path, os.R_OK) and os.stat(path).st_ino == number
-    owner = not comm.allreduce(reached, MPI.LAND) or node.rank == 0  # if a machine hides it, each rank has its own
-    if owner:
+    path, inode = node.bcast((f"/proc/{os.getpid()}/fd/{file}", os.fstat(file).st_ino))
+    reached = os.access(path, os.R_OK) and os.stat(path).st_ino == inode
+    is_owner = not comm.allreduce(reached, MPI.LAND) or node.rank == 0  # if a machine hides it, each rank has its own
+    if is_owner:
         os.ftruncate(file, total)
     node.Barrier()
-    opened = file if owner else os.open(path, os.O_RDONLY)
-    memory = memoryview(mmap(opened, total, prot=PROT_READ | (PROT_WRITE if owner else 0)))
+    descriptor = file if is_owner else os.open(path, os.O_RDONLY)
+    memory = memoryview(mmap(descriptor, total, prot=PROT_READ | (PROT_WRITE if is_owner else 0)))
     buffers = [memory[start : start + size] for start, size in zip(starts, sizes, strict=True)]
-    owners = comm.Split(int(not owner), comm.rank)
-    for k, buffer in enumerate(buffers if owner else ()):
+    owners = comm.Split(int(not is_owner), comm.rank)
+    for k, buffer in enumerate(buffers if is_owner else ()):
         if comm.rank == 0:
             buffer[:] = sources[k]
         for begin in range(0, len(buffer), MAX_MESSAGE_BYTES):
             owners.Bcast(buffer[begin : begin + MAX_MESSAGE_BYTES])
     node.Barrier()
-    for each in {file, opened}:
-        os.close(each)
+    for descriptor_ in {file, descriptor}:
+        os.close(descriptor_)
     for group in (node, owners):
         group.Free()
     return [buffer.toreadonly() for buffer in buffers]

@@ -24,16 +24,16 @@ def bisected(x: FloatArray, parts: int) -> Indices:
         parts: number of groups; they are numbered from 0.
     """
     part = np.zeros(len(x), np.int32)
-    waiting: list[tuple[IntArray, int, int]] = [(np.arange(len(x)), 0, parts)]
-    while waiting:
-        rows, first, count = waiting.pop()
-        part[rows] = first
+    pending: list[tuple[IntArray, int, int]] = [(np.arange(len(x)), 0, parts)]
+    while pending:
+        rows, start, count = pending.pop()
+        part[rows] = start
         if count > 1 and len(rows):
             low = count // 2
             here = x[rows]
             order = np.argsort(here[:, np.ptp(here, axis=0).argmax()], kind="stable")
             at = len(rows) * low // count
-            waiting += [(rows[order[:at]], first, low), (rows[order[at:]], first + low, count - low)]
+            pending += [(rows[order[:at]], start, low), (rows[order[at:]], start + low, count - low)]
     return part
 
 
@@ -79,8 +79,8 @@ def destinations(joint: Joint, parts: int) -> tuple[IntArray, Indices]:
     first, second = joint.table.cells.T
     pairs = joint.table.cells[(owner[first] != owner[second]) & (second >= 0)]
     seen = np.unique(np.concatenate([np.column_stack([a, owner[b]]) for a, b in (pairs.T, pairs.T[::-1])]), axis=0)
-    times = 1 + np.bincount(seen[:, 0], minlength=len(owner))
-    return np.append(0, times.cumsum()), np.insert(owner, seen[:, 0] + 1, seen[:, 1])
+    counts = 1 + np.bincount(seen[:, 0], minlength=len(owner))
+    return np.append(0, counts.cumsum()), np.insert(owner, seen[:, 0] + 1, seen[:, 1])
 
 
 def rows_of_rank(rows: npt.NDArray[Scalar], rank: int, ranks: int) -> npt.NDArray[Scalar]:
@@ -96,7 +96,7 @@ def partitioner(joint: Joint, comm: MPI.Intracomm) -> Partitioner | None:
     if comm.size == 1:
         return None
     starts, ranks = on_root(comm, lambda: destinations(joint, comm.size))
-    first = rows_of_rank(np.arange(len(joint.cells)), comm.rank, comm.size)
-    indptr = starts[first[0] : first[-1] + 2] if len(first) else starts[:1]
+    own_cells = rows_of_rank(np.arange(len(joint.cells)), comm.rank, comm.size)
+    indptr = starts[own_cells[0] : own_cells[-1] + 2] if len(own_cells) else starts[:1]
     lists = dolfinx.cpp.graph.AdjacencyList_int32(ranks[indptr[0] : indptr[-1]], (indptr - indptr[0]).astype(np.int32))
     return lambda *_: lists

@@ -38,12 +38,12 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
     require(isinstance(joint, Joint), "joint", joint, "it must be a Joint")
     if joint.band is not None:
         raise InputError("the joint's layer is meshed; in a periodic joint it is a surface with an interface model")
-    before = joint.periods or Periods((), ())
-    names = [*before.names, *chain(*sides)]
+    old_periods = joint.periods or Periods((), ())
+    names = [*old_periods.names, *chain(*sides)]
     for name in (name for name in names if names.count(name) > 1):
         raise InputError(f"{name!r} is in two pairs of periodic sides; a side belongs to one pair")
     pairs = tuple(_matching_nodes(joint, *pair) for pair in sides)
-    return replace(joint, periods=Periods(before.sides + sides, before.pairs + pairs))
+    return replace(joint, periods=Periods(old_periods.sides + sides, old_periods.pairs + pairs))
 
 
 def with_periods_of(inflated: Joint, periods: Periods) -> Joint:
@@ -58,21 +58,21 @@ def _matching_nodes(joint: Joint, first: str, second: str) -> IntArray:
     nodes = [np.unique(joint.table.nodes(row, joint.cells, joint.cell_type)) for row in rows]
     x = [joint.points[node] for node in nodes]
     vector, size = x[1].min(axis=0) - x[0].min(axis=0), joint.size
-    unlike, remedy = f"the sides {first!r} and {second!r} do not match", "mesh both alike"
-    ways = [(x[0], x[1], vector, first, second), (x[1], x[0], -vector, second, first)]
+    mismatch, remedy = f"the sides {first!r} and {second!r} do not match", "mesh both alike"
+    directions = [(x[0], x[1], vector, first, second), (x[1], x[0], -vector, second, first)]
     partners = []
-    for places, others, move, name, other in ways:
+    for places, others, move, name, other in directions:
         distance, at = scipy.spatial.cKDTree(others).query(places + move)
         partners.append(at)
         if distance.max() > DISTANCE_TOLERANCE * size:
             lost = places[distance.argmax()]
             both = f"{name!r} has a node at {place_text(lost)}, and {other!r} has none at {place_text(lost + move)}"
-            raise InputError(f"{unlike}: {both}; {remedy}")
+            raise InputError(f"{mismatch}: {both}; {remedy}")
     image = np.full(len(joint.points), -1)
     image[nodes[0]] = nodes[1][partners[0]]
     facets = joint.table.vertices[rows[0]]
-    wrong = ~np.isin(joint.table.index(image[facets]), rows[1]) | (len(rows[0]) != len(rows[1]))
-    refuse(wrong, joint.points[facets], f"{unlike}: their nodes do, but not their facets, as at {{at}}; {remedy}")
+    is_wrong = ~np.isin(joint.table.index(image[facets]), rows[1]) | (len(rows[0]) != len(rows[1]))
+    refuse(is_wrong, joint.points[facets], f"{mismatch}: their nodes do, but not their facets, as at {{at}}; {remedy}")
     return np.column_stack([nodes[0], image[nodes[0]]])
 
 
@@ -82,6 +82,6 @@ def _outer_rows(joint: Joint, name: str) -> IntArray:
         raise InputError(f"the seam {name!r} cannot be a periodic side: {CUT_ADVICE}")
     require_known("side", name, joint.facets.keys() - joint.seams.keys())
     rows = np.unique(joint.table.index(joint.facets[name]))
-    inner, x = joint.table.cells[rows, 1] >= 0, joint.points[joint.table.vertices[rows]]
-    refuse(inner, x, f"{name!r} is not a side of the joint: {{bad}} of its facets lie inside, as at {{at}}")
+    is_inner, x = joint.table.cells[rows, 1] >= 0, joint.points[joint.table.vertices[rows]]
+    refuse(is_inner, x, f"{name!r} is not a side of the joint: {{bad}} of its facets lie inside, as at {{at}}")
     return rows

@@ -17,17 +17,17 @@ def place_text(x: FloatArray) -> str:
     return f"({', '.join(f'{c:.6g}' for c in x)})"
 
 
-def require_known(kind: str, name: object, allowed: Collection[str], what: str = "") -> None:
+def require_known(kind: str, name: object, allowed: Collection[str], context: str = "") -> None:
     """Raise InputError unless `name` is among the allowed names.
 
     Args:
         kind: noun for what is named, such as "region", for the message.
         name: the name.
         allowed: the allowed names; the message suggests similar ones.
-        what: beginning of the message, such as the name of an argument; "": none.
+        context: beginning of the message, such as the name of an argument; "": none.
     """
     if not (isinstance(name, Hashable) and name in allowed):
-        raise InputError((f"{what}: " if what else "") + unknown_name_message(kind, name, allowed))
+        raise InputError((f"{context}: " if context else "") + unknown_name_message(kind, name, allowed))
 
 
 def refuse(bad: BoolArray | np.bool_, x: FloatArray, message: str) -> None:

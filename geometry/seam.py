@@ -80,9 +80,9 @@ class Seam:
             raise InputError("a seam whose sides follow the order of regions cannot be reversed; name its sides")
         return Seam(self.upper, self.lower, None if self.direction is None else tuple(-c for c in self.direction))
 
-    def turned(self, turn: FloatArray) -> Seam:
-        """Return the seam for a joint rotated by the orthogonal matrix `turn`, (2, 2) or (3, 3)."""
-        return self if self.direction is None else replace(self, direction=tuple(map(float, turn @ self.direction)))
+    def rotated_by(self, R: FloatArray) -> Seam:
+        """Return the seam for a joint rotated by the orthogonal matrix `R`, (2, 2) or (3, 3)."""
+        return self if self.direction is None else replace(self, direction=tuple(map(float, R @ self.direction)))
 
     def check(self, name: str, regions: Sequence[str], dim: int) -> None:
         """Raise InputError if regions or direction are unknown, contradictory or of the wrong size.
@@ -94,9 +94,9 @@ class Seam:
         """
         for region in self.lower + self.upper:
             require_known("region", region, regions)
-        shared = sorted(set(self.upper) & set(self.lower))
-        if shared and self.direction is None:
-            raise InputError(f"region {shared[0]!r} is on both sides of {name!r}; give the direction upwards")
+        in_both = sorted(set(self.upper) & set(self.lower))
+        if in_both and self.direction is None:
+            raise InputError(f"region {in_both[0]!r} is on both sides of {name!r}; give the direction upwards")
         if self.direction is not None:
             if set(self.upper) != set(self.lower):
                 raise InputError(f"{name!r}: a direction tells the upper side, or regions do; give one of them")
@@ -115,8 +115,8 @@ class Seam:
         Raises:
             InputError: the direction is parallel to a facet, or nearly so.
         """
-        way = np.asarray(self.direction, float)
-        cosine = normals @ way / np.linalg.norm(normals, axis=1) / np.linalg.norm(way)
+        direction = np.asarray(self.direction, float)
+        cosine = normals @ direction / np.linalg.norm(normals, axis=1) / np.linalg.norm(direction)
         refuse(np.abs(cosine) < MIN_COSINE, x, f"direction {self.direction} of {name!r} lies in the facet near {{at}}")
         return np.asarray((to_second * normals).sum(axis=1) * cosine > 0)
 
@@ -134,11 +134,11 @@ class Seam:
         """
         if self.lower or self.upper:
             lower, upper = (np.isin(region, [regions.index(key) for key in side]) for side in (self.lower, self.upper))
-            below, above = lower if self.lower else ~upper, upper if self.upper else ~lower
-            second, first = above[:, 1] & below[:, 0], above[:, 0] & below[:, 1]
-            what = "have the same body on both sides"
+            in_lower, in_upper = lower if self.lower else ~upper, upper if self.upper else ~lower
+            second, first = in_upper[:, 1] & in_lower[:, 0], in_upper[:, 0] & in_lower[:, 1]
+            fault = "have the same body on both sides"
         else:
             second, first = region[:, 1] > region[:, 0], region[:, 1] < region[:, 0]
-            what = "have one region on both sides; give the direction of the upper side"
-        refuse(~(first | second), x, f"{name!r} does not separate two bodies: some facets {what}, the first at {{at}}")
+            fault = "have one region on both sides; give the direction of the upper side"
+        refuse(~(first | second), x, f"{name!r} does not separate two bodies: some facets {fault}, the first at {{at}}")
         return np.asarray(second)

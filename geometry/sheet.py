@@ -35,9 +35,9 @@ def vectors_from_segments(x: FloatArray, first: FloatArray, last: FloatArray) ->
         x: (n, d) places in d dimensions.
         first, last: (m, d) ends of the segments.
     """
-    along, to = last - first, x[:, None] - first
-    share = (to * along).sum(axis=2) / np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
-    return np.asarray(to - np.clip(share, 0.0, 1.0)[..., None] * along)
+    segments, to = last - first, x[:, None] - first
+    fractions = (to * segments).sum(axis=2) / np.maximum((segments**2).sum(axis=1), np.finfo(float).tiny)
+    return np.asarray(to - np.clip(fractions, 0.0, 1.0)[..., None] * segments)
 
 
 @dataclass(frozen=True)
@@ -92,8 +92,8 @@ def continued_ridges(joint: Joint, facets: IntArray) -> IntArray:
         facets: (n, k) numbers of the k vertices of outer facets.
     """
     rows, keys = joint.outer_beside_s
-    mine = np.isin(rows, joint.table.index(facets))
-    return np.setdiff1d(keys[mine], np.append(keys[~mine], -1))
+    is_named = np.isin(rows, joint.table.index(facets))
+    return np.setdiff1d(keys[is_named], np.append(keys[~is_named], -1))
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class Sheet:
         return np.searchsorted(self.joint.surface_rows, self.joint.rows_of(self.name))
 
     @cached_property
-    def parts(self) -> tuple[IntArray, IntArray]:
+    def simplices(self) -> tuple[IntArray, IntArray]:
         """The facet of S that each of the n simplices is, or is half of, and which of its vertices the simplex has.
 
         These are (n,) row numbers in `joint.surface`, and (n, 2 or 3) positions in these rows.
@@ -127,7 +127,7 @@ class Sheet:
     @cached_property
     def vertices(self) -> IntArray:
         """(n, 2 or 3) vertices of each of the n simplices, as numbers in the joint."""
-        facet, corner = self.parts
+        facet, corner = self.simplices
         return np.asarray(self.joint.surface[facet[:, None], corner])
 
     @cached_property
@@ -167,16 +167,16 @@ class Sheet:
     @cached_property
     def rim(self) -> Rim:
         """Ridges where the seam ends at the outer boundary; not those inside bodies, nor on periodic sides."""
-        joint, count = self.joint, len(self.vertices)
+        joint, n_simplices = self.joint, len(self.vertices)
         ridges = np.concatenate([np.delete(self.vertices, k, axis=1) for k in range(joint.dim)])
-        _, first, times = np.unique(ridge_keys(ridges), return_index=True, return_counts=True)
-        first = first[times == 1]
-        opposite, simplex = np.divmod(first, count)
+        _, rows, counts = np.unique(ridge_keys(ridges), return_index=True, return_counts=True)
+        rows = rows[counts == 1]
+        opposite, simplex = np.divmod(rows, n_simplices)
         outward = -self.gradients[simplex, opposite]
-        steepness = np.linalg.norm(outward, axis=1)
-        x = joint.points[ridges[first]]
-        length = np.linalg.norm(x[:, -1] - x[:, 0], axis=1) if joint.dim == 3 else np.ones(len(first))
-        rim = Rim(ridges[first], simplex, outward / steepness[:, None], 1 / steepness, length)
+        gradient_size = np.linalg.norm(outward, axis=1)
+        x = joint.points[ridges[rows]]
+        length = np.linalg.norm(x[:, -1] - x[:, 0], axis=1) if joint.dim == 3 else np.ones(len(rows))
+        rim = Rim(ridges[rows], simplex, outward / gradient_size[:, None], 1 / gradient_size, length)
         outer = joint.outer_rows
         if joint.periods:
             sides = np.concatenate([joint.facets[name] for name in joint.periods.names])
@@ -188,8 +188,8 @@ class Sheet:
         """Coordinates of a place where the seam ends inside the bodies and no other seam continues it; else None."""
         joint = self.joint
         seam_ridges, _ = ridges(joint.surface[self.facets], joint.cell_type)
-        here = joint.tips[np.isin(ridge_keys(joint.tips), ridge_keys(seam_ridges))]
-        return joint.points[here[0]].mean(axis=0) if len(here) else None
+        tip_ridges = joint.tips[np.isin(ridge_keys(joint.tips), ridge_keys(seam_ridges))]
+        return joint.points[tip_ridges[0]].mean(axis=0) if len(tip_ridges) else None
 
     @cached_property
     def junction(self) -> FloatArray | None:
@@ -197,8 +197,8 @@ class Sheet:
         joint = self.joint
         surface = joint.masters[joint.surface]
         (s_ridges, counts), (subset, here) = (ridges(rows, joint.cell_type) for rows in (surface, surface[self.facets]))
-        all_seams = counts[np.searchsorted(ridge_keys(s_ridges), ridge_keys(subset))]
-        meeting = subset[(here > 2) | (all_seams > here)]
+        total_counts = counts[np.searchsorted(ridge_keys(s_ridges), ridge_keys(subset))]
+        meeting = subset[(here > 2) | (total_counts > here)]
         return joint.points[meeting[0]].mean(axis=0) if len(meeting) else None
 
     @cached_property
@@ -214,9 +214,9 @@ class Sheet:
         sides = [np.union1d(*sides)] if len(np.intersect1d(*sides)) else [side for side in sides if len(side)]
         distance, heights = np.abs((joint.points - joint.points[self.vertices[0, 0]]) @ self.mean_normal), []
         for side in sides:
-            inside = np.isin(pieces, side)
-            away = distance[joint.corners[inside]].max()
-            heights.append(min(volume_of(joint, inside) / self.areas.sum(), away if self.planar else math.inf))
+            is_inside = np.isin(pieces, side)
+            away = distance[joint.corners[is_inside]].max()
+            heights.append(min(volume_of(joint, is_inside) / self.areas.sum(), away if self.planar else math.inf))
         return tuple(map(float, heights))
 
 
@@ -227,11 +227,11 @@ def volume_of(joint: Joint, inside: BoolArray) -> float:
         joint: the joint, with straight-sided cells or taken as such.
         inside: (n_cells,) whether each cell is part of these pieces.
     """
-    rows = np.concatenate([joint.outer_rows, joint.surface_rows, joint.surface_rows])
+    facet_rows = np.concatenate([joint.outer_rows, joint.surface_rows, joint.surface_rows])
     cells = np.concatenate([joint.table.cells[joint.outer_rows, 0], *joint.surface_cells.T])
-    kept = (cells >= 0) & inside[cells]
-    nodes = joint.table.nodes(rows[kept], joint.corners, joint.cell_type)
-    middle = joint.points[joint.corners[cells[kept]]].mean(axis=1)[:, None]
+    is_kept = (cells >= 0) & inside[cells]
+    nodes = joint.table.nodes(facet_rows[is_kept], joint.corners, joint.cell_type)
+    middle = joint.points[joint.corners[cells[is_kept]]].mean(axis=1)[:, None]
     volume = 0.0
     for corners in QUADRILATERAL_TRIANGLES if joint.cell_type == "hexahedron" else (tuple(range(joint.dim)),):
         x = joint.points[nodes[:, corners]]
@@ -273,9 +273,9 @@ class StraightEnd(NamedTuple):
         """Return the distance of places x of S (..., d) from the straight line through the end; positive inside S."""
         return np.asarray(self.offset - x @ self.m)
 
-    def has(self, x: FloatArray) -> BoolArray:
+    def contains(self, x: FloatArray) -> BoolArray:
         """Return (n,) whether each of n places x of S, (n, d) in d dimensions, lies on the end."""
-        return np.asarray((np.abs(self.distance(x)) <= (self.level[1] - self.level[0]) / 2) & self._reaches(x))
+        return np.asarray((np.abs(self.distance(x)) <= (self.level[1] - self.level[0]) / 2) & self._is_beside(x))
 
     def adjoins(self, x: FloatArray) -> BoolArray:
         """Return (n,) whether each of n places x of S lies on the end, or in the strip of S that begins at the end.
@@ -283,9 +283,9 @@ class StraightEnd(NamedTuple):
         Args:
             x: (n, d) the places, in d dimensions.
         """
-        return self.has(x) | self.faces(x)
+        return self.contains(x) | self.is_in_front(x)
 
-    def faces(self, x: FloatArray) -> BoolArray:
+    def is_in_front(self, x: FloatArray) -> BoolArray:
         """Return (n,) whether each of n places x of S lies in the strip of S that begins at the end, not on the end.
 
         The strip has the width of the end and is normal to it. Only places in the plane of the end are in it.
@@ -293,9 +293,9 @@ class StraightEnd(NamedTuple):
         Args:
             x: (n, d) the places, in d dimensions.
         """
-        return np.asarray((self.distance(x) > 0) & self._reaches(x))
+        return np.asarray((self.distance(x) > 0) & self._is_beside(x))
 
-    def _reaches(self, x: FloatArray) -> BoolArray:
+    def _is_beside(self, x: FloatArray) -> BoolArray:
         """Return (n,) whether places x (n, d) are in the plane of the end and, along it, in the range `reach`."""
         at, (low, high), (bottom, top), level = x @ self.along, self.reach, self.level, x @ self.n
         return np.asarray((at >= low) & (at <= high) & (level >= bottom) & (level <= top))
@@ -313,27 +313,27 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
     """
     joint, n, size = sheet.joint, sheet.mean_normal, sheet.joint.size
     x = joint.points[rim.vertices]  # (n, d - 1, d)
-    left, ends = np.arange(len(x)), []
+    todo, ends = np.arange(len(x)), []
     offsets = np.einsum("nd,nd->n", x[:, 0], rim.outward)
-    while len(left):
-        m, offset = rim.outward[left[0]], offsets[left[0]]
+    while len(todo):
+        m, offset = rim.outward[todo[0]], offsets[todo[0]]
         cosine = rim.outward @ m
         on_line = (cosine > 1 - PLANAR_TOLERANCE) & (np.abs(offsets - offset) <= PLANAR_TOLERANCE * size)
         at, n_rim = np.flatnonzero(on_line), len(x)  # ridges are connected by their vertices
         links = at.repeat(rim.vertices.shape[1]), n_rim + rim.vertices[at].ravel()
-        label = connected(*links, n_rim + int(rim.vertices.max()) + 1)[:n_rim]
-        same = on_line & (label == label[left[0]])
-        on_it, others = rim[same], rim[(cosine > CORNER_COSINE) & (cosine <= 1 - PLANAR_TOLERANCE)]
-        curved = "ends of S must be straight, or meet at angles of 45 degrees or more: one is curved at {at}"
-        refuse(np.isin(others.vertices, on_it.vertices).any(axis=1), joint.points[others.vertices[:, 0]], curved)
-        along = x[left[0], -1] - x[left[0], 0]
+        component = connected(*links, n_rim + int(rim.vertices.max()) + 1)[:n_rim]
+        same = on_line & (component == component[todo[0]])
+        end_rim, others = rim[same], rim[(cosine > CORNER_COSINE) & (cosine <= 1 - PLANAR_TOLERANCE)]
+        complaint = "ends of S must be straight, or meet at angles of 45 degrees or more: one is curved at {at}"
+        refuse(np.isin(others.vertices, end_rim.vertices).any(axis=1), joint.points[others.vertices[:, 0]], complaint)
+        along = x[todo[0], -1] - x[todo[0], 0]
         length = np.linalg.norm(along)
         along = along / length if length else along
         at = x[same].reshape(-1, x.shape[2]) @ along
-        height, allowed = float(x[left[0], 0] @ n), PLANAR_TOLERANCE * size
+        height, tolerance = float(x[todo[0], 0] @ n), PLANAR_TOLERANCE * size
         reach, whole = (float(at.min()), float(at.max())), float(rim.length[same].sum())
-        ends.append(StraightEnd(n, (height - allowed, height + allowed), m, float(offset), along, reach, whole))
-        left = left[~same[left]]
+        ends.append(StraightEnd(n, (height - tolerance, height + tolerance), m, float(offset), along, reach, whole))
+        todo = todo[~same[todo]]
     return ends
 
 

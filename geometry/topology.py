@@ -70,9 +70,9 @@ def sum_by_number(number: IntArray, values: FloatArray, n: int) -> FloatArray:
         values: array whose first axes have the shape of `number`; further axes are kept.
         n: number of sums.
     """
-    out = np.zeros((n, *values.shape[number.ndim :]))
-    np.add.at(out, number, values)
-    return out
+    sums = np.zeros((n, *values.shape[number.ndim :]))
+    np.add.at(sums, number, values)
+    return sums
 
 
 def positions(items: IntArray | Indices, n: int) -> IntArray:
@@ -82,9 +82,9 @@ def positions(items: IntArray | Indices, n: int) -> IntArray:
         items: distinct numbers from 0 to n - 1.
         n: length of the result.
     """
-    out = np.full(n, -1, np.int64)
-    out[items] = np.arange(len(items))
-    return out
+    indices = np.full(n, -1, np.int64)
+    indices[items] = np.arange(len(items))
+    return indices
 
 
 def is_tensor(cell_type: str) -> bool:
@@ -95,8 +95,8 @@ def is_tensor(cell_type: str) -> bool:
 @cache
 def weights_between(cell_type: str) -> FloatArray:
     """Return (m, k) values of the k linear shape functions of a cell at its m nodes of degree 2 other than vertices."""
-    further = lagrange(cell_type, 2).points[corner_count(cell_type) :]
-    return np.asarray(lagrange(cell_type, 1).tabulate(0, further)[0, :, :, 0])
+    edge_points = lagrange(cell_type, 2).points[corner_count(cell_type) :]
+    return np.asarray(lagrange(cell_type, 1).tabulate(0, edge_points)[0, :, :, 0])
 
 
 @dataclass(frozen=True)
@@ -124,22 +124,22 @@ class FacetTable:
         Raises:
             InputError: more than two cells share a facet.
         """
-        short = corners.T.astype(np.int32)  # half the memory, and faster
-        facets = zip(*(short[f] for f in local_facets(cell_type)), strict=True)
+        corners_32 = corners.T.astype(np.int32)  # half the memory, and faster
+        facets = zip(*(corners_32[f] for f in local_facets(cell_type)), strict=True)
         columns = sorted_columns([np.concatenate(column) for column in facets])
         order = np.lexsort(columns[::-1])
-        start = np.flatnonzero(_changes(columns, order))
-        counts = np.diff(start, append=len(order))
+        first_places = np.flatnonzero(_is_new_row(columns, order))
+        counts = np.diff(first_places, append=len(order))
         if counts.max(initial=0) > 2:
             raise InputError(f"{(counts > 2).sum()} facets belong to more than two cells: the mesh is not conforming")
-        double = counts == 2
-        pairs = np.full((len(start), 2), -1, np.int64)  # positions among all cells' facets
-        pairs[:, 0] = order[start]
-        pairs[double, 1] = order[start[double] + 1]
+        has_two_cells = counts == 2
+        pairs = np.full((len(first_places), 2), -1, np.int64)  # positions among all cells' facets
+        pairs[:, 0] = order[first_places]
+        pairs[has_two_cells, 1] = order[first_places[has_two_cells] + 1]
         vertices = np.stack([column[pairs[:, 0]] for column in columns], axis=1, dtype=np.int64)
-        del columns, order, start, counts  # they are large
+        del columns, order, first_places, counts  # they are large
         local, cells = np.divmod(pairs, max(len(corners), 1))
-        cells[~double, 1] = -1
+        cells[~has_two_cells, 1] = -1
         return cls(vertices, cells, local.astype(np.int8))
 
     @cached_property
@@ -152,9 +152,9 @@ class FacetTable:
         Args:
             facets: (n, k) numbers of the k vertices of each facet, in any order.
         """
-        wanted = _keys(np.sort(facets, axis=1))
-        at = np.searchsorted(self._keys, wanted).clip(max=len(self._keys) - 1)
-        return np.where(self._keys[at] == wanted, at, -1)
+        wanted_keys = _keys(np.sort(facets, axis=1))
+        at = np.searchsorted(self._keys, wanted_keys).clip(max=len(self._keys) - 1)
+        return np.where(self._keys[at] == wanted_keys, at, -1)
 
     def nodes(self, rows: IntArray, cells: IntArray, cell_type: str) -> IntArray:
         """Return (n, m) numbers of the m nodes of n facets, in the order of the facet's own element.
@@ -177,7 +177,7 @@ def sorted_columns(columns: Sequence[IntArray]) -> list[IntArray]:
     return out
 
 
-def _changes(columns: Sequence[IntArray], order: IntArray) -> BoolArray:
+def _is_new_row(columns: Sequence[IntArray], order: IntArray) -> BoolArray:
     """Return (n,) whether a row differs from the row before it, in the order `order` of rows; True for the first.
 
     Args:
@@ -242,9 +242,9 @@ def node_jacobians(points: FloatArray, cells: IntArray, cell_type: str) -> Float
     element = lagrange(cell_type, geometry_degree(cell_type, cells.shape[1]))
     if element.degree == 1 and not is_tensor(cell_type):
         first, *others = (points.T[:, nodes] for nodes in cells.T)  # one coordinate at a time is faster
-        edge, *more = (other - first for other in others)
+        e_1, *more = (other - first for other in others)
         normal = np.cross(more[0], more[1], axis=0) if more[1:] else np.stack([more[0][1], -more[0][0]])
-        return np.asarray((edge * normal).sum(axis=0)[:, None])
+        return np.asarray((e_1 * normal).sum(axis=0)[:, None])
     gradients = element.tabulate(1, element.points)[1:, :, :, 0]
     return np.linalg.det(np.einsum("tqn,cnd->cqtd", gradients, points[cells]))
 
@@ -259,9 +259,9 @@ def facet_normals(points: FloatArray, nodes: IntArray, cell_type: str) -> FloatA
     """
     facet_type = FACET_TYPES[cell_type]
     element = lagrange(facet_type, geometry_degree(facet_type, nodes.shape[1]))
-    gradients, plane = element.tabulate(1, element.points)[1:, :, :, 0], points.shape[1] == 2
+    gradients, is_plane = element.tabulate(1, element.points)[1:, :, :, 0], points.shape[1] == 2
     tangents = np.einsum("tqn,fnd->tfqd", gradients, points[nodes])
-    normal = np.stack([-tangents[0, ..., 1], tangents[0, ..., 0]], axis=-1) if plane else np.cross(*tangents)
+    normal = np.stack([-tangents[0, ..., 1], tangents[0, ..., 0]], axis=-1) if is_plane else np.cross(*tangents)
     return np.asarray(normal / np.linalg.norm(normal, axis=-1, keepdims=True), float)
 
 
@@ -305,7 +305,7 @@ class Splitting:
         columns = sorted_columns([corners[:, column].ravel() for column in of_cells.T])
         order = np.lexsort(columns[::-1])
         number = np.empty(len(order), np.int64)
-        number[order] = _changes(columns, order).cumsum() - 1
+        number[order] = _is_new_row(columns, order).cumsum() - 1
         return number.reshape(len(corners), len(of_cells))
 
     @cached_property
@@ -335,26 +335,26 @@ class Splitting:
             return component
         on_cut = np.zeros(int(self.cells.max()) + 1, bool)
         on_cut[self.table.vertices[self.cut]] = True
-        touched = on_cut[self._corners]
-        near = np.flatnonzero(touched.any(axis=1))  # other cells have no split entities
-        pairs = positions(near, len(self.cells))[self.table.cells]
+        at_cut = on_cut[self._corners]
+        cells = np.flatnonzero(at_cut.any(axis=1))  # other cells have no split entities
+        pairs = positions(cells, len(self.cells))[self.table.cells]
         linked = (self.table.cells[:, 1] >= 0) & (pairs >= 0).all(axis=1)
         linked[self.cut] = False
-        keys = self.entities(dim, self._corners[near])
+        keys = self.entities(dim, self._corners[cells])
         inside = np.array([[i for i, row in enumerate(local) if set(row) <= set(each)] for each in self._topology[-2]])
         links: list[IntArray] = []
         for cell, facet in zip(pairs[linked].T, self.table.local[linked].T, strict=True):
             entity = inside[facet]
             order = np.argsort(np.take_along_axis(keys[cell], entity, axis=1), axis=1)
             links.append((cell[:, None] * len(local) + np.take_along_axis(entity, order, axis=1)).ravel())
-        label = connected(links[0], links[1], keys.size)
+        part = connected(links[0], links[1], keys.size)
 
-        _, first_place = np.unique(label, return_index=True)  # of each component; places are in the order of cells
+        _, first_place = np.unique(part, return_index=True)  # of each component; places are in the order of cells
         order = np.lexsort((first_place, keys.ravel()[first_place]))
         start = np.flatnonzero(np.diff(keys.ravel()[first_place][order], prepend=-1))
         number = np.empty(len(order), np.int64)
         number[order] = np.arange(len(order)) - np.repeat(start, np.diff(start, append=len(order)))
-        component[near] = np.where(touched[near][:, local].any(axis=2), number[label].reshape(keys.shape), 0)
+        component[cells] = np.where(at_cut[cells][:, local].any(axis=2), number[part].reshape(keys.shape), 0)
         return component
 
     @cached_property
@@ -364,13 +364,13 @@ class Splitting:
         A component is a group of cells around the node that uncut facets there connect. The first has number 0.
         """
         dofs = lagrange(self.cell_type, geometry_degree(self.cell_type, self.cells.shape[1])).entity_dofs
-        out = np.zeros(self.cells.shape, np.int32)
+        components = np.zeros(self.cells.shape, np.int32)
         for dim, of_dim in enumerate(dofs[:-1]):
             if any(map(len, of_dim)):
                 numbers = self.components(dim)
                 for entity, nodes in enumerate(of_dim):
-                    out[:, nodes] = numbers[:, [entity]]
-        return out
+                    components[:, nodes] = numbers[:, [entity]]
+        return components
 
     @property
     def of_vertices(self) -> Indices:
@@ -391,10 +391,10 @@ class Splitting:
         number = np.unique(np.column_stack([corners[where], split[where]]), axis=0, return_inverse=True)[1]
         corners[where] = int(corners.max(initial=-1)) + 1 + number.ravel()
         first = corners[:, :1].repeat(corners.shape[1] - 1, axis=1)
-        label = connected(first.ravel(), corners[:, 1:].ravel(), int(corners.max(initial=-1)) + 1)[corners[:, 0]]
-        start = np.full(int(label.max(initial=-1)) + 1, len(label))
-        start[label[::-1]] = np.arange(len(label))[::-1]  # the first cell of each, which is written last
-        return np.argsort(np.argsort(start))[label]
+        component = connected(first.ravel(), corners[:, 1:].ravel(), int(corners.max(initial=-1)) + 1)[corners[:, 0]]
+        start = np.full(int(component.max(initial=-1)) + 1, len(component))
+        start[component[::-1]] = np.arange(len(component))[::-1]  # the first cell of each, which is written last
+        return np.argsort(np.argsort(start))[component]
 
     @cached_property
     def valence(self) -> IntArray:
@@ -451,17 +451,17 @@ def along(x: FloatArray, pairs: IntArray, size: float) -> IntArray:
     neighbours: list[list[int]] = [[] for _ in x]
     for a, b in np.concatenate([pairs, pairs[:, ::-1]]):
         neighbours[int(a)].append(int(b))
-    left, way = set(range(len(x))), list[int]()
+    todo, order_along = set(range(len(x))), list[int]()
     places = [*map(tuple, np.rint(x / (DISTANCE_TOLERANCE * size)).astype(np.int64).tolist())]
     ends: dict[tuple[int, ...], list[int]] = {}
     for k, place in enumerate(places):
         if len(neighbours[k]) < 2:
             ends.setdefault(place, []).append(k)
     for first in sorted(map(int, order), key=lambda k: len(neighbours[k]) > 1):
-        going = [first] if first in left else []
-        while going:
-            at = min(going, key=lambda k: int(rank[k]))
-            left.remove(at)
-            way.append(at)
-            going = [k for k in neighbours[at] if k in left] or [k for k in ends.get(places[at], ()) if k in left]
-    return np.array(way, np.int64)
+        candidates = [first] if first in todo else []
+        while candidates:
+            at = min(candidates, key=lambda k: int(rank[k]))
+            todo.remove(at)
+            order_along.append(at)
+            candidates = [k for k in neighbours[at] if k in todo] or [k for k in ends.get(places[at], ()) if k in todo]
+    return np.array(order_along, np.int64)

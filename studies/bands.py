@@ -17,19 +17,19 @@ from thinlayer.running.record import Record
 from thinlayer.solving.history import Solution
 
 MODULI = (60.0, 40.0)  # lmbda, mu
-OMEGA = 25.0
-FRICTION = math.tan(math.radians(OMEGA))
+FRICTION_ANGLE = 25.0
+FRICTION = math.tan(math.radians(FRICTION_ANGLE))
 # One cell through the band needs no elastic fraction: its nodes belong to the bodies, which support it where it is
 # open. Inner nodes need an elastic fraction; the error is proportional to it and does not vanish with eps.
-BAND = MohrCoulombMonodirectional(*MODULI, cohesion=0.0, friction_angle=OMEGA, unilateral=True)
-IN_CELLS = replace(BAND, elastic_fraction=1e-5)
-AT_ONCE = HolonomicCoulomb.of_layer(*MODULI, friction=FRICTION)
-IN_TIME = IncrementalCoulomb.of_layer(*MODULI, friction=FRICTION)
-SINE = replace(AT_ONCE, friction=math.sin(math.radians(OMEGA)))  # a wrong law
-ONCE: LoadPath = {0: (0.28, 1.0, 1.5), 1: (0.28, 1.0, 1.5)}
-TO_AND_FRO: LoadPath = {0: (0.0, 0.0, 0.0), 1: (0.28, 1.0, 0.0), 2: (0.28, 1.0, 1.5), 3: (0.28, 0.0, -1.0)}
-NO_PRESSURE = 1e-3  # pressure, relative to the largest one, below which a node counts as separated
-AT_LIMIT = 1e-2  # relative distance from the threshold at which a node counts as sliding
+BAND = MohrCoulombMonodirectional(*MODULI, cohesion=0.0, friction_angle=FRICTION_ANGLE, unilateral=True)
+MESHED_BAND = replace(BAND, elastic_fraction=1e-5)
+HOLONOMIC = HolonomicCoulomb.of_layer(*MODULI, friction=FRICTION)
+INCREMENTAL = IncrementalCoulomb.of_layer(*MODULI, friction=FRICTION)
+SINE_LAW = replace(HOLONOMIC, friction=math.sin(math.radians(FRICTION_ANGLE)))  # a wrong law
+DIRECT_PATH: LoadPath = {0: (0.28, 1.0, 1.5), 1: (0.28, 1.0, 1.5)}
+RETURN_PATH: LoadPath = {0: (0.0, 0.0, 0.0), 1: (0.28, 1.0, 0.0), 2: (0.28, 1.0, 1.5), 3: (0.28, 0.0, -1.0)}
+ZERO_PRESSURE_SHARE = 1e-3  # pressure, relative to the largest one, below which a node counts as separated
+SLIDING_TOLERANCE = 1e-2  # relative distance from the threshold at which a node counts as sliding
 
 
 def blocks(h: float, path: LoadPath) -> Problem:
@@ -56,10 +56,10 @@ def zones(full: Solution, limit: Solution) -> dict[str, float]:
     surface, row = Surface(last(limit).model), dict[str, float]()
     for name, solution in (("band", full), ("contact", limit)):
         x, p, shear = along_s(last(solution), surface).values()
-        weights = np.diff(np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]]))
-        separated = p <= NO_PRESSURE * p.max()
-        slides = ~separated & (abs(shear) >= (1 - AT_LIMIT) * FRICTION * p)
-        row |= {f"separated_{name}": float(weights @ separated), f"sliding_{name}": float(weights @ slides)}
+        lengths = np.diff(np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]]))
+        is_separated = p <= ZERO_PRESSURE_SHARE * p.max()
+        is_sliding = ~is_separated & (abs(shear) >= (1 - SLIDING_TOLERANCE) * FRICTION * p)
+        row |= {f"separated_{name}": float(lengths @ is_separated), f"sliding_{name}": float(lengths @ is_sliding)}
     return row
 
 
@@ -71,8 +71,8 @@ def same_zones(record: Record, tables: Tables) -> None:
         for zone, size in {**sizes, "stick": 2.0 - sum(sizes.values())}.items():
             record.check(f"length of S, {name}: {zone}", size, low=0.2)
         for zone, size in sizes.items():
-            away, allowed = abs(table[f"{zone}_band"][-1] - size), 2 * h + table["eps"][-1]
-            record.check(f"{zone} zone, {name}: thinnest band and contact differ by", away, high=allowed)
+            difference, allowed = abs(table[f"{zone}_band"][-1] - size), 2 * h + table["eps"][-1]
+            record.check(f"{zone} zone, {name}: thinnest band and contact differ by", difference, high=allowed)
 
 
 def sine_leaves_an_error(record: Record, tables: Tables) -> None:

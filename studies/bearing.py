@@ -17,13 +17,13 @@ from thinlayer.running.record import Record
 RADIUS, PLATE = 30.0, 10.0  # mm: of the disc; height of a plate
 PLATES = LinearElastic.young(E=1e7, nu=0.3)  # MPa
 MU = 1.2  # MPa: shear modulus of the rubber
-SHAPES = (2.5, 5.0, 10.0)  # shape factors: loaded over free area, radius/(2 eps)
-RATIOS = (0.3, 0.4, 0.45, 0.48, 0.49, 0.495, 0.499, 0.4995, 0.4999, 0.5)  # Poisson's ratios
-OPENING = 0.01  # mm, displacement of the upper plate
+SHAPE_FACTORS = (2.5, 5.0, 10.0)  # shape factors: loaded over free area, radius/(2 eps)
+POISSON_RATIOS = (0.3, 0.4, 0.45, 0.48, 0.49, 0.495, 0.499, 0.4995, 0.4999, 0.5)  # Poisson's ratios
+LIFT = 0.01  # mm, displacement of the upper plate
 MODELS = {"meshed": "meshed layer", "rubber": "law Rubber, order 1", "order_0": "LinearElastic, order 0"}
 
 
-def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) -> None:
+def run(record: Record, *, nu: Sequence[float] = POISSON_RATIOS, quick: bool = False) -> None:
     """Pull the upper plate by 0.01 mm, and compare the force in three models with a closed form for rigid plates.
 
     Args:
@@ -31,21 +31,21 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
         nu: Poisson's ratios of the rubber, in (0, 1/2].
         quick: every other ratio, fewer cells, and two shape factors.
     """
-    shapes, ratios = (SHAPES[:2], sorted({*nu[::2], *nu[-2:]})) if quick else (SHAPES, nu)
+    shapes, ratios = (SHAPE_FACTORS[:2], sorted({*nu[::2], *nu[-2:]})) if quick else (SHAPE_FACTORS, nu)
     structures = {shape: _structure(shape, quick=quick) for shape in shapes}
     cases = [(structure, shape, ratio) for shape, structure in structures.items() for ratio in ratios]
     table = record.rows("table.csv", cases, partial(_row, record), "shape factor {0[1]:g}, nu = {0[2]:g}")
-    closed, wide = table["closed"], table["shape"] >= 5
-    errors = {name: np.abs(table[name] / closed - 1) for name in ("meshed", "rubber")}
+    exact, is_wide = table["closed"], table["shape"] >= 5
+    errors = {name: np.abs(table[name] / exact - 1) for name in ("meshed", "rubber")}
     record.check("largest error of the law with a pressure", errors["rubber"].max(), high=2e-3)
     of = "largest distance of meshed layers from the closed form"
-    record.check(f"{of}, shape factors from 5 on", errors["meshed"][wide].max(), high=0.013)
+    record.check(f"{of}, shape factors from 5 on", errors["meshed"][is_wide].max(), high=0.013)
     record.check(f"{of}, all shape factors", errors["meshed"].max(), high=0.03)
-    record.check("least excess of the law of order 0", (table["order_0"] / closed).min() - 1, low=0.01)
-    below = table["nu"] < 0.5
-    eps, lmbda = RADIUS / (2 * table["shape"][below]), np.array([_modulus(nu) for nu in table["nu"][below]])
-    pressures = lmbda / (closed[below] * eps - 2 * MU)  # pressure of order 0 over pressure in closed form
-    distance = np.abs(table["too_stiff"][below] / pressures - 1).max()
+    record.check("least excess of the law of order 0", (table["order_0"] / exact).min() - 1, low=0.01)
+    finite = table["nu"] < 0.5
+    eps, lmbda = RADIUS / (2 * table["shape"][finite]), np.array([_modulus(nu) for nu in table["nu"][finite]])
+    pressures = lmbda / (exact[finite] * eps - 2 * MU)  # pressure of order 0 over pressure in closed form
+    distance = np.abs(table["too_stiff"][finite] / pressures - 1).max()
     record.check("largest distance of what is told of order 0 from closed forms", distance, high=0.01)
 
 
@@ -57,7 +57,7 @@ def _row(record: Record, structure: Structure, shape: float, nu: float) -> dict[
             row |= {name: math.inf, "too_stiff": math.inf}  # the plates cannot separate
             continue
         state = record.solved(solve(_model(structure, name, eps, nu)))
-        row[name] = state.reaction("TOP").force[1] / (math.pi * RADIUS**2 * OPENING)
+        row[name] = state.reaction("TOP").force[1] / (math.pi * RADIUS**2 * LIFT)
         if name == "order_0":
             row["too_stiff"] = Surface(state.model).table(state)["too_stiff"].max()
     return row
@@ -70,7 +70,7 @@ def _modulus(nu: float) -> float:
 def _structure(shape: float, *, quick: bool) -> Structure:
     cells, eps = 30 if quick else 60, RADIUS / (2 * shape)
     joint = sandwich(RADIUS, PLATE, PLATE, RADIUS / 8, h_S=RADIUS / cells, h_ends=eps / 15, cell="quadrilateral")
-    supports = {"BOTTOM": {"x": 0.0, "y": 0.0}, "TOP": {"x": 0.0, "y": OPENING}}
+    supports = {"BOTTOM": {"x": 0.0, "y": 0.0}, "TOP": {"x": 0.0, "y": LIFT}}
     return Structure(joint, body=PLATES, supports=supports, plane="axisymmetric")
 
 
@@ -91,5 +91,5 @@ def draw(record: Record) -> None:
         x = 2 * part["nu"][at] / (1 - 2 * part["nu"][at])
         stiffnesses = {label: (x, (part[name] / part["closed"])[at]) for name, label in MODELS.items()}
         parts[f"rubber disc, radius {2 * shape:g} eps"] = stiffnesses
-    look = {"styles": ("o", "-", "^--"), "log": "x", "ylim": (0.95, 1.3), "save": record.path("stiffness.svg")}
-    plotting.curves(parts, "lambda/mu (5000: nu = 0.4999)", "stiffness over closed form", **look)
+    style = {"styles": ("o", "-", "^--"), "log": "x", "ylim": (0.95, 1.3), "save": record.path("stiffness.svg")}
+    plotting.curves(parts, "lambda/mu (5000: nu = 0.4999)", "stiffness over closed form", **style)

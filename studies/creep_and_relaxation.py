@@ -22,13 +22,13 @@ from thinlayer.system.progress import track
 LMBDA, MU = 60.0, 40.0
 EPS = 0.1  # thickness; if the bodies are kept, results do not depend on it
 THETA_LMBDA, THETA_MU, T1 = 0.3, 0.5, 0.7
-DT, END = 0.1, 2.0  # step and end of the curves
-AT = 1.0  # time at which errors are measured
-STEPS = (0.05, 0.025, 0.0125)
+TIME_STEP, END_TIME = 0.1, 2.0  # step and end of the curves
+ERROR_TIME = 1.0  # time at which errors are measured
+TIME_STEPS = (0.05, 0.025, 0.0125)
 # Relative error that counts as rounding: schemes are exact where the jump of a Maxwell layer grows linearly.
-EXACT = 1e-9
+RTOL = 1e-9
 SCHEMES = {"Euler": (1.0, 1), "midpoint": (0.5, 2)}  # theta, order
-INTERFACE, FULL, CLOSED = "interface law", "meshed layer", "closed form"
+INTERFACE, FULL, CLOSED_FORM = "interface law", "meshed layer", "closed form"
 
 
 @dataclass(frozen=True)
@@ -108,13 +108,13 @@ def series(pull: Pull, t: Array) -> Array:
 
 
 VOIGT, MAXWELL = KelvinVoigt(LMBDA, MU, THETA_LMBDA, THETA_MU), Maxwell(LMBDA, MU, T1)
-LOW, HIGH = Norton(LMBDA, MU, eta=5.0, p=1.5), Norton(LMBDA, MU, eta=8000.0, p=3.0)
+NORTON_1_5, NORTON_3 = Norton(LMBDA, MU, eta=5.0, p=1.5), Norton(LMBDA, MU, eta=8000.0, p=3.0)
 CASES = {
     "Kelvin-Voigt, creep": CreepCase(VOIGT, kelvin_voigt),
     "Maxwell, creep": CreepCase(MAXWELL, maxwell),
     "Maxwell, relaxation": CreepCase(MAXWELL, relaxation, relaxes=True),
-    "Norton p = 1.5, creep": CreepCase(LOW, partial(norton, LOW)),
-    "Norton p = 3, creep": CreepCase(HIGH, partial(norton, HIGH)),
+    "Norton p = 1.5, creep": CreepCase(NORTON_1_5, partial(norton, NORTON_1_5)),
+    "Norton p = 3, creep": CreepCase(NORTON_3, partial(norton, NORTON_3)),
     "Maxwell + Kelvin-Voigt, creep": CreepCase(Stack((0.5, MAXWELL), (0.5, VOIGT)), series),
 }
 
@@ -129,15 +129,15 @@ def run(record: Record, *, quick: bool = False) -> None:
         record: folder of the results.
         quick: longer and fewer steps.
     """
-    steps = STEPS[:2] if quick else STEPS
-    times = until(END, 2 * DT if quick else DT)
+    steps = TIME_STEPS[:2] if quick else TIME_STEPS
+    times = until(END_TIME, 2 * TIME_STEP if quick else TIME_STEP)
     curves, difference = {"t": np.array(times)}, 0.0
     orders = record.table("orders.csv")
     for title, pull in track([(title, pull) for title in CASES for pull in PULLS], "columns", "{0[0]}"):
         column = Column(record, CASES[title], pull)
         responses = {kind: column.follow(model, times) for kind, model in column.models.items()}
         difference = max(difference, float(np.abs(responses[FULL] / responses[INTERFACE] - 1).max()))
-        responses[CLOSED] = column.case.exact(pull, curves["t"])
+        responses[CLOSED_FORM] = column.case.exact(pull, curves["t"])
         curves |= {f"{title}: {kind}, {pull.name}": values for kind, values in responses.items()}
         orders.append({"case": title, "load": pull.name} | column.errors(steps))
     record.write("table.csv", Table.of(curves))
@@ -157,13 +157,13 @@ def check_printed(record: Record, curves: dict[str, Array]) -> None:
     are around the rate: for shear that is another viscosity, as |v (x)_s n| = |v|/sqrt(2).
     """
     (sheared, pulled), E, nu = PULLS, MU * (3 * LMBDA + 2 * MU) / (LMBDA + MU), LMBDA / (2 * (LMBDA + MU))
-    jumps = {("Maxwell, creep", sheared): sheared.stress * (1 + nu) / E * (1 + AT / T1)}
-    jumps["Maxwell, creep", pulled] = -pulled.stress * (1 - nu) / (E * nu) * (1 + AT / T1)
-    other = replace(HIGH, eta=HIGH.eta * 2 ** (HIGH.p / 2 - 1))
-    jumps["Norton p = 3, creep", sheared] = float(norton(other, sheared, np.array(AT)))
+    jumps = {("Maxwell, creep", sheared): sheared.stress * (1 + nu) / E * (1 + ERROR_TIME / T1)}
+    jumps["Maxwell, creep", pulled] = -pulled.stress * (1 - nu) / (E * nu) * (1 + ERROR_TIME / T1)
+    law_2 = replace(NORTON_3, eta=NORTON_3.eta * 2 ** (NORTON_3.p / 2 - 1))
+    jumps["Norton p = 3, creep", sheared] = float(norton(law_2, sheared, np.array(ERROR_TIME)))
     for (title, pull), jump in jumps.items():
-        meshed = float(np.interp(AT, curves["t"], curves[f"{title}: {FULL}, {pull.name}"]))
-        expected = jump / float(CASES[title].exact(pull, np.array(AT)))
+        meshed = float(np.interp(ERROR_TIME, curves["t"], curves[f"{title}: {FULL}, {pull.name}"]))
+        expected = jump / float(CASES[title].exact(pull, np.array(ERROR_TIME)))
         record.check_near(f"{title}, {pull.name}: jump, printed over computed", jump / meshed, expected, 0.01)
 
 
@@ -185,11 +185,11 @@ class Column:
     def __init__(self, record: Record, case: CreepCase, pull: Pull) -> None:
         self.record, self.case, self.pull = record, case, pull
         joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
-        moves, stays = ("xy"[pull.axis], "yx"[pull.axis])
-        supports: dict[str, Support] = {"BOTTOM": 0.0, "LEFT": {stays: 0.0}, "RIGHT": {stays: 0.0}}
-        supports |= {"TOP": {moves: pull.end}} if case.relaxes else {}
-        pulled = {} if case.relaxes else {"TOP": pull.stress * np.eye(2)[pull.axis]}
-        structure = Structure(joint, body=BODY, supports=supports, tractions=pulled)
+        loaded_axis, fixed_axis = ("xy"[pull.axis], "yx"[pull.axis])
+        supports: dict[str, Support] = {"BOTTOM": 0.0, "LEFT": {fixed_axis: 0.0}, "RIGHT": {fixed_axis: 0.0}}
+        supports |= {"TOP": {loaded_axis: pull.end}} if case.relaxes else {}
+        tractions = {} if case.relaxes else {"TOP": pull.stress * np.eye(2)[pull.axis]}
+        structure = Structure(joint, body=BODY, supports=supports, tractions=tractions)
         layer = ThinLayer(case.law, EPS, at=1.0)
         self.models: dict[str, Model] = {INTERFACE: structure.interface(layer), FULL: structure.full(layer)}
 
@@ -210,30 +210,30 @@ class Column:
 
         `steps` are decreasing lengths of time steps.
         """
-        exact = float(self.case.exact(self.pull, np.array(AT)))
+        exact = float(self.case.exact(self.pull, np.array(ERROR_TIME)))
         row: dict[str, float | None] = {"exact": exact}
         for scheme, (theta, _) in SCHEMES.items():
-            values = [self.follow(self.models[INTERFACE], until(AT, dt), theta)[-1] for dt in steps]
+            values = [self.follow(self.models[INTERFACE], until(ERROR_TIME, dt), theta)[-1] for dt in steps]
             errors = np.abs(np.divide(values, exact) - 1)
             row |= {f"{scheme} {dt:g}": float(error) for dt, error in zip(steps, errors, strict=True)}
             orders = Table.of({"dt": steps, "error": errors}).orders("error", of="dt")
-            row[f"{scheme} order"] = orders[-1] if errors[-1] > EXACT else None
+            row[f"{scheme} order"] = orders[-1] if errors[-1] > RTOL else None
         return row
 
 
 def draw(record: Record) -> None:
     """Draw the curves from table.csv."""
-    table, fine = record.load("table.csv"), np.append(np.linspace(0.0, END, 201), np.nan)
-    parts: dict[str, dict[str, tuple[Array, Array]]] = {title: {} for title in CASES}
-    styles, colours = {CLOSED: "--"}, {CLOSED: "black"}
+    table, times = record.load("table.csv"), np.append(np.linspace(0.0, END_TIME, 201), np.nan)
+    panels: dict[str, dict[str, tuple[Array, Array]]] = {title: {} for title in CASES}
+    styles, colours = {CLOSED_FORM: "--"}, {CLOSED_FORM: "black"}
     for title, case in CASES.items():
-        for kind, style, shown in ((INTERFACE, "-", slice(None)), (FULL, "o", slice(1, None, 2))):
+        for kind, style, samples in ((INTERFACE, "-", slice(None)), (FULL, "o", slice(1, None, 2))):
             for pull, colour in zip(PULLS, COLOURS, strict=False):
                 label = f"{kind}, {pull.name}"
                 styles[label], colours[label] = style, colour
-                parts[title][label] = table["t"][shown], table[f"{title}: {label}"][shown]
+                panels[title][label] = table["t"][samples], table[f"{title}: {label}"][samples]
         # both in one line, with a gap
-        parts[title][CLOSED] = np.tile(fine, 2), np.concatenate([case.exact(pull, fine) for pull in PULLS])
+        panels[title][CLOSED_FORM] = np.tile(times, 2), np.concatenate([case.exact(pull, times) for pull in PULLS])
     units = "jump across S over height", "traction on S over E/100"
     ylabels, save = {title: units[case.relaxes] for title, case in CASES.items()}, record.path(f"{record.study}.svg")
-    plotting.curves(parts, "time, as of the laws", ylabels, styles=styles, colours=colours, save=save)
+    plotting.curves(panels, "time, as of the laws", ylabels, styles=styles, colours=colours, save=save)

@@ -56,8 +56,8 @@ class Cylinders:
         """
         a, b = stretch
         rim = {0: ((a + b) / 2, 0.0), 2: ((a - b) / 2, (b - a) / 2)}
-        solved = {mode: _solved(mode, laws, radii, springs, radii[-1] * np.array(rim[mode])) for mode in MODES}
-        return cls(tuple(laws), tuple(radii), solved)
+        coefficients = {mode: _solved(mode, laws, radii, springs, radii[-1] * np.array(rim[mode])) for mode in MODES}
+        return cls(tuple(laws), tuple(radii), coefficients)
 
     def fields(self, mode: int, k: int, r: float) -> Array:
         """Amplitudes (4,) of u_r, u_theta and the stresses s_rr, s_rtheta of mode 0 or 2 in cylinder k, at a radius."""
@@ -65,8 +65,8 @@ class Cylinders:
 
     def displacement(self, k: int, r: float, theta: float) -> Array:
         """Displacements u_r and u_theta in cylinder k, at polar coordinates."""
-        zero, two = (self.fields(mode, k, r)[:2] for mode in MODES)
-        return zero + two * [np.cos(2 * theta), np.sin(2 * theta)]
+        mode_0, mode_2 = (self.fields(mode, k, r)[:2] for mode in MODES)
+        return mode_0 + mode_2 * [np.cos(2 * theta), np.sin(2 * theta)]
 
     def jumps(self, k: int) -> Array:
         """Amplitudes (2, 2), for both modes, of the jumps of u_r and u_theta from cylinder k to the next cylinder."""
@@ -77,8 +77,8 @@ class Cylinders:
     def energy(self) -> float:
         """Elastic energy of all cylinders, per unit of their length."""
         last, R = len(self.laws) - 1, self.radii[-1]
-        zero, two = (self.fields(mode, last, R) for mode in MODES)
-        return float(pi * R * zero[:2] @ zero[2:] + pi * R / 2 * two[:2] @ two[2:])
+        mode_0, mode_2 = (self.fields(mode, last, R) for mode in MODES)
+        return float(pi * R * mode_0[:2] @ mode_0[2:] + pi * R / 2 * mode_2[:2] @ mode_2[2:])
 
 
 def _solutions(mode: int, law: LinearElastic, r: float) -> Array:
@@ -99,13 +99,13 @@ def _between(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], s
 
     They say that displacement jumps equal the extensions of the springs, and that tractions are continuous.
     """
-    rows = np.zeros((len(radii), 4, len(laws), _solutions(mode, laws[0], 1.0).shape[1]))
+    conditions = np.zeros((len(radii), 4, len(laws), _solutions(mode, laws[0], 1.0).shape[1]))
     for k, (spring, r) in enumerate(zip(springs, radii, strict=True)):
-        inside, outside = (_solutions(mode, law, r) for law in laws[k : k + 2])
-        rows[k, :, k], rows[k, :, k + 1] = -inside, outside
+        inner, outer = (_solutions(mode, law, r) for law in laws[k : k + 2])
+        conditions[k, :, k], conditions[k, :, k + 1] = -inner, outer
         if spring is not None:
-            rows[k, :2, k + 1] -= outside[2:] / np.array(spring)[:, None]
-    return rows
+            conditions[k, :2, k + 1] -= outer[2:] / np.array(spring)[:, None]
+    return conditions
 
 
 def _solved(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs, rim: Array) -> Array:
@@ -114,11 +114,11 @@ def _solved(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], sp
     `rim` are the amplitudes of u_r and u_theta on the outermost radius; other arguments are those of
     `Cylinders.stretched`.
     """
-    between = _between(mode, laws, radii[:-1], springs)
-    n, size = between.shape[3], between[0, 0].size
+    conditions = _between(mode, laws, radii[:-1], springs)
+    n, size = conditions.shape[3], conditions[0, 0].size
     at_rim = np.zeros((2, size))
     at_rim[:, -n:] = _solutions(mode, laws[-1], radii[-1])[:2]
-    matrix = np.concatenate([between.reshape(-1, size), at_rim])
+    matrix = np.concatenate([conditions.reshape(-1, size), at_rim])
     unknown = np.setdiff1d(np.arange(size), np.arange(n // 2, n))
     coefficients = np.zeros(size)
     coefficients[unknown] = np.linalg.lstsq(matrix[:, unknown], np.pad(rim, (len(matrix) - 2, 0)), rcond=None)[0]
@@ -156,9 +156,9 @@ def lame(radii: Sequence[float], laws: Sequence[LinearElastic], springs: Sequenc
         p: pressure in the bore; the outer side is free.
     """
     between = _between(0, laws, radii[1:-1], [None if k is None else (k, k) for k in springs])[:, ::2]  # radial rows
-    ends = np.zeros((2, 2 * len(laws)))
-    ends[0, :2], ends[1, -2:] = (_solutions(0, laws[k], radii[k])[2] for k in (0, -1))
-    A, b = np.concatenate([between.reshape(-1, ends.shape[1]), ends]), np.zeros(ends.shape[1])
+    end_rows = np.zeros((2, 2 * len(laws)))
+    end_rows[0, :2], end_rows[1, -2:] = (_solutions(0, laws[k], radii[k])[2] for k in (0, -1))
+    A, b = np.concatenate([between.reshape(-1, end_rows.shape[1]), end_rows]), np.zeros(end_rows.shape[1])
     b[-2] = -p
     return Lame(tuple(laws), np.asarray(np.linalg.solve(A, b).reshape(-1, 2), float))
 
@@ -210,11 +210,11 @@ SHAFT, HUB = young(E=210e3, nu=0.3), young(E=70e3, nu=0.34)  # MPa: steel and al
 GLUE, GLUE_EPS = young(E=2e3, nu=0.3), 0.2  # 2 GPa where the layer is 0.2 mm thick
 RADII = (6.0, 12.0, 18.0)  # mm: bore, S, rim
 HEIGHT = 8.0  # mm
-PRESSURE, PUSH = 50.0, 40.0  # MPa: in the bore; on the end of the shaft
-LAME = 5e-5  # relative error of displacements and tractions with Q2 cells of 1 mm; with 2 mm 16 times as large
+PRESSURE, PUSH_STRESS = 50.0, 40.0  # MPa: in the bore; on the end of the shaft
+LAME_ERROR = 5e-5  # relative error of displacements and tractions with Q2 cells of 1 mm; with 2 mm 16 times as large
 PLATES: dict[str, Support] = {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
-PRESSED: StructureArguments = {"supports": PLATES, "tractions": {"BOTTOM": (PRESSURE, 0.0)}}
-PUSHED: StructureArguments = {"supports": {"RIGHT/UPPER": 0.0}, "tractions": {"LEFT/LOWER": (0.0, -PUSH)}}
+PRESSURE_LOADS: StructureArguments = {"supports": PLATES, "tractions": {"BOTTOM": (PRESSURE, 0.0)}}
+PUSH_LOADS: StructureArguments = {"supports": {"RIGHT/UPPER": 0.0}, "tractions": {"LEFT/LOWER": (0.0, -PUSH_STRESS)}}
 
 
 def tubes(h: float, loads: StructureArguments) -> Problem:
@@ -227,9 +227,9 @@ def tubes(h: float, loads: StructureArguments) -> Problem:
         loads: supports and tractions.
     """
     bore, on_S, rim = RADII
-    flat = sandwich(HEIGHT, on_S - bore, rim - on_S, h, cell="quadrilateral", structured=True)
+    section = sandwich(HEIGHT, on_S - bore, rim - on_S, h, cell="quadrilateral", structured=True)
     bodies: StructureArguments = {"body": {"LOWER": SHAFT, "UPPER": HUB}, "plane": "axisymmetric"}
-    return flat.rotated(-np.pi / 2).moved((on_S, 0.0)), bodies | loads
+    return section.rotated(-np.pi / 2).moved((on_S, 0.0)), bodies | loads
 
 
 def against_lame(full: Solution, limit: Solution) -> dict[str, float]:
@@ -244,14 +244,14 @@ def against_lame(full: Solution, limit: Solution) -> dict[str, float]:
         row[f"{name}_bore"] = abs(state.energies()["loads"] / (work * exact.displacement(0, bore)) - 1)
         force = surface.integral(surface.frame(surface.traction(state))[1]) / (2 * np.pi * HEIGHT)
         forces = [exact.stress(1, r) * r for r in (on_S - width / 2, on_S, on_S + width / 2)]
-        through = float(np.dot((1, 4, 1), forces)) / 6  # the mean through a meshed layer, over the area of S
-        row[f"{name}_traction"] = abs(force / through - 1)
+        mean_force = float(np.dot((1, 4, 1), forces)) / 6  # the mean through a meshed layer, over the area of S
+        row[f"{name}_traction"] = abs(force / mean_force - 1)
     return row
 
 
 def as_lame(record: Record, tables: Tables) -> None:
     """Check both models under inner pressure against their closed forms."""
-    high = 16 * LAME if record.options.get("quick") else LAME
+    high = 16 * LAME_ERROR if record.options.get("quick") else LAME_ERROR
     for name in ("meshed", "law"):
-        worst = max(max(tables["tubes"][f"{name}_{what}"]) for what in ("bore", "traction"))
-        record.check(f"relative difference from Lame, {name}", worst, high=high)
+        max_error = max(max(tables["tubes"][f"{name}_{what}"]) for what in ("bore", "traction"))
+        record.check(f"relative difference from Lame, {name}", max_error, high=high)

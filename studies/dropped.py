@@ -56,13 +56,13 @@ from thinlayer.discretisation.coefficient import Load
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.supports import Place, Support
 
-COARSE, FINE = 1 / 16, 1 / 64  # thicknesses
-ALONG, ENDS = 1 / 24, 8  # cell size on S; cells within a thickness at free ends
-TILT = 0.5  # rad
+THICK, THIN = 1 / 16, 1 / 64  # thicknesses
+ALONG, CELLS_AT_ENDS = 1 / 24, 8  # cell size on S; cells within a thickness at free ends
+TILT_ANGLE = 0.5  # rad
 WIDTH, DEPTH = 1.3, 0.8
 CLAMPED: dict[Place, Support] = {"BOTTOM": 0.0}
 young, shear = LinearElastic.young, LinearElastic.shear
-STEEL, SOFT = young(E=1e4, nu=0.3), young(E=70.0, nu=0.3)
+STEEL, SOFT_BODY = young(E=1e4, nu=0.3), young(E=70.0, nu=0.3)
 
 
 # ---------------------------------------------------------------- structures; `_`: the mesh suits any thickness
@@ -86,7 +86,7 @@ def box(_: float) -> Structure:
 
 
 def _ends(eps: float) -> float:
-    return min(eps / ENDS, ALONG)
+    return min(eps / CELLS_AT_ENDS, ALONG)
 
 
 def free(
@@ -113,7 +113,7 @@ def displaced(eps: float) -> Structure:
 def tilted(eps: float) -> Structure:
     """Two blocks of unequal heights with free sides, rotated by 0.5 rad, under a traction that is not rotated."""
     joint = sandwich(1.0, 0.4, 0.7, 1 / 8, h_S=ALONG, h_ends=_ends(eps), cell="quadrilateral")
-    return loaded(joint.rotated(TILT), (-0.7, 0.4), body=young(E=150.0, nu=0.2))
+    return loaded(joint.rotated(TILT_ANGLE), (-0.7, 0.4), body=young(E=150.0, nu=0.2))
 
 
 def channel(_: float) -> Structure:
@@ -206,9 +206,9 @@ def unwarned() -> warnings.catch_warnings[None]:
 
 
 # ---------------------------------------------------------------- cases of another program
-BEARING = Rubber.shear(0.01, 0.4999)  # moduli at any thickness
-VISCOUS = Norton(lmbda=60.0, mu=40.0, eta=5.0, p=1.5)
-STEP = 0.01
+BEARING_LAW = Rubber.shear(0.01, 0.4999)  # moduli at any thickness
+VISCOUS_LAW = Norton(lmbda=60.0, mu=40.0, eta=5.0, p=1.5)
+STRAIN_STEP = 0.01
 
 
 @dataclass(frozen=True)
@@ -243,46 +243,46 @@ def soft(mu: float, nu: float) -> LayerOfThickness:
 def published_cases() -> list[DroppedCase]:
     """The cases for which the authors of another program have published results."""
     work, R = goals.Compliance(), Rubber.shear
-    rolled = partial(DroppedCase, structure=rollers, asked=(work, goals.Displacement((0.3, 0.4), (0.0, 1.0))))
+    roller_case = partial(DroppedCase, structure=rollers, asked=(work, goals.Displacement((0.3, 0.4), (0.0, 1.0))))
     ended = partial(DroppedCase, structure=free, asked=(work, goals.Displacement((0.3, 0.4), (0.6, 0.8))), inner=True)
-    unequal = partial(ended, structure=partial(free, load=(1.0, 0.0), lower=SOFT))
-    steel = partial(ended, structure=partial(free, load=(0.3, -1.0), lower=STEEL, upper=STEEL))
+    unequal_case = partial(ended, structure=partial(free, load=(1.0, 0.0), lower=SOFT_BODY))
+    steel_case = partial(ended, structure=partial(free, load=(0.3, -1.0), lower=STEEL, upper=STEEL))
     pressed = partial(ended, structure=displaced, asked=(goals.Reaction("TOP", (0.0, 1.0)), goals.MeanTraction((0.0, 1.0))))
-    hardening, plastic = of(Hardening(60.0, 40.0, 3e5)), of(YIELDING)
-    bearing, viscous, in_box = of(BEARING, None), of(VISCOUS), partial(DroppedCase, structure=box, solid=True)
+    hard_layer, plastic = of(Hardening(60.0, 40.0, 3e5)), of(YIELDING_LAW)
+    bearing, viscous, in_box = of(BEARING_LAW, None), of(VISCOUS_LAW), partial(DroppedCase, structure=box, solid=True)
 
     on_rollers = {
         "nu = 0.3": soft(40.0, 0.3),
         "nu = 0.45": of(R(4.0, 0.45)),
         "nu = 0.499": soft(40.0, 0.499),
         "nu = 0.4999": soft(0.4, 0.4999),
-        "cubic hardening": hardening,
+        "cubic hardening": hard_layer,
         "plastic": plastic,
     }
     return [
-        *(rolled(f"between rollers: {words}", layers=layers) for words, layers in on_rollers.items()),
+        *(roller_case(f"between rollers: {words}", layers=layers) for words, layers in on_rollers.items()),
         ended("free ends: nu = 0.3", layers=soft(40.0, 0.3)),
-        unequal("free ends: unequal bodies, nu = 0.45", layers=soft(20.0, 0.45)),
+        unequal_case("free ends: unequal bodies, nu = 0.45", layers=soft(20.0, 0.45)),
         ended("free ends: nu = 0.45", layers=of(R(40.0, 0.45))),
         ended("free ends: nu = 0.499", layers=soft(40.0, 0.499)),
-        steel("free ends: bearing, loaded", layers=bearing),
+        steel_case("free ends: bearing, loaded", layers=bearing),
         pressed("free ends: bearing, displaced", layers=bearing),
-        rolled("laws: Norton", layers=viscous, step=STEP),
-        ended("laws: Norton, free ends", layers=viscous, step=STEP),
+        roller_case("laws: Norton", layers=viscous, step=STRAIN_STEP),
+        ended("laws: Norton, free ends", layers=viscous, step=STRAIN_STEP),
         in_box("shapes: box in 3D, nu = 0.35", layers=of(R(40.0, 0.35))),
         in_box("shapes: box in 3D, nu = 0.49", layers=soft(40.0, 0.49)),
     ]
 
 
 SUBLAYERS = Stack((0.3, LinearElastic(60.0, 40.0)), (0.7, LinearElastic(600.0, 20.0)))
-YIELDING = VonMises(60.0, 40.0, 0.3, hardening=100.0)
-SLIPPING = MohrCoulomb(60.0, 40.0, cohesion=0.15, friction_angle=30.0, dilatancy_angle=10.0)
-AS_STIFF = Norton(lmbda=450.0, mu=300.0, eta=50.0, p=1.5)
-CREEPING = Norton(lmbda=50.0, mu=30.0, eta=1500.0, p=3.0)
+YIELDING_LAW = VonMises(60.0, 40.0, 0.3, hardening=100.0)
+SLIPPING_LAW = MohrCoulomb(60.0, 40.0, cohesion=0.15, friction_angle=30.0, dilatancy_angle=10.0)
+STIFF_NORTON = Norton(lmbda=450.0, mu=300.0, eta=50.0, p=1.5)
+CREEPING_LAW = Norton(lmbda=50.0, mu=30.0, eta=1500.0, p=3.0)
 
 
-HARD, TENDER = shear(400.0, 0.3), shear(4.0, 0.3)  # plies
-FIBRES = Anisotropic(np.diag([200.0, 60.0, 90.0, 25.0, 30.0, 40.0]) + 20.0 * np.eye(6)[[1, 0, 2, 3, 4, 5]], "layer")
+HARD_PLY, SOFT_PLY = shear(400.0, 0.3), shear(4.0, 0.3)  # plies
+FIBRE_LAW = Anisotropic(np.diag([200.0, 60.0, 90.0, 25.0, 30.0, 40.0]) + 20.0 * np.eye(6)[[1, 0, 2, 3, 4, 5]], "layer")
 
 
 def _plies(*laws: BulkLaw) -> LayerOfThickness:
@@ -293,36 +293,36 @@ def _plies(*laws: BulkLaw) -> LayerOfThickness:
 def further_cases() -> list[DroppedCase]:
     """The cases chosen for this study, for which no other results are known."""
     work, moved = goals.Compliance(), goals.Displacement((0.3, 0.35), (0.6, 0.8))
-    ends, middle = (work, moved), (work, moved, goals.MeanTraction((1.0, 0.0)))
-    unlike = partial(free, load=(-0.6, 0.4), heights=(0.4, 0.7), lower=young(50.0, 0.2), upper=young(200.0, 0.35))
-    sheet = partial(free, load=(0.5, -0.6), plane="stress")
-    bonded, pressed = partial(free, load=(0.3, -1.0)), partial(free, load=(0.0, -1.0), lower=STEEL, upper=STEEL)
+    end_goals, middle_goals = (work, moved), (work, moved, goals.MeanTraction((1.0, 0.0)))
+    unlike_blocks = partial(free, load=(-0.6, 0.4), heights=(0.4, 0.7), lower=young(50.0, 0.2), upper=young(200.0, 0.35))
+    sheet_blocks = partial(free, load=(0.5, -0.6), plane="stress")
+    bonded, steel_blocks = partial(free, load=(0.3, -1.0)), partial(free, load=(0.0, -1.0), lower=STEEL, upper=STEEL)
 
     def thin(eps: float) -> Structure:
         return free(eps, heights=(2 * eps, 3 * eps))
 
     return [
-        DroppedCase("free ends: two stiffnesses", unlike, soft(15.0, 0.35), asked=ends),
+        DroppedCase("free ends: two stiffnesses", unlike_blocks, soft(15.0, 0.35), asked=end_goals),
         DroppedCase("shapes: tilted S", tilted, soft(30.0, 0.25)),
-        DroppedCase("shapes: rigid base", on_base, soft(25.0, 0.3), asked=ends),
-        DroppedCase("shapes: plane stress", sheet, soft(30.0, 0.3), asked=ends),
-        DroppedCase("shapes: springs and a plate", plated, soft(30.0, 0.3), asked=ends),
+        DroppedCase("shapes: rigid base", on_base, soft(25.0, 0.3), asked=end_goals),
+        DroppedCase("shapes: plane stress", sheet_blocks, soft(30.0, 0.3), asked=end_goals),
+        DroppedCase("shapes: springs and a plate", plated, soft(30.0, 0.3), asked=end_goals),
         DroppedCase("shapes: two seams", two_seams, lambda e: {"LOW": soft(30.0, 0.3)(e), "HIGH": soft(10.0, 0.2)(e / 2)}),
         DroppedCase("free ends: a body expands", heated, soft(30.0, 0.3), asked=(moved,)),
-        DroppedCase("free ends: fixed moduli", bonded, of(young(3.0, 0.35), None), asked=ends),
-        DroppedCase("laws: plastic in time, free ends", free, of(YIELDING), step=STEP, asked=ends),
-        DroppedCase("laws: slips, free ends", free, of(SLIPPING), asked=ends),
-        DroppedCase("laws: as stiff as bodies, creeps", free, of(AS_STIFF), step=STEP, asked=ends),
-        DroppedCase("laws: plastic, free ends", free, of(YIELDING), asked=ends),
-        DroppedCase("laws: sublayers", channel, of(SUBLAYERS), asked=middle),
-        DroppedCase("laws: plies, hard outside", pressed, _plies(HARD, TENDER, HARD)),
-        DroppedCase("laws: plies, hard inside", pressed, _plies(TENDER, HARD, TENDER)),
-        DroppedCase("laws: fibres, pressed", pressed, of(FIBRES)),
-        DroppedCase("free ends: thin bodies", thin, soft(40.0, 0.3), asked=ends[:1]),
-        DroppedCase("between rollers: rubber", channel, of(Rubber.shear(20.0, 0.49)), asked=middle),
-        DroppedCase("laws: Norton, p = 3", channel, of(CREEPING), step=0.02, asked=middle),
-        DroppedCase("laws: Kelvin-Voigt", channel, of(KelvinVoigt(60.0, 40.0, 0.3, 0.5)), step=0.2, asked=middle),
-        DroppedCase("laws: Maxwell", channel, of(Maxwell(60.0, 40.0, 0.7, 1.5)), step=0.5, asked=middle),
+        DroppedCase("free ends: fixed moduli", bonded, of(young(3.0, 0.35), None), asked=end_goals),
+        DroppedCase("laws: plastic in time, free ends", free, of(YIELDING_LAW), step=STRAIN_STEP, asked=end_goals),
+        DroppedCase("laws: slips, free ends", free, of(SLIPPING_LAW), asked=end_goals),
+        DroppedCase("laws: as stiff as bodies, creeps", free, of(STIFF_NORTON), step=STRAIN_STEP, asked=end_goals),
+        DroppedCase("laws: plastic, free ends", free, of(YIELDING_LAW), asked=end_goals),
+        DroppedCase("laws: sublayers", channel, of(SUBLAYERS), asked=middle_goals),
+        DroppedCase("laws: plies, hard outside", steel_blocks, _plies(HARD_PLY, SOFT_PLY, HARD_PLY)),
+        DroppedCase("laws: plies, hard inside", steel_blocks, _plies(SOFT_PLY, HARD_PLY, SOFT_PLY)),
+        DroppedCase("laws: fibres, pressed", steel_blocks, of(FIBRE_LAW)),
+        DroppedCase("free ends: thin bodies", thin, soft(40.0, 0.3), asked=end_goals[:1]),
+        DroppedCase("between rollers: rubber", channel, of(Rubber.shear(20.0, 0.49)), asked=middle_goals),
+        DroppedCase("laws: Norton, p = 3", channel, of(CREEPING_LAW), step=0.02, asked=middle_goals),
+        DroppedCase("laws: Kelvin-Voigt", channel, of(KelvinVoigt(60.0, 40.0, 0.3, 0.5)), step=0.2, asked=middle_goals),
+        DroppedCase("laws: Maxwell", channel, of(Maxwell(60.0, 40.0, 0.7, 1.5)), step=0.5, asked=middle_goals),
         DroppedCase("shapes: rings", rings, of(LinearElastic(60.0, 40.0)), bodies="extended"),
         DroppedCase("shapes: tubes", tube, soft(30.0, 0.35)),
         DroppedCase("shapes: disc", disc, soft(30.0, 0.3)),
@@ -346,14 +346,14 @@ def random_case(seed: int) -> tuple[float, DroppedCase]:
     words = [type(ply).__name__ for ply in plies] + ["rollers"] * on_rollers + ["shrinks"] * (eigenstrain is not None)
 
     def mean(u: Expr, model: InterfaceModel) -> Expr:
-        along = fem.Constant(model.domain.mesh, np.array([0.6, 0.8]) / heights[1])
-        return ufl.inner(along, u) * model.ds(model.domain.values("RIGHT/UPPER"))
+        direction = fem.Constant(model.domain.mesh, np.array([0.6, 0.8]) / heights[1])
+        return ufl.inner(direction, u) * model.ds(model.domain.values("RIGHT/UPPER"))
 
     supports = CLAMPED | ({"LEFT": {"x": 0.0}} if on_rollers else {})
     blocks = partial(free_blocks, eps / 4, tuple(load), tuple(heights), h_S=ALONG, body=body, supports=supports)
     layer = ThinLayer(law, eps, eigenstrain=eigenstrain)
-    asked = goals.Compliance(), goals.Functional("mean displacement", mean)
-    return eps, DroppedCase(" ".join(words), lambda _: blocks(), lambda _: layer, asked=asked)
+    goals_asked = goals.Compliance(), goals.Functional("mean displacement", mean)
+    return eps, DroppedCase(" ".join(words), lambda _: blocks(), lambda _: layer, asked=goals_asked)
 
 
 def _random_ply(rng: np.random.Generator) -> LinearElastic | Anisotropic:
@@ -361,9 +361,9 @@ def _random_ply(rng: np.random.Generator) -> LinearElastic | Anisotropic:
     ply, d, stiff = young(10 ** rng.uniform(-1.0, 2.0), rng.uniform(0.0, 0.45)), rng.normal(size=3), rng.uniform(0.0, 2.0)
     if rng.random() < 0.5:
         return ply
-    along = np.array([d[i] * d[j] for i, j in VOIGT_PAIRS]) / (d @ d)  # strain along fibres, from Voigt's order
+    fibre_strain = np.array([d[i] * d[j] for i, j in VOIGT_PAIRS]) / (d @ d)  # strain along fibres, from Voigt's order
     lmbda, mu = ply.elastic_moduli()
-    C = np.diag([2.0 * mu] * 3 + [mu] * 3) + 10**stiff * np.outer(along, along)
+    C = np.diag([2.0 * mu] * 3 + [mu] * 3) + 10**stiff * np.outer(fibre_strain, fibre_strain)
     C[:3, :3] += lmbda
     return Anisotropic(C, "layer")
 

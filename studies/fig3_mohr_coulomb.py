@@ -31,11 +31,11 @@ from thinlayer.system.progress import track
 SIDE = 100.0  # mm
 EPS = 1.0  # mm
 GLUE = LinearElastic.young(E=30e3, nu=0.3)  # MPa
-OMEGA = 30.0
-H = 0.02  # elastic fraction of both models where the meshed layer is compared
+FRICTION_ANGLE = 30.0
+ELASTIC_FRACTION = 0.02  # elastic fraction of both models where the meshed layer is compared
 R_X, U_T_50 = 0.7760, 2.9706e-5  # N/mm and mm: loads R1 in one step, by an independent code
 R_X_REFINED = 0.792  # N/mm: by the same code with the pressure first, then the shear in many steps
-STEPS = (1, 5, 20, 80)
+STEP_COUNTS = (1, 5, 20, 80)
 ALL_YIELDS = "0.164 MPa along S, 0.0164 MPa onto it:\nyields all along S"
 END_YIELDS = "0.0164 MPa along S, 0.164 MPa onto it: yields at the left\n(free ends of the meshed layer: off the axes)"
 
@@ -56,7 +56,7 @@ class Loads:
     pressure: tuple[str, tuple[float, float]]
     shear: tuple[str, tuple[float, float]]
     supports: dict[str, dict[str, float]]
-    why: str
+    expected: str
     scale: float
     shown: tuple[float, float]
 
@@ -90,22 +90,22 @@ def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: 
     table = record.table("table.csv")
     for name, reading in readings.items():
         bar = YieldingBar(record, name, reading, coarse if quick else fine)
-        shown = {f"interface law, h = {h:g}": bar.solved(Structure.interface, h) for h in (0.0, H)}
-        shown[f"meshed layer, h = {H:g}"] = bar.solved(Structure.full, H)
-        for label, state in shown.items():
+        states = {f"interface law, h = {h:g}": bar.solved(Structure.interface, h) for h in (0.0, ELASTIC_FRACTION)}
+        states[f"meshed layer, h = {ELASTIC_FRACTION:g}"] = bar.solved(Structure.full, ELASTIC_FRACTION)
+        for label, state in states.items():
             table.extend({"loads": name, "model": label} | row for row in bar.profile(state))
-        bar.check(shown)
+        bar.check(states)
         title, picture = f"left end of a Mohr-Coulomb layer, loads {name}", record.path(f"layer_end_{name}.png")
         view = plotting.View(scale=reading.scale, unit="mm", zoom=(-2.0, 6.0, -1.6, 4.0))
-        plotting.deformed(dict([*shown.items()][1:]), view, save=picture, title=title)
+        plotting.deformed(dict([*states.items()][1:]), view, save=picture, title=title)
     if "R1" in readings:
         bar = YieldingBar(record, "R1", READINGS["R1"], coarsest if quick else coarse)
-        refine(record, bar, STEPS[: 3 if quick else None])
+        refine(record, bar, STEP_COUNTS[: 3 if quick else None])
 
 
 def glue(h: float) -> MohrCoulomb:
     """Mohr-Coulomb law of the glue of Fig. 2 with the elastic fraction h."""
-    return MohrCoulomb(GLUE.lmbda, GLUE.mu, cohesion=0.0, friction_angle=OMEGA, elastic_fraction=h)
+    return MohrCoulomb(GLUE.lmbda, GLUE.mu, cohesion=0.0, friction_angle=FRICTION_ANGLE, elastic_fraction=h)
 
 
 def meshed(sizes: tuple[float, float, float]) -> Joint:
@@ -128,19 +128,19 @@ class YieldingBar:
         self.joint = meshed(sizes)
         self.surface = Surface(self.model(Structure.interface, 0.0))
 
-    def model(self, kind: Callable[..., Model], h: float, **changed: Unpack[StructureArguments]) -> Model:
+    def model(self, make_model: Callable[..., Model], h: float, **changed: Unpack[StructureArguments]) -> Model:
         """Make a model of the bar.
 
         Args:
-            kind: `Structure.interface` or `Structure.full`.
+            make_model: `Structure.interface` or `Structure.full`.
             h: elastic fraction of the layer.
             changed: arguments of `Structure` that replace those of the reading.
         """
-        return kind(Structure(self.joint, **self.loads.setup | changed), ThinLayer(glue(h), EPS))
+        return make_model(Structure(self.joint, **self.loads.setup | changed), ThinLayer(glue(h), EPS))
 
-    def solved(self, kind: Callable[..., Model], h: float) -> State:
-        """Solve a model of the bar under all loads in one step; `kind` is `Structure.interface` or `Structure.full`."""
-        return self.record.solved(solve(self.model(kind, h)))
+    def solved(self, make_model: Callable[..., Model], h: float) -> State:
+        """Solve a model under all loads in one step; `make_model` is `Structure.interface` or `Structure.full`."""
+        return self.record.solved(solve(self.model(make_model, h)))
 
     def sheared(self, steps: int) -> State:
         """Solve the interface model with the pressure in one step and then the shear in this number of equal steps."""
@@ -157,8 +157,8 @@ class YieldingBar:
         (law,), surface = (layer.law for layer in state.model.layers.values()), self.surface
         x, u = surface.profile(surface.frame(surface.jump(state)))
         t = surface.profile(surface.frame(surface.traction(state)))[1]
-        moves = np.abs(u[:, 0]) > 0.1 * np.abs(u[:, 0]).max()
-        ratio = [float(t[k, 0] / u[k, 0]) if moves[k] else None for k in range(len(x))]
+        is_moving = np.abs(u[:, 0]) > 0.1 * np.abs(u[:, 0]).max()
+        ratio = [float(t[k, 0] / u[k, 0]) if is_moving[k] else None for k in range(len(x))]
         columns = {"h": law.parameters()["elastic_fraction"], "x_mm": x[:, 0], "u_T_mm": u[:, 0], "u_N_mm": u[:, 1]}
         return Table.of(columns | {"t_T_MPa": t[:, 0], "t_N_MPa": t[:, 1], "ratio": ratio})
 
@@ -166,13 +166,13 @@ class YieldingBar:
         """Integral over S of the tangential traction in a state, N/mm."""
         return self.surface.integral(self.surface.frame(self.surface.traction(state))[0])
 
-    def check(self, shown: dict[str, State]) -> None:
+    def check(self, states: dict[str, State]) -> None:
         """Check numbers against an independent code (R1), and the elastic ratio t_T/u_T where Fig. 3 shows it (R4m).
 
-        `shown` are the states of the models by label, the interface law without elastic fraction first.
+        `states` are the states of the models by label, the interface law without elastic fraction first.
         """
-        record, mu, limit = self.record, GLUE.mu / EPS, next(iter(shown.values()))
-        record.results[f"{self.name}: shear force on S, N/mm"] = {k: self.shear_force(s) for k, s in shown.items()}
+        record, mu, limit = self.record, GLUE.mu / EPS, next(iter(states.values()))
+        record.results[f"{self.name}: shear force on S, N/mm"] = {k: self.shear_force(s) for k, s in states.items()}
         record.check(f"{self.name}: Newton steps of the interface law, one load step", limit.report.iterations, high=7)
         profile = self.profile(limit)
         x, u, ratio = (profile[name] for name in ("x_mm", "u_T_mm", "ratio"))
@@ -183,8 +183,8 @@ class YieldingBar:
             record.check("R1: relative error of u_T at 50 mm, one load step", abs(error), high=1e-4)
             record.check("R1: largest t_T/u_T over mu", np.nanmax(ratio) / mu, high=0.5)
             return
-        elastic = np.nanmax(np.abs(ratio / mu - 1)[(x > 20) & (x < 90)])
-        record.check("R4m: |t_T/u_T / mu - 1| between 20 and 90 mm", elastic, high=1e-6)
+        elastic_error = np.nanmax(np.abs(ratio / mu - 1)[(x > 20) & (x < 90)])
+        record.check("R4m: |t_T/u_T / mu - 1| between 20 and 90 mm", elastic_error, high=1e-6)
         record.check_near("R4m: t_T/u_T at 50 mm, N/mm^3", float(np.interp(SIDE / 2, x, ratio)), mu, 1e-6)
         record.check("R4m: smallest t_T/u_T over mu", np.nanmin(ratio) / mu, high=0.99)
 
@@ -209,12 +209,12 @@ def refine(record: Record, bar: YieldingBar, counts: Sequence[int]) -> None:
 
 def draw(record: Record) -> None:
     """Draw the ratio t_T/u_T along S, from table.csv."""
-    parts, ranges = {}, {}
+    panels, ranges = {}, {}
     for name, of_loads in record.load("table.csv").split("loads").items():
-        title = f"{name}: {READINGS[name].why}"
+        title = f"{name}: {READINGS[name].expected}"
         lines = {model: (part["x_mm"], part["ratio"] / 1e3) for model, part in of_loads.split("model").items()}
         lines[f"elastic, mu/eps = {GLUE.mu / EPS / 1e3:.2f}"] = (np.array([0.0, SIDE]), np.full(2, GLUE.mu / EPS / 1e3))
-        parts[title], ranges[title] = lines, READINGS[name].shown
+        panels[title], ranges[title] = lines, READINGS[name].shown
     title = "Mohr-Coulomb layer, eps = 1 mm, C = 0, Omega = 30°, elastic fraction h: two readings of the loads"
-    look = {"title": title, "ylim": ranges, "save": record.path("ratio.svg")}
-    plotting.curves(parts, "x (mm); gaps: |u_T| below a tenth of its largest", "t_T / u_T (10^3 N/mm³)", **look)
+    style = {"title": title, "ylim": ranges, "save": record.path("ratio.svg")}
+    plotting.curves(panels, "x (mm); gaps: |u_T| below a tenth of its largest", "t_T / u_T (10^3 N/mm³)", **style)

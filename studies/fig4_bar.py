@@ -28,13 +28,13 @@ from thinlayer.time.journal import Observers
 
 BAR = formulas.Bar(l=1.0, K=2.0, kbar=3.0, alpha=1.2, cbar=0.9, eps=0.1)
 EPS = (BAR.eps, 0.05, 0.01, 0.0)  # thicknesses over the length of the bar; 0: the interface law
-END = 2.0  # largest prescribed displacement delta
+END_DELTA = 2.0  # largest prescribed displacement delta
 NAMES = ("delta_0", "delta_1", "up", "down", "loop_area")
-DIGITS = {BAR.eps: (1.2925, 1.6925, 1.7625, 1.2225, 0.275744680851), 0.0: (1.375, 1.775, 1.875, 1.275, 0.288)}
-AT = 1.6
-DIGITS_AT = {"U": 0.8575, "boundary": 0.23125 * BAR.eps * BAR.l, "energy": 1.5736875}
-BRANCHES = ((0.0, 1.25), (1.38, 1.65), (1.78, END))  # ranges of delta inside the straight parts, for all eps
-EXACT = 1e-9  # largest relative error against closed forms
+PRINTED_DIGITS = {BAR.eps: (1.2925, 1.6925, 1.7625, 1.2225, 0.275744680851), 0.0: (1.375, 1.775, 1.875, 1.275, 0.288)}
+DIGITS_DELTA = 1.6
+DIGITS_AT_DELTA = {"U": 0.8575, "boundary": 0.23125 * BAR.eps * BAR.l, "energy": 1.5736875}
+BRANCHES = ((0.0, 1.25), (1.38, 1.65), (1.78, END_DELTA))  # ranges of delta inside the straight parts, for all eps
+RTOL = 1e-9  # largest relative error against closed forms
 
 
 def run(record: Record, *, quick: bool = False) -> None:
@@ -73,8 +73,8 @@ class Strip:
 
     def _model(self, bar: formulas.Bar, law: type[Phases]) -> Model:
         material = law(0.0, bar.kbar / bar.l / 2, bar.alpha, bar.l * bar.cbar, np.diag([0.0, 1.0]))
-        moves = piecewise({0: 0, END: END, 2 * END: 0})
-        supports: dict[str, Support] = {"LEFT": {"x": 0}, "RIGHT": {"x": 0}, "TOP": {"x": 0, "y": moves}}
+        displacement = piecewise({0: 0, END_DELTA: END_DELTA, 2 * END_DELTA: 0})
+        supports: dict[str, Support] = {"LEFT": {"x": 0}, "RIGHT": {"x": 0}, "TOP": {"x": 0, "y": displacement}}
         layer = ThinLayer(material, (bar.eps or BAR.eps) * bar.l, at=1.0)  # the interface law does not depend on eps
         structure = Structure(self.joint, body=LinearElastic(0.0, bar.K / 2), supports=supports, element="Q1")
         return structure.full(layer, bodies="extended", cells_through=3) if bar.eps else structure.interface(layer)
@@ -88,7 +88,7 @@ class Strip:
             law: law of the layer, with relaxed or with pure phases.
             steps: number of equal steps in each direction.
         """
-        model, times = self._model(self.bar, law), [END * k / steps for k in range(1, 2 * steps + 1)]
+        model, times = self._model(self.bar, law), [END_DELTA * k / steps for k in range(1, 2 * steps + 1)]
         measured: Observers = {
             "U": lambda state: self.surface.integral(self.surface.jump(state)[1]),
             "sigma": lambda state: state.reaction("TOP").force[1],
@@ -115,7 +115,7 @@ class Strip:
         if bar.eps:
             curves["boundary"] = history.table["boundary"]
         errors = [np.abs(curves[name] - values).max() / (values.max() or 1) for name, values in exact.items()]
-        self.record.check(f"{self}: relative error of {', '.join(exact)}, relaxed law", max(errors), high=EXACT)
+        self.record.check(f"{self}: relative error of {', '.join(exact)}, relaxed law", max(errors), high=RTOL)
         columns = curves | {f"{name}_exact": values for name, values in exact.items()}
         up = slice(len(rows) // 2 + 1)
         return Table.of({"eps": bar.eps, "delta": delta[up], **{name: column[up] for name, column in columns.items()}})
@@ -126,15 +126,15 @@ class Strip:
         With relaxed phases these are the ends of the mixture's branch, with pure phases the snaps up and down.
         """
         delta, sigma = moved(relaxed.t), relaxed.table["sigma"]
-        first, mixed, last = (straight(delta, sigma, (delta >= low) & (delta <= high)) for low, high in BRANCHES)
+        line_0, mixed, line_1 = (regression(delta, sigma, (delta >= low) & (delta <= high)) for low, high in BRANCHES)
         up, down = moved(np.array([snap.t for snap in unrelaxed.snaps]))
         lost = [snap.lost for snap in unrelaxed.snaps]
-        thresholds = dict(zip(NAMES, (meet(first, mixed), meet(mixed, last), up, down, sum(lost)), strict=True))
+        thresholds = dict(zip(NAMES, (meet(line_0, mixed), meet(mixed, line_1), up, down, sum(lost)), strict=True))
         error = max(abs(value / getattr(self.bar, name) - 1) for name, value in thresholds.items())
-        self.record.check(f"{self}: relative error of {', '.join(thresholds)}", error, high=EXACT)
+        self.record.check(f"{self}: relative error of {', '.join(thresholds)}", error, high=RTOL)
         area = float(np.trapezoid(unrelaxed.table["sigma"], moved(unrelaxed.t)))
-        self.record.check_near(f"{self}: area of the loop, force over delta", area, self.bar.loop_area, EXACT)
-        self.record.check_near(f"{self}: energy lost in the first snap over half of it", 2 * lost[0] / area, 1.0, EXACT)
+        self.record.check_near(f"{self}: area of the loop, force over delta", area, self.bar.loop_area, RTOL)
+        self.record.check_near(f"{self}: energy lost in the first snap over half of it", 2 * lost[0] / area, 1.0, RTOL)
         return {"eps": self.bar.eps} | thresholds
 
     def __str__(self) -> str:
@@ -148,34 +148,34 @@ def check_energies(record: Record, strip: Strip, relaxed: History, unrelaxed: Hi
     """
     bar, delta, energy = strip.bar, moved(unrelaxed.t), unrelaxed.table["energy"]
     excess = energy - bar.layouts(delta, 1).least().energy
-    record.check(f"{strip}: energy of a local minimum less the least one, smallest", excess.min(), low=-EXACT)
-    record.check_near(f"{strip}: the same, largest: half of the loop", excess.max(), bar.loop_area / 2, EXACT)
-    over = bar.layouts(moved(relaxed.t), 1).least().energy - relaxed.table["energy"]
-    record.check(f"{strip}: the least one less the relaxed one", over.min(), low=-EXACT)
+    record.check(f"{strip}: energy of a local minimum less the least one, smallest", excess.min(), low=-RTOL)
+    record.check_near(f"{strip}: the same, largest: half of the loop", excess.max(), bar.loop_area / 2, RTOL)
+    excess_relaxed = bar.layouts(moved(relaxed.t), 1).least().energy - relaxed.table["energy"]
+    record.check(f"{strip}: the least one less the relaxed one", excess_relaxed.min(), low=-RTOL)
 
 
 def check_digits(record: Record, table: Table, limit: Table) -> None:
     """Check known numbers of the bar, that its thresholds are linear in eps, and that U as printed is wrong."""
-    for eps, digits in DIGITS.items():
+    for eps, digits in PRINTED_DIGITS.items():
         for name, value in zip(NAMES, digits, strict=True):
-            record.check_near(f"{name} of the bar, eps = {eps:g}", limit[name][EPS.index(eps)], value, EXACT)
-    at = np.flatnonzero((table["eps"] == BAR.eps) & np.isclose(table["delta"], AT))[0]
-    for name, value in DIGITS_AT.items():
-        record.check_near(f"{name} at delta = {AT:g}", table[name][at], value, EXACT)
+            record.check_near(f"{name} of the bar, eps = {eps:g}", limit[name][EPS.index(eps)], value, RTOL)
+    at = np.flatnonzero((table["eps"] == BAR.eps) & np.isclose(table["delta"], DIGITS_DELTA))[0]
+    for name, value in DIGITS_AT_DELTA.items():
+        record.check_near(f"{name} at delta = {DIGITS_DELTA:g}", table[name][at], value, RTOL)
     first = (table["eps"] == BAR.eps) & (table["delta"] > 0) & (table["delta"] < BAR.delta_0)
     printed = BAR.K * table["delta"] * BAR.R / (1 - BAR.eps)  # before Eq. (47)
     record.check("U before delta_0: printed over computed", (printed[first] / table["U"][first]).min(), low=4.0)
     for name in NAMES[:4]:
         slopes = (limit[name][:-1] - limit[name][-1]) / limit["eps"][:-1]
-        record.check_near(f"{name}: slope in eps, largest over smallest", slopes.max() / slopes.min(), 1.0, EXACT)
+        record.check_near(f"{name}: slope in eps, largest over smallest", slopes.max() / slopes.min(), 1.0, RTOL)
 
 
 def moved(t: Array) -> Array:
     """Prescribed displacement delta of the end at times t of a march up and down."""
-    return END - np.abs(t - END)
+    return END_DELTA - np.abs(t - END_DELTA)
 
 
-def straight(x: Array, y: Array, inside: BoolArray) -> Array:
+def regression(x: Array, y: Array, inside: BoolArray) -> Array:
     """Slope and value at x = 0 of the line fitted to those of the points (x, y) where `inside` is true."""
     return np.polyfit(x[inside], y[inside], 1)
 
@@ -187,9 +187,9 @@ def meet(a: Array, b: Array) -> float:
 
 # ---------------------------------------------------------------- pictures
 CUTS = (1.0, 1.6, 2.0)  # delta of the three intersections
-ELEMENTS = 8
+N_ELEMENTS = 8
 ENERGY, FORCE = "energy of the layer", "force"  # panels
-FINE = np.linspace(0.0, END, 401, dtype=np.float64)
+DELTAS = np.linspace(0.0, END_DELTA, 401, dtype=np.float64)
 
 
 def draw(record: Record) -> None:
@@ -201,40 +201,40 @@ def draw(record: Record) -> None:
 
 def draw_energies(record: Record, relaxed: Table) -> None:
     """Draw energies of the layer over its elongation, as in Fig. 4, and their slopes together with the bar's force."""
-    U = np.linspace(0, 1.35, len(FINE), dtype=np.float64)
-    (_, pure, _), (force, envelope, _) = BAR.layer(U, 0), BAR.layer(U, 1)
-    first = BAR.kbar / BAR.l * U**2 / 2
-    second = first - BAR.alpha * U + BAR.l * BAR.cbar
-    slope = BAR.kbar / BAR.l * U - np.where(first < second, 0.0, BAR.alpha)
-    bodies = {f"body, delta = {delta:g}": (U, BAR.K / (BAR.l * (1 - BAR.eps)) * (delta - U)) for delta in CUTS}
+    U = np.linspace(0, 1.35, len(DELTAS), dtype=np.float64)
+    (_, least_energy, _), (force, envelope, _) = BAR.layer(U, 0), BAR.layer(U, 1)
+    phase_0 = BAR.kbar / BAR.l * U**2 / 2
+    phase_1 = phase_0 - BAR.alpha * U + BAR.l * BAR.cbar
+    layer_force = BAR.kbar / BAR.l * U - np.where(phase_0 < phase_1, 0.0, BAR.alpha)
+    body_lines = {f"body, delta = {delta:g}": (U, BAR.K / (BAR.l * (1 - BAR.eps)) * (delta - U)) for delta in CUTS}
     at = np.isclose(relaxed["delta"][:, None], CUTS).any(axis=1)
     computed = f"computed, eps = {BAR.eps:g}"
     envelope_of, phases = "CW_min, convex envelope", ("W_1, phase 0", "W_2, phase 1")
-    of_layer = zip((*phases, "W_min", envelope_of), (first, second, pure, envelope), strict=True)
+    of_layer = zip((*phases, "W_min", envelope_of), (phase_0, phase_1, least_energy, envelope), strict=True)
     energies = {name: (U, y) for name, y in of_layer}
-    forces = {"W_min": (U, slope), envelope_of: (U, force), **bodies}
+    forces = {"W_min": (U, layer_force), envelope_of: (U, force), **body_lines}
     forces[computed] = relaxed["U"][at], relaxed["sigma"][at]
     panels, units = {ENERGY: energies, FORCE: forces}, {ENERGY: "over K l²/2", FORCE: "over K l/2"}
     styles, limits = ("--", "--", "-", "-", ":", ":", ":", "o"), {ENERGY: (0.0, 2.2), FORCE: (0.0, 3.2)}
-    look = {"styles": styles, "colours": {"W_min": "0.6", envelope_of: "black", computed: "black"}, "ylim": limits}
-    plotting.curves(panels, "U, elongation of the layer, over l", units, save=record.path("energies.svg"), **look)
+    style = {"styles": styles, "colours": {"W_min": "0.6", envelope_of: "black", computed: "black"}, "ylim": limits}
+    plotting.curves(panels, "U, elongation of the layer, over l", units, save=record.path("energies.svg"), **style)
 
 
 def draw_response(record: Record, relaxed: Table, loop: Table) -> None:
     """Draw force over displacement: least energy, the loop of pure phases, and all equilibria of eight elements."""
-    states = BAR.layouts(FINE, ELEMENTS)
+    states = BAR.layouts(DELTAS, N_ELEMENTS)
     equilibria = np.where(states.local, states.sigma, np.nan)
     equilibria[-1] = np.nan  # a gap between the lines
-    delta = np.array([[0.0, BAR.up], [BAR.down, END]])
-    kept = np.array([BAR.branch(ends, phase).sigma for phase, ends in enumerate(delta)])
+    delta = np.array([[0.0, BAR.up], [BAR.down, END_DELTA]])
+    pure_force = np.array([BAR.branch(ends, phase).sigma for phase, ends in enumerate(delta)])
     lost = ", ".join(f"{energy:.4f}" for energy in loop["lost"][~np.isnan(loop["lost"])])
-    everything = f"pure phases in {ELEMENTS} elements, all equilibria"
-    computed = f"the same, computed; energies lost in snaps: {lost}"
-    lines: Curves = {everything: (np.tile(FINE, equilibria.shape[1]), equilibria.T.ravel())}
-    lines["least energy, closed form"] = FINE, BAR.sigma(FINE)
+    all_label = f"pure phases in {N_ELEMENTS} elements, all equilibria"
+    run_label = f"the same, computed; energies lost in snaps: {lost}"
+    lines: Curves = {all_label: (np.tile(DELTAS, equilibria.shape[1]), equilibria.T.ravel())}
+    lines["least energy, closed form"] = DELTAS, BAR.sigma(DELTAS)
     lines["relaxed law, computed"] = relaxed["delta"], relaxed["sigma"]
-    lines["one phase, kept while it holds, closed form"] = np.insert(delta, 2, np.nan), np.insert(kept, 2, np.nan)
-    lines[computed] = loop["delta"], loop["sigma"]
+    lines["one phase, kept while it holds, closed form"] = np.insert(delta, 2, np.nan), np.insert(pure_force, 2, np.nan)
+    lines[run_label] = loop["delta"], loop["sigma"]
     labels, save = ("delta, displacement of the end, over l", "sigma, force, over K l/2"), record.path("response.svg")
-    look = {"styles": ("-", "-", "o", "-", "s--"), "colours": {everything: "0.75", computed: "black"}, "save": save}
-    plotting.curves(lines, *labels, title="a bar on a layer of two phases: pure ones snap", **look)
+    style = {"styles": ("-", "-", "o", "-", "s--"), "colours": {all_label: "0.75", run_label: "black"}, "save": save}
+    plotting.curves(lines, *labels, title="a bar on a layer of two phases: pure ones snap", **style)

@@ -15,12 +15,12 @@ from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 
 EPS = 0.1  # mm
-SOFTER, HARDER = (LinearElastic.shear(mu=mu, nu=0.3) for mu in (7.5e3, 10e3))  # MPa
-GLUE = Stack((0.5, SOFTER), (0.5, HARDER))
+SOFT_LAW, HARD_LAW = (LinearElastic.shear(mu=mu, nu=0.3) for mu in (7.5e3, 10e3))  # MPa
+GLUE = Stack((0.5, SOFT_LAW), (0.5, HARD_LAW))
 K_T = 1 / (0.5 * EPS / 7.5e3 + 0.5 * EPS / 10e3)  # N/mm^3: compliances add
 WIDTH = HEIGHT = 40.0  # mm
-INNER = (6.0, 30.0)  # mm: away from the ends of the layer, whose influence decays over a few mm
-PLACE = 10.0  # mm, where the deviation is followed as eps -> 0
+INNER_RANGE = (6.0, 30.0)  # mm: away from the ends of the layer, whose influence decays over a few mm
+POINT_X = 10.0  # mm, where the deviation is followed as eps -> 0
 
 
 def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: bool = False) -> None:
@@ -40,18 +40,22 @@ def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: 
     record.write("table.csv", Table.of({"x_mm": x, "ratio_band": ratio_band, "ratio_interface": ratio_interface}))
     states, title = {f"meshed layer, eps = {EPS:g} mm": full, "interface law": bar.limit}, "bar on a stratified layer"
     plotting.deformed(states, plotting.View(unit="mm"), save=record.path("deformed.png"), title=title)
-    end = plotting.View(unit="mm", scale=100, zoom=(-0.15, 0.65, -0.15, 0.45))
-    plotting.deformed(states, end, save=record.path("layer_end.png"), title=f"{title}: its free end")
+    end_view = plotting.View(unit="mm", scale=100, zoom=(-0.15, 0.65, -0.15, 0.45))
+    plotting.deformed(states, end_view, save=record.path("layer_end.png"), title=f"{title}: its free end")
 
     deviation = _deviation(record, bar, sorted(eps, reverse=True))
-    inner = (x >= INNER[0]) & (x <= INNER[1])
-    for model, ratio, near in (("meshed layer", ratio_band, 1e-3), ("interface law", ratio_interface, 1e-6)):
-        worst = np.abs(ratio[inner] / K_T - 1).max()
-        record.check(f"largest |t_T/u_T / K_T - 1| of the {model}, x in {INNER} mm", worst, high=near)
-        record.check_near(f"t_T/u_T of the {model} at {PLACE:g} mm, N/mm^3", np.interp(PLACE, x, ratio), K_T, near)
+    is_inner = (x >= INNER_RANGE[0]) & (x <= INNER_RANGE[1])
+    for model, ratio, tolerance in (("meshed layer", ratio_band, 1e-3), ("interface law", ratio_interface, 1e-6)):
+        max_error = np.abs(ratio[is_inner] / K_T - 1).max()
+        record.check(f"largest |t_T/u_T / K_T - 1| of the {model}, x in {INNER_RANGE} mm", max_error, high=tolerance)
+        record.check_near(
+            f"t_T/u_T of the {model} at {POINT_X:g} mm, N/mm^3", np.interp(POINT_X, x, ratio), K_T, tolerance
+        )
     if len(eps) > 1:
-        last = deviation["order_moduli_held"][-1]
-        record.check(f"last observed order of the deviation at {PLACE:g} mm, moduli held", last, low=0.9, high=1.1)
+        last_order = deviation["order_moduli_held"][-1]
+        record.check(
+            f"last observed order of the deviation at {POINT_X:g} mm, moduli held", last_order, low=0.9, high=1.1
+        )
 
 
 class StratifiedBar:
@@ -81,13 +85,13 @@ class StratifiedBar:
         surface = self.surface
         x, u = surface.profile(surface.frame(surface.jump(state)))
         _, t = surface.profile(surface.frame(surface.reaction(state)))
-        free = x[:, 0] < WIDTH - 1.0
-        return x[free, 0], t[free, 0] / u[free, 0]
+        is_free = x[:, 0] < WIDTH - 1.0
+        return x[is_free, 0], t[is_free, 0] / u[is_free, 0]
 
     def deviation(self, layer: ThinLayer, k_t: float) -> float:
         """Relative deviation of the ratio t_T/u_T of a meshed layer from `k_t` at x = 10 mm."""
         x, ratio = self.stiffness(self.full(layer))
-        return float(np.interp(PLACE, x, ratio) / k_t - 1)
+        return float(np.interp(POINT_X, x, ratio) / k_t - 1)
 
 
 def _deviation(record: Record, bar: StratifiedBar, eps: Sequence[float]) -> Table:
@@ -109,6 +113,6 @@ def draw(record: Record) -> None:
     lines = {"meshed layer": (x, table["ratio_band"] / 1e3), "interface law": (x[::8], law[::8])}
     lines[f"harmonic mean, {K_T / 1e3:.2f}"] = x, 0 * x + K_T / 1e3
     lines["arithmetic mean, 87.50"] = x, 0 * x + (7.5 + 10) / 2 / EPS
-    title, along = "two sublayers: their stiffness is the harmonic mean", "x (mm), from the free end to the held one"
-    look = {"title": title, "styles": ("-", "o", "--", ":"), "ylim": (82, 90), "save": record.path("ratio.svg")}
-    plotting.curves(lines, along, "t_T / u_T (10^3 N/mm³)", **look)
+    title, x_label = "two sublayers: their stiffness is the harmonic mean", "x (mm), from the free end to the held one"
+    style = {"title": title, "styles": ("-", "o", "--", ":"), "ylim": (82, 90), "save": record.path("ratio.svg")}
+    plotting.curves(lines, x_label, "t_T / u_T (10^3 N/mm³)", **style)

@@ -14,11 +14,11 @@ from thinlayer.running.record import Record
 
 FRICTION = 1.0
 N = 31  # squares along AB: 32 nodes with the fixed corner B
-STIFFNESS = ((15e8, 5e8), (15e4, 5e4), (15.0, 5.0))  # lmbda, mu per thickness, N/mm^3
-COUNTS = ((3, 15, 13), (2, 14, 15), (0, 0, 31))  # separated, sliding, stick; the paper counts B among the last 31
+MODULI = ((15e8, 5e8), (15e4, 5e4), (15.0, 5.0))  # lmbda, mu per thickness, N/mm^3
+PRINTED = ((3, 15, 13), (2, 14, 15), (0, 0, 31))  # separated, sliding, stick; the paper counts B among the last 31
 LEVELS = "separated", "sliding", "stick", "pinned"
-STATUS, MOVED = "status of the nodes (Fig. 7)", "tangential displacement (mm, Fig. 8)"
-PANELS = {"pressure (MPa)": "p_MPa", "friction (MPa)": "t_MPa", MOVED: "u_T_mm"}
+STATUS, DISPLACEMENT = "status of the nodes (Fig. 7)", "tangential displacement (mm, Fig. 8)"
+PANELS = {"pressure (MPa)": "p_MPa", "friction (MPa)": "t_MPa", DISPLACEMENT: "u_T_mm"}
 U_A = (1.456232e-2, 1.458569e-2, 4.094504e-2)  # mm, u_T at A from an independent code on the same mesh
 
 
@@ -31,7 +31,7 @@ def run(record: Record) -> None:
     reports = {}
     for n in (N, N + 1):
         joint, setup = sliding_bar(n)
-        for pair in STIFFNESS:
+        for pair in MODULI:
             law = HolonomicCoulomb.of_layer(*pair, friction=FRICTION)
             state = record.solved(solve(Structure(joint, **setup).interface(law)))
             reports[n, pair] = Surface(state.model).contact(state)
@@ -39,15 +39,15 @@ def run(record: Record) -> None:
     table = record.table("table.csv")
     counts = [{"squares": n, "lmbda": pair[0], **report.counts} for (n, pair), report in reports.items()]
     record.results["counts"] = counts
-    for (lmbda, mu), expected, u_a in zip(STIFFNESS, COUNTS, U_A, strict=True):
+    for (lmbda, mu), expected, u_a in zip(MODULI, PRINTED, U_A, strict=True):
         report, stiffness = reports[N, (lmbda, mu)], f"λ, μ = {lmbda:.3g}, {mu:.3g} N/mm³"
         nodes = ({column: row[name] for column, name in names.items()} for row in report.table)
         table.extend({"lmbda": lmbda, "mu": mu, **node} for node in nodes)
         for name, count in zip(LEVELS[:3], expected, strict=True):
             record.check(f"{stiffness}: {name} nodes, {count} expected", report.counts[name], low=count, high=count)
         record.check_near(f"{stiffness}: u_T at A, mm", float(report.u_T[0, 0]), u_a, 1e-6)
-        beyond = (np.linalg.norm(report.t_T, axis=1) - FRICTION * report.p).max() / report.p.max()
-        record.check(f"{stiffness}: largest (|t_T| - f p) / p", beyond, high=1e-12)
+        excess = (np.linalg.norm(report.t_T, axis=1) - FRICTION * report.p).max() / report.p.max()
+        record.check(f"{stiffness}: largest (|t_T| - f p) / p", excess, high=1e-12)
         record.check(f"{stiffness}: equilibrium", report.equilibrium, high=1e-9)
         record.check(f"{stiffness}: Clapeyron", report.clapeyron, high=1e-9)
         near = max(abs(reports[N + 1, (lmbda, mu)].counts[name] - count) for name, count in report.counts.items())
@@ -56,8 +56,8 @@ def run(record: Record) -> None:
 
 def in_tens(lmbda: float) -> str:
     """Text for pictures with the stiffness lmbda = 3 mu of the layer, 15 times a power of ten, N/mm^3."""
-    tens = round(math.log10(lmbda / 15))
-    return f"lambda = 3 mu = 15{f'·10^{tens}' if tens else ''} N/mm³"
+    exponent = round(math.log10(lmbda / 15))
+    return f"lambda = 3 mu = 15{f'·10^{exponent}' if exponent else ''} N/mm³"
 
 
 def draw(record: Record) -> None:

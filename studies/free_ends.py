@@ -31,16 +31,16 @@ from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 from thinlayer.system.table import Table
 
-RATIOS = (0.0, 0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.475, 0.49, 0.499, 0.4999, 0.5)  # Poisson's ratios
-ROWS = 17  # number of rows of the package's table
+POISSON_RATIOS = (0.0, 0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.475, 0.49, 0.499, 0.4999, 0.5)  # Poisson's ratios
+N_TABLE_ROWS = 17  # number of rows of the package's table
 EPS = (1 / 16, 1 / 32, 1 / 64, 1 / 128)
 CELLS = 24  # per thickness, through it and near the ends: with 12 the mesh's own error is of order 1.5 at nu = 0.45
 CELLS_3D, CELLS_RUBBER = 8, 12
 CORRECTED, IGNORED = "known", "ignored"  # treatment of ends; laws that ignore them treat the layer as infinite
-KINDS = {CORRECTED: "free", IGNORED: "plain"}
-WHAT = ("traction", "jump", "work")
-DRAWN = ("c_N", "rho_N", "m_N/c_N", "c_T", "m_T/c_T", "kappa")
-H, H_S = 1 / 8, 1 / 32  # cell sizes
+EDGE_OPTIONS = {CORRECTED: "free", IGNORED: "plain"}
+QUANTITIES = ("traction", "jump", "work")
+DRAWN_CONSTANTS = ("c_N", "rho_N", "m_N/c_N", "c_T", "m_T/c_T", "kappa")
+CELL_SIZE, H_S = 1 / 8, 1 / 32  # cell sizes
 CONTRASTS = (10.0, 20.0, MIN_STIFFNESS_CONTRAST, 80.0, 400.0)  # Young's modulus of the bodies over mu of the layer
 SOFT_RATIOS, SOFT_EPS = (0.0, 0.3, 0.45), (1 / 16, 1 / 64)  # Poisson's ratios of elastic layers, thicknesses
 UNEQUAL = {"LOWER": LinearElastic.young(E=20.0, nu=0.2), "UPPER": FOURIER_BODY}
@@ -67,7 +67,7 @@ class EndCase:
     law: BulkLaw
     inner: Callable[[Expr], Expr] = lambda x: abs(x[0] - 0.5) < 0.25
     lowest: float = 1.9
-    low: Sequence[str] = WHAT
+    low: Sequence[str] = QUANTITIES
 
     @property
     def file(self) -> str:
@@ -83,8 +83,8 @@ def _unequal(eps: float, cells: float) -> Structure:
     return free_blocks(eps / cells, lambda x, t: (-0.6, 1 + x[0]), (0.3, 0.6), body=UNEQUAL)
 
 
-def _based(eps: float, cells: float) -> Structure:
-    joint = block(1.0, 0.5, h=H, h_S=H_S, h_ends=eps / cells, cell="quadrilateral")
+def _on_base(eps: float, cells: float) -> Structure:
+    joint = block(1.0, 0.5, h=CELL_SIZE, h_S=H_S, h_ends=eps / cells, cell="quadrilateral")
     return loaded(joint, (1.0, -0.2), supports={})
 
 
@@ -92,7 +92,7 @@ CASES = (
     EndCase("equal blocks", _blocks, LinearElastic.shear(40.0, 0.3)),
     EndCase("equal blocks, nu = 0.45", _blocks, LinearElastic.shear(8.0, 0.45)),
     EndCase("unequal blocks, nu = 0.45", _unequal, LinearElastic.shear(1.6, 0.45)),
-    EndCase("rigid base, sheared", _based, LinearElastic.shear(8.0, 0.3)),
+    EndCase("rigid base, sheared", _on_base, LinearElastic.shear(8.0, 0.3)),
 )
 RUBBER_LAWS = {0.45: Rubber.shear(40.0, 0.45), 0.5: Incompressible(40.0)}  # by Poisson's ratio
 RUBBER = [EndCase(f"rubber, nu = {nu:g}", _blocks, law, lowest=1.6, low=("jump",)) for nu, law in RUBBER_LAWS.items()]
@@ -125,7 +125,7 @@ def edge(eps: float, cells: float, cell: str = "hexahedron") -> Structure:
         cells: number of cells per thickness near the edge.
         cell: "hexahedron" or "tetrahedron".
     """
-    places = graded(1.0, eps / cells, H), graded(0.5, 2 * eps / cells, H), np.arange(4) / 3
+    places = graded(1.0, eps / cells, CELL_SIZE), graded(0.5, 2 * eps / cells, CELL_SIZE), np.arange(4) / 3
     joint, pi = grid(*places, cell=cell), ufl.pi
 
     def load(x: Expr, t: Expr) -> list[Expr]:
@@ -140,7 +140,7 @@ EDGE = EndCase("edge in 3D", edge, LinearElastic.shear(8.0, 0.3), inner=lambda x
 
 
 # ---------------------------------------------------------------- errors
-def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) -> None:
+def run(record: Record, *, nu: Sequence[float] = POISSON_RATIOS, quick: bool = False) -> None:
     """Compute the constants of free ends, compare them with the package's table, and measure errors of laws of order 1.
 
     Args:
@@ -154,13 +154,13 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
         table.append(_row(end) | {"from_table": _difference(end)})
     record.check("largest difference from the package's table", np.nanmax(table["from_table"]), high=1e-8)
     if quick:
-        _rates(record, CASES[:1], EPS[:2], CELLS // 2)
+        _check_rates(record, CASES[:1], EPS[:2], CELLS // 2)
     else:
-        _nodes(record)
-        _rates(record, CASES, EPS, CELLS)
-        _rates(record, [EDGE], EPS[:2], CELLS_3D)
-    _rates(record, RUBBER, EPS[:2] if quick else EPS, CELLS_RUBBER)
-    _contrasts(record, SOFT_RATIOS[::2] if quick else SOFT_RATIOS, SOFT_EPS[:1] if quick else SOFT_EPS)
+        _check_table(record)
+        _check_rates(record, CASES, EPS, CELLS)
+        _check_rates(record, [EDGE], EPS[:2], CELLS_3D)
+    _check_rates(record, RUBBER, EPS[:2] if quick else EPS, CELLS_RUBBER)
+    _check_contrasts(record, SOFT_RATIOS[::2] if quick else SOFT_RATIOS, SOFT_EPS[:1] if quick else SOFT_EPS)
 
 
 def _row(end: FreeEnd) -> dict[str, float]:
@@ -177,10 +177,10 @@ def _difference(end: FreeEnd) -> float:
     return max(abs(a / b - 1) for a, b in pairs if 0 < b < math.inf)
 
 
-def _nodes(record: Record) -> None:
+def _check_table(record: Record) -> None:
     """Compute the rows of the package's table of constants, write them in its format, and check the table."""
     table = record.table("nodes.csv")
-    for ratio in track(list(chebyshev_ratios(ROWS)), "free_ends", "row of the table, nu = {:g}"):
+    for ratio in track(list(chebyshev_ratios(N_TABLE_ROWS)), "free_ends", "row of the table, nu = {:g}"):
         end = half_strip(float(ratio))
         table.append({name: getattr(end, name) for name in TABLE_COLUMNS})
     reference = shipped_table()
@@ -201,12 +201,12 @@ def _errors(record: Record, case: EndCase, cells: int, eps: float) -> dict[str, 
     """
     structure, row, law = case.structure(eps, cells), {"eps": eps}, case.law
     full = record.solved(solve(structure.full(ThinLayer(law, eps, at=1.0), cells_through=cells)))
-    for kind, edges in KINDS.items():
+    for treatment, edges in EDGE_OPTIONS.items():
         with warnings.catch_warnings(action="ignore", category=RangeWarning):  # says that ends are ignored
             limit = record.solved(solve(structure.interface(ThinLayer(law, eps, order=1, edges=edges, at=1.0))))
-        row[_column("traction", kind)] = by_reaction(full, limit, case.inner)["error_reaction"]
-        row[_column("jump", kind)] = compare(full, limit, where=case.inner)["error_jump"]
-        row[_column("work", kind)] = abs(_work_on_top(limit) / _work_on_top(full) - 1)
+        row[_column("traction", treatment)] = by_reaction(full, limit, case.inner)["error_reaction"]
+        row[_column("jump", treatment)] = compare(full, limit, where=case.inner)["error_jump"]
+        row[_column("work", treatment)] = abs(_work_on_top(limit) / _work_on_top(full) - 1)
     return row
 
 
@@ -220,11 +220,11 @@ def _work_on_top(state: State) -> float:
     return state.integral(top.external_work(state.u, state.t))
 
 
-def _column(what: str, kind: str) -> str:
-    return f"error_{what}" + ("" if kind == CORRECTED else f", {kind}")
+def _column(quantity: str, treatment: str) -> str:
+    return f"error_{quantity}" + ("" if treatment == CORRECTED else f", {treatment}")
 
 
-def _rates(record: Record, cases: Sequence[EndCase], sizes: Sequence[float], cells: int) -> None:
+def _check_rates(record: Record, cases: Sequence[EndCase], sizes: Sequence[float], cells: int) -> None:
     """Write the errors of structures with free ends for decreasing thickness, and check their rates of convergence.
 
     Args:
@@ -236,10 +236,10 @@ def _rates(record: Record, cases: Sequence[EndCase], sizes: Sequence[float], cel
     rows = Table()
     for case in cases:
         table = record.sweep(partial(_errors, record, case, cells), sizes, case.file)
-        for kind in KINDS:
-            errors = {what: float(table[_column(what, kind)][-1]) for what in WHAT}
-            orders = {what: last_order(table, _column(what, kind)) for what in WHAT}
-            for what in WHAT if kind == CORRECTED else case.low:
+        for kind in EDGE_OPTIONS:
+            errors = {what: float(table[_column(what, kind)][-1]) for what in QUANTITIES}
+            orders = {what: last_order(table, _column(what, kind)) for what in QUANTITIES}
+            for what in QUANTITIES if kind == CORRECTED else case.low:
                 bounds = {"low": case.lowest} if kind == CORRECTED else {"high": 1.3}
                 record.check(f"{case.name}, ends {kind}: last order of the {what}", orders[what], **bounds)
             orders = {f"order of {what}": order for what, order in orders.items()}
@@ -247,7 +247,7 @@ def _rates(record: Record, cases: Sequence[EndCase], sizes: Sequence[float], cel
     record.say(rows)
 
 
-def _contrasts(record: Record, ratios: Sequence[float], thicknesses: Sequence[float]) -> None:
+def _check_contrasts(record: Record, ratios: Sequence[float], thicknesses: Sequence[float]) -> None:
     """Write the factors by which the correction of ends changes errors, for bodies not much stiffer than the layer.
 
     The package refuses the correction if the bodies' Young's modulus over the layer's shear modulus is below
@@ -263,31 +263,31 @@ def _contrasts(record: Record, ratios: Sequence[float], thicknesses: Sequence[fl
     def row(nu: float, eps: float, contrast: float) -> dict[str, float]:
         soft = EndCase("", _blocks, LinearElastic.shear(100.0 / contrast, nu).scaled(1 / eps))  # E of the blocks is 100
         errors = _errors(record, soft, CELLS_RUBBER, eps)
-        corrected, ignored = ({what: errors[_column(what, kind)] for what in WHAT} for kind in KINDS)
-        factors = {f"{what}_factor": corrected[what] / ignored[what] for what in WHAT}
+        corrected, ignored = ({what: errors[_column(what, kind)] for what in QUANTITIES} for kind in EDGE_OPTIONS)
+        factors = {f"{what}_factor": corrected[what] / ignored[what] for what in QUANTITIES}
         return {"nu": nu, "eps": eps, "E_over_mu": contrast, **corrected, **factors}
 
     with patch.object(applicability, "MIN_STIFFNESS_CONTRAST", 0.0):
         table = record.rows("contrasts.csv", cases, row, "nu, eps, E/mu = {}")
-    factors = np.max([table[f"{what}_factor"] for what in WHAT], axis=0)
-    allowed = table["E_over_mu"] >= MIN_STIFFNESS_CONTRAST
-    record.check("largest factor of an error by known ends, where allowed", factors[allowed].max(), high=1.0)
-    record.check("largest factor of an error by known ends, elsewhere", factors[~allowed].max(), low=2.0)
+    factors = np.max([table[f"{what}_factor"] for what in QUANTITIES], axis=0)
+    is_allowed = table["E_over_mu"] >= MIN_STIFFNESS_CONTRAST
+    record.check("largest factor of an error by known ends, where allowed", factors[is_allowed].max(), high=1.0)
+    record.check("largest factor of an error by known ends, elsewhere", factors[~is_allowed].max(), low=2.0)
 
 
 def draw(record: Record) -> None:
     """Draw errors over the thickness, and constants over Poisson's ratio with those of the package's table as lines."""
     for case in (CASES[0], *RUBBER):
-        table, shown = record.load(case.file), {}
-        for kind in KINDS:
-            columns = {f"error_{what}": table[_column(what, kind)] for what in WHAT[:2]}
-            shown[f"ends {kind}"] = Table.of({"eps": table["eps"], **columns})
+        table, errors = record.load(case.file), {}
+        for kind in EDGE_OPTIONS:
+            columns = {f"error_{what}": table[_column(what, kind)] for what in QUANTITIES[:2]}
+            errors[f"ends {kind}"] = Table.of({"eps": table["eps"], **columns})
         title, save = f"{case.name}, order 1, inner half of S", record.path(case.file.replace(".csv", ".svg"))
-        plotting.rates(shown, reference=2.0, title=title, save=save)
+        plotting.rates(errors, reference=2.0, title=title, save=save)
     table, lines = record.load("table.csv"), Table(_row(free_end(float(nu))) for nu in np.linspace(0.02, 0.4995, 200))
     curves = {"half strip": table, "shipped": lines}
-    parts = {name: {label: (rows["nu"], rows[name]) for label, rows in curves.items()} for name in DRAWN}
-    units = {name: "over eps" for name in DRAWN if name != "kappa"}
+    panels = {name: {label: (rows["nu"], rows[name]) for label, rows in curves.items()} for name in DRAWN_CONSTANTS}
+    units = {name: "over eps" for name in DRAWN_CONSTANTS if name != "kappa"}
     limits, save = {"c_N": (0.0, 3.0), "rho_N": (0.0, 3.0), "m_N/c_N": (0.0, 4.0)}, record.path("constants.svg")
-    look = {"title": "constants of a free end between rigid faces", "styles": ("o", "-"), "ylim": limits}
-    plotting.curves(parts, "Poisson's ratio nu of the layer", units, save=save, **look)
+    style = {"title": "constants of a free end between rigid faces", "styles": ("o", "-"), "ylim": limits}
+    plotting.curves(panels, "Poisson's ratio nu of the layer", units, save=save, **style)

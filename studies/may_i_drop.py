@@ -11,8 +11,8 @@ from dolfinx import fem
 
 from forms.base import Array
 from studies.dropped import (
-    COARSE,
-    FINE,
+    THICK,
+    THIN,
     DroppedCase,
     further_cases,
     published_cases,
@@ -33,7 +33,7 @@ from thinlayer.surface.surface_mesh import Where
 from thinlayer.system.progress import track
 from thinlayer.system.table import Table
 
-THICKNESSES = (COARSE, FINE)
+THICKNESSES = (THICK, THIN)
 INNER = 0.25  # distance from the middle of S up to which another program measured
 CLOSE = 0.01  # allowed distance of effectivities from 1
 ROUNDING = 1e-8  # relative rounding error of goals
@@ -65,7 +65,7 @@ def _effectivities(record: Record, *, quick: bool) -> None:
         row, asked = effectivities(dropped)
         table.append({"case": case.name, "eps": eps, "unknowns": dropped.estimate.better.model.unknowns, **row})
         goals.extend({"case": case.name, "eps": eps, **goal} for goal in asked)
-        if (case.name, eps) == (DRAWN, COARSE):
+        if (case.name, eps) == (DRAWN, THICK):
             record.write("along.csv", along(dropped))
     for name in ESTIMATED_FIELDS:
         off = np.abs(table[name] - 1).max()
@@ -254,4 +254,4 @@ def draw(record: Record) -> None:
         title: {"meshed layer": (table["x"], table[f"true_{column}"]), "estimate": (table["x"], table[estimated])}
         for title, (column, estimated) in PANELS.items()
     }
-    plotting.curves(lines, f"x along S over its length; eps = {fraction(COARSE)}", save=record.path("along.svg"))
+    plotting.curves(lines, f"x along S over its length; eps = {fraction(THICK)}", save=record.path("along.svg"))

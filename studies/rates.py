@@ -22,7 +22,7 @@ from forms import (
 from forms.base import Array
 from studies import bands, cylinders, phases, problems, rods
 from studies import fig3_mohr_coulomb as fig3
-from studies.bands import MODULI, TO_AND_FRO
+from studies.bands import MODULI, RETURN_PATH
 from studies.problems import FOURIER_BODY, FOURIER_LAYER, MORTAR, LoadPath, Problem, fourier, of, pressed, sheared
 from studies.sweeping import (
     Floors,
@@ -149,7 +149,7 @@ def wedge(x: Array) -> Array:
 PUSHED: LoadPath = {0: (0.0, 0.0, 0.0), 1: (0.3, 0.35, 0.0), 2: (0.3, 1.0, 1.5), 3: (0.3, 0.0, -0.9)}
 SHEARED = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 PATH = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
-pushed, pulled = partial(pressed, path=PUSHED), partial(pressed, path=TO_AND_FRO)
+pushed, pulled = partial(pressed, path=PUSHED), partial(pressed, path=RETURN_PATH)
 
 
 # ---------------------------------------------------------------- layers
@@ -182,7 +182,7 @@ yields = partial(fine, problem=sheared, orders=(0.9, 1.3), times=SHEARED)
 rubs = partial(fine, of(bands.BAND), h=(1 / 128, 1 / 64), cells_through=1, more=bands.zones, along=bands.along_s)
 in_bar = partial(Row, problem=bar, h=((6.0, 3.0, 0.2), (8.0, 4.0, 0.4)), eps=(2.0, 1.0, 0.5, 0.25), orders=(0.9, 1.3),
     unit="mm", where=lambda x: abs(x[0] - fig3.SIDE / 2) < 0.45 * fig3.SIDE)  # 5 mm off the ends of S
-at_once, to_and_fro = (partial(bands.blocks, path=path) for path in (bands.ONCE, TO_AND_FRO))
+at_once, to_and_fro = (partial(bands.blocks, path=path) for path in (bands.DIRECT_PATH, RETURN_PATH))
 
 
 def switches(case: str, label: str) -> Row:
@@ -221,9 +221,9 @@ ROWS: dict[str, Row] = {
     "fibre": glued(of(cylinders.COATING), problem=cylinders.coated_fibre, h=(0.05, 0.1), eps=(0.08, 0.04, 0.02, 0.01),
         orders=(0.9, 1.1), unit="R", more=cylinders.against_cylinders, check=cylinders.as_cylinders),
     "tubes": glued(of(cylinders.GLUE, cylinders.GLUE_EPS), "inner pressure", orders=(0.93, 1.1), check=cylinders.as_lame,
-        problem=partial(cylinders.tubes, loads=cylinders.PRESSED), more=cylinders.against_lame),
+        problem=partial(cylinders.tubes, loads=cylinders.PRESSURE_LOADS), more=cylinders.against_lame),
     "tubes push": glued(of(cylinders.GLUE, cylinders.GLUE_EPS), "shaft pushed", orders=(0.9, 1.25),
-        problem=partial(cylinders.tubes, loads=cylinders.PUSHED),
+        problem=partial(cylinders.tubes, loads=cylinders.PUSH_LOADS),
         where=lambda x: abs(x[1] + cylinders.HEIGHT / 2) < 0.3 * cylinders.HEIGHT),  # off their ends
     "own_mesh": Row(of(problems.JOINT, problems.JOINT_EPS), problem=problems.arch, h=("P2", "P1"), orders=(0.9, 1.1),
         eps=(0.04, 0.02, 0.01, 0.005), bodies="extended", where=problems.inside_joints, pictured=middle, unit="m"),
@@ -249,12 +249,12 @@ ROWS: dict[str, Row] = {
     "mohr_coulomb coulomb": yields(of(MORTAR), "tan(Omega) on S", orders=None, instead=COULOMB, floors=FLOOR),
     "mohr_coulomb metal": yields(of(MORTAR), "bodies yield", problem=of_metal, times=SHEARED[:4], steps=slice(None),
         more=dissipated, check=both_yield),
-    "friction": rubs("at once", at_once, instead=bands.AT_ONCE),
-    "friction history": rubs("to and fro", to_and_fro, times=PATH, instead=bands.IN_TIME, check=bands.same_zones),
-    "friction cells": fine(of(bands.IN_CELLS), "4 cells, h = 1e-5", at_once, h=(1 / 64, 1 / 64), orders=(0.7, 1.3),
-        instead=bands.AT_ONCE, long=True),
+    "friction": rubs("at once", at_once, instead=bands.HOLONOMIC),
+    "friction history": rubs("to and fro", to_and_fro, times=PATH, instead=bands.INCREMENTAL, check=bands.same_zones),
+    "friction cells": fine(of(bands.MESHED_BAND), "4 cells, h = 1e-5", at_once, h=(1 / 64, 1 / 64), orders=(0.7, 1.3),
+        instead=bands.HOLONOMIC, long=True),
     "friction sine": fine(of(bands.BAND), "f = sin(Omega)", at_once, h=(1 / 64, 1 / 32), orders=None, cells_through=1,
-        instead=bands.SINE, check=bands.sine_leaves_an_error),
+        instead=bands.SINE_LAW, check=bands.sine_leaves_an_error),
     "non_monotone": switches("", "oblique chi"),
     "non_monotone across": switches("across", "n (x) n"),
     "non_monotone along": replace(switches("along", "sym(t (x) n)"), check=phases.all_there),

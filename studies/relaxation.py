@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from forms import HolonomicCoulomb
-from studies.fig8_friction import STIFFNESS, in_tens
+from studies.fig8_friction import MODULI, in_tens
 from studies.problems import sliding_bar
 from studies.sweeping import Curves
 from thinlayer import SolveError, Structure, Table, plotting, solve
@@ -31,7 +31,7 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: two coarse meshes.
     """
     meshes = (8, 16) if quick else (8, 16, 32)
-    cases = [(n, pair, omega, same) for same in (False, True) for n in meshes for pair in STIFFNESS for omega in OMEGAS]
+    cases = [(n, pair, omega, same) for same in (False, True) for n in meshes for pair in MODULI for omega in OMEGAS]
     cases = [case for case in cases if not case[-1] or (case[0] == 16 and case[2] != 1.0)]
 
     def row(n: int, pair: tuple[float, float], omega: float, same: bool) -> dict[str, float]:
@@ -74,7 +74,7 @@ def check(record: Record, table: Table) -> None:
     failures = table["sweeps"][same & (table["converged"] == 0)]
     record.check("one omega everywhere: cases that fail", len(failures), low=1)
     record.check("one omega everywhere: sweeps until a failure is found", failures.max(initial=0), high=MAX_SWEEPS)
-    stiff = unit_contact & (table["lmbda"] == STIFFNESS[0][0]) & (table["converged"] == 1)
+    stiff = unit_contact & (table["lmbda"] == MODULI[0][0]) & (table["converged"] == 1)
     best = {n: table["sweeps"][stiff & (table["squares"] == n)].min() for n in np.unique(table["squares"])}
     record.results["best_sweeps"] = {int(n): int(sweeps) for n, sweeps in best.items()}
     sizes = sorted(best)

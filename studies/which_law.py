@@ -224,13 +224,13 @@ def draw(record: Record) -> None:
         title = f"errors in per cent, the larger of traction and jump; {what}\n{SIGNS}"
         seen = {panel: pair for panel, pair in errors.items() if np.isfinite(pair[0]).any()}
         maps(seen, *axes, RANGES, title=title, save=record.path(f"errors_{name}.svg"))
-        parts, names = _cheapest(drawn, {panel: worst for panel, (worst, _) in errors.items()})
+        parts, names = _cheapest_laws(drawn, {panel: worst for panel, (worst, _) in errors.items()})
         ranges = {f"{letter}: {law}": k + 0.5 for k, (letter, law) in enumerate(names.items())}
         title = f"the first of {', '.join(names)} whose error is small enough; {what}"
         maps(parts, *axes, ranges, title=title, save=record.path(f"cheapest_{name}.svg"))
 
 
-def _cheapest(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[str, Panel], dict[str, str]]:
+def _cheapest_laws(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[str, Panel], dict[str, str]]:
     """Find for each material and thickness the first law whose error is small enough, else the meshed layer.
 
     A law is corrected at free ends if this is possible.
@@ -247,8 +247,8 @@ def _cheapest(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[str, P
     names = {LETTERS[law]: LAWS[law] for law in laws} | {"m": "meshed layer"}
     parts = dict[str, Panel]()
     for contrast in CONTRASTS:
-        both = (laws, [corrected.get(law, law) for law in laws])
-        plain, improved = (np.array([errors[f"{LAWS[law]}; E/mu = {contrast:,}"] for law in some]) for some in both)
+        pair = (laws, [corrected.get(law, law) for law in laws])
+        plain, improved = (np.array([errors[f"{LAWS[law]}; E/mu = {contrast:,}"] for law in some]) for some in pair)
         stack = np.where(np.isfinite(improved), improved, plain)
         for wanted in ALLOWED_ERRORS:
             good = np.append(stack < wanted, np.ones((1, *stack.shape[1:]), bool), axis=0).argmax(axis=0)

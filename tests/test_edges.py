@@ -90,7 +90,7 @@ def weights_on(joint, eps, ends=None):
     sheet = Sheet(joint)
     ends = straight_ends(sheet.rim, sheet) if ends is None else ends
     strips = EndStrips.of(free_end(0.3))
-    area = np.bincount(np.searchsorted(sheet.facets, sheet.parts[0]), sheet.areas)
+    area = np.bincount(np.searchsorted(sheet.facets, sheet.simplices[0]), sheet.areas)
     return FacetWeights.of(ends, sheet, eps, strips), area, strips, ends
 
 

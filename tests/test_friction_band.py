@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from forms import HolonomicCoulomb, IncrementalCoulomb, MohrCoulombMonodirectional
-from studies.bands import ONCE
+from studies.bands import DIRECT_PATH
 from studies.problems import pressed
 from tests.orders import observed_orders
 from tests.test_mohr_coulomb_models import LMBDA, MU, check_jumps, column
@@ -57,7 +57,7 @@ def test_the_band_is_contact_on_columns(moves, eps, angle):
 # ------------------------------------------------------------------------ error O(eps)
 @cache
 def errors(eps):
-    where, setup = pressed(1 / 32, ONCE)
+    where, setup = pressed(1 / 32, DIRECT_PATH)
     plates = Structure(where, **setup | {"element": "Q1"})
     full = solve(plates.full(ThinLayer(BAND, eps, at=1.0), cells_through=1))
     return compare(full, solve(plates.interface(HolonomicCoulomb.of_layer(LMBDA, MU, friction=FRICTION))))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from studies.fig6_stratified import EPS, GLUE, K_T, PLACE, StratifiedBar
+from studies.fig6_stratified import EPS, GLUE, K_T, POINT_X, StratifiedBar
 from tests.orders import observed_orders
 from thinlayer import ThinLayer
 from thinlayer.running.record import Record
@@ -56,9 +56,9 @@ def test_deviation_with_moduli_over_thickness_held(bar):
     assert orders == pytest.approx([1.0] * 2, abs=0.1)
     assert orders[1] > orders[0]
     x, w = bar.surface.profile(bar.surface.frame(bar.surface.jump(bar.limit)))
-    near = np.abs(x[:, 0] - PLACE) < 1.5
-    opening = np.polynomial.Polynomial.fit(x[near, 0], w[near, 1], 3).deriv()(PLACE)
+    near = np.abs(x[:, 0] - POINT_X) < 1.5
+    opening = np.polynomial.Polynomial.fit(x[near, 0], w[near, 1], 3).deriv()(POINT_X)
     soft, hard = 1 / GLUE.laws[0].mu, 1 / GLUE.laws[1].mu
     weight = (0.375 * soft + 0.125 * hard) / (0.5 * soft + 0.5 * hard)
-    slope = -3.5 / 7 * weight * opening / np.interp(PLACE, x[:, 0], w[:, 0])
+    slope = -3.5 / 7 * weight * opening / np.interp(POINT_X, x[:, 0], w[:, 0])
     assert 2 * deviations[2] / eps[2] - deviations[1] / eps[1] == pytest.approx(slope, rel=5e-3)

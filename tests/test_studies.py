@@ -7,7 +7,7 @@ import pytest
 
 from studies import fig8_friction, friction_cost, performance, relaxation
 from studies.by_hand import CHOLESKY, K_N, LOAD, TwoBlocks, by_hand
-from studies.fig4_bar import meet, straight
+from studies.fig4_bar import meet, regression
 from studies.other_programs import ngsolve, scikit_fem
 from studies.problems import FOURIER_LAYER, of
 from studies.snap import distance
@@ -93,4 +93,4 @@ def test_distance_from_a_polygon():
 def test_straight_lines_meet():
     x = np.array([0.0, 1.0, 2.0, 3.0, 4.0])
     y = np.array([1.0, 3.0, 7.0, 6.0, 5.0])  # 1 + 2 x, then 9 - x
-    assert meet(straight(x, y, x < 2), straight(x, y, x > 1)) == pytest.approx(8 / 3, rel=1e-12)
+    assert meet(regression(x, y, x < 2), regression(x, y, x > 1)) == pytest.approx(8 / 3, rel=1e-12)

@@ -75,8 +75,8 @@ def free_end(nu: float) -> FreeEnd:
         InputError: nu out of range.
     """
     lmbda, s = lame_over_mu(nu), math.sqrt(1 - 2 * nu)
-    values: Array = np.asarray(chebyshev.chebval(2 * s - 1, _coefficients()), float)
-    growth, moment, mean, c_T, m_T = map(float, values)
+    fitted: Array = np.asarray(chebyshev.chebval(2 * s - 1, _coefficients()), float)
+    growth, moment, mean, c_T, m_T = map(float, fitted)
     if s == 0:
         return FreeEnd(nu, math.inf, math.inf, math.inf, c_T, m_T, 1 / (1 - math.sqrt(3) * growth))
     root = math.sqrt(1 / 12 + s * growth)
@@ -128,10 +128,10 @@ def flow_factor(delta: float, excess: float) -> float:
         excess: difference of the integral from delta.
     """
 
-    def missing(r: float) -> float:
+    def residual(r: float) -> float:
         t = math.tanh(1 / (r * delta))
         return delta * t * (r**2 - 1) / (t + r) - excess
 
     from scipy.optimize import brentq  # takes a while to import
 
-    return float(brentq(missing, 1e-9, 3.0, xtol=1e-15, rtol=1e-14)) ** 2
+    return float(brentq(residual, 1e-9, 3.0, xtol=1e-15, rtol=1e-14)) ** 2

@@ -47,12 +47,12 @@ class CornerField:
         """
         k = 3 - 4 * self.nu
 
-        def excess(power: float) -> float:
+        def residual(power: float) -> float:
             return 4 * k * math.sin(power * math.pi / 2) ** 2 - (k + 1) ** 2 + 4 * power**2
 
         from scipy.optimize import brentq  # takes a while to import
 
-        return float(brentq(excess, 0.0, 1.0, xtol=1e-15, rtol=1e-14)) if excess(1.0) > 0 else 1.0
+        return float(brentq(residual, 0.0, 1.0, xtol=1e-15, rtol=1e-14)) if residual(1.0) > 0 else 1.0
 
     def _values(self, power: float, coefficients: Array, r: Array, angle: Array) -> tuple[Array, Array]:
         """Displacements (..., 2), for mu = 1, and stresses 11, 22, 12, (..., 3), of a field r^power.
@@ -64,10 +64,10 @@ class CornerField:
         """
         a, b = coefficients[0] + 1j * coefficients[1], coefficients[2] + 1j * coefficients[3]
         z = r * np.exp(1j * angle)
-        first, second, third = z**power, power * z ** (power - 1), power * (power - 1) * z ** (power - 2)
-        u = ((3 - 4 * self.nu) * a * first - z * np.conj(a * second) - np.conj(b * first)) / 2
-        mean, other = 4 * (a * second).real, 2 * (np.conj(z) * a * third + b * second)
-        stress = np.stack([(mean - other.real) / 2, (mean + other.real) / 2, other.imag / 2], axis=-1)
+        phi, d_phi, d2_phi = z**power, power * z ** (power - 1), power * (power - 1) * z ** (power - 2)
+        u = ((3 - 4 * self.nu) * a * phi - z * np.conj(a * d_phi) - np.conj(b * phi)) / 2
+        trace, deviator = 4 * (a * d_phi).real, 2 * (np.conj(z) * a * d2_phi + b * d_phi)
+        stress = np.stack([(trace - deviator.real) / 2, (trace + deviator.real) / 2, deviator.imag / 2], axis=-1)
         return np.stack([u.real, u.imag], axis=-1), stress
 
     def _mode(self, power: float) -> Array:
@@ -76,20 +76,20 @@ class CornerField:
         Args:
             power: exponent of the displacements.
         """
-        rows = np.empty((4, 4))
+        conditions = np.empty((4, 4))
         for k, unit in enumerate(np.eye(4)):
-            on_face, _ = self._values(power, unit, np.array(1.0), np.array(0.0))
-            _, on_side = self._values(power, unit, np.array(1.0), np.array(np.pi / 2))
-            rows[:, k] = [*on_face, on_side[0], on_side[2]]
-        return np.asarray(np.linalg.svd(rows)[2][-1])
+            face_u, _ = self._values(power, unit, np.array(1.0), np.array(0.0))
+            _, side_stress = self._values(power, unit, np.array(1.0), np.array(np.pi / 2))
+            conditions[:, k] = [*face_u, side_stress[0], side_stress[2]]
+        return np.asarray(np.linalg.svd(conditions)[2][-1])
 
     @cached_property
-    def _unit(self) -> Array:
+    def _coefficients(self) -> Array:
         mode = self._mode(self.exponent)
         return mode / self._values(self.exponent, mode, np.array(1.0), np.array(0.0))[1][1]
 
     @cached_property
-    def _dual(self) -> Array:
+    def _dual_coefficients(self) -> Array:
         return self._mode(-self.exponent)
 
     def field(self, r: Array, angle: Array) -> tuple[Array, Array]:
@@ -101,7 +101,7 @@ class CornerField:
         Returns:
             Displacements (..., 2), for mu = 1, and stresses 11, 22, 12, (..., 3), with axis 1 along the face.
         """
-        return self._values(self.exponent, self._unit, np.asarray(r), np.asarray(angle))
+        return self._values(self.exponent, self._coefficients, np.asarray(r), np.asarray(angle))
 
     @property
     def shear(self) -> float:
@@ -144,8 +144,8 @@ class CornerField:
             stress: stresses 11, 22, 12, (n, 3), at its points.
         """
         angles, weights = self._arc
-        dual_u, dual = self._values(-self.exponent, self._dual, np.array(r), angles)
-        return float(weights @ (_work(stress, angles, dual_u) - _work(dual, angles, u))) * r
+        dual_u, dual_stress = self._values(-self.exponent, self._dual_coefficients, np.array(r), angles)
+        return float(weights @ (_work(stress, angles, dual_u) - _work(dual_stress, angles, u))) * r
 
 
 def _work(stress: Array, angles: Array, u: Array) -> Array:

@@ -156,12 +156,12 @@ class EndWeights(NamedTuple):
             faces: displacements of the faces of the layer.
             share: lmbda/(lmbda + 2 mu) of the law.
         """
-        n, across, mean, (first, second) = three_dimensional(faces.n), faces.across(), faces.mean, self.sheared(faces)
+        n, across, mean, (e_1, e_2) = three_dimensional(faces.n), faces.across(), faces.mean, self.sheared(faces)
         e_N, e_S, root = ufl.dot(n, across * n), faces.in_s(mean), ufl.sqrt(1 - self.a_N)
         trace = share * ufl.tr(e_S) / root
-        first += across + mean + (1 / root - 1) * e_S
-        first += ((root - 1) * e_N - (1 - self.f_N) * trace) * faces.normal
-        return first, second + ufl.sqrt(1 - self.f_N**2) * trace * faces.normal
+        e_1 += across + mean + (1 / root - 1) * e_S
+        e_1 += ((root - 1) * e_N - (1 - self.f_N) * trace) * faces.normal
+        return e_1, e_2 + ufl.sqrt(1 - self.f_N**2) * trace * faces.normal
 
 
 def pressure_stations_at_ends(law: PressureLaw, weights: EndWeights) -> list[AnyStation]:
@@ -174,10 +174,10 @@ def pressure_stations_at_ends(law: PressureLaw, weights: EndWeights) -> list[Any
         law: the law.
         weights: changes of the law near free ends, UFL on S.
     """
-    mean, stiff = pressure_stations(law)
+    mean_station, in_plane = pressure_stations(law)
     sheared = replace(
-        mean,
-        strain=lambda law, faces: mean.strain(law, faces) + weights.sheared(faces)[0],
-        flow=lambda law: weights.flow * mean.flow(law),
+        mean_station,
+        strain=lambda law, faces: mean_station.strain(law, faces) + weights.sheared(faces)[0],
+        flow=lambda law: weights.flow * mean_station.flow(law),
     )
-    return [sheared, Station(stiff.law, 1, lambda law, faces: weights.sheared(faces)[1]), stiff]
+    return [sheared, Station(in_plane.law, 1, lambda law, faces: weights.sheared(faces)[1]), in_plane]

@@ -35,10 +35,10 @@ def load(path: Path) -> meshio.Mesh:
     nodes: dict[int, int] = {}  # number -> row in `points`
     elements: dict[int, tuple[str, list[int]]] = {}
     sets: dict[str, tuple[str, bool, set[int]]] = {}  # in capitals -> as first written, if in the assembly, elements
-    count, assembled = 0, False
+    n_elements, in_assembly = 0, False
     for keyword, options, rows, place in _blocks(path):
         kind, name, members = options.get("TYPE", "").upper(), options.get("ELSET", ""), set[int]()
-        assembled |= keyword == "ASSEMBLY"
+        in_assembly |= keyword == "ASSEMBLY"
         try:
             if (rows and keyword in UNSUPPORTED_KEYWORDS) or (keyword == "NODE" and "SYSTEM" in options):
                 raise ValueError("it is not read; write all nodes, at their places, and all elements")
@@ -50,34 +50,34 @@ def load(path: Path) -> meshio.Mesh:
                 if {len(row) - 1 for row in rows} - {*shapes}:
                     raise ValueError(f"elements {kind} of {len(rows[0]) - 1} nodes are not read")
                 elements |= {int(k): (shapes[len(ends)], [nodes[int(n)] for n in ends]) for k, *ends in rows}
-                members, count = {int(row[0]) for row in rows}, count + len(rows)
+                members, n_elements = {int(row[0]) for row in rows}, n_elements + len(rows)
             elif keyword == "ELSET" and "GENERATE" in options:
                 for first, last, *step in (map(int, row) for row in rows):
                     members |= {*range(first, last + 1, *step)}
             elif keyword == "ELSET":
                 members.update(*({int(k)} if k.isdigit() else sets[k.upper()][2] for row in rows for k in row))
-            if len(nodes) < len(points) or len(elements) < count:
+            if len(nodes) < len(points) or len(elements) < n_elements:
                 raise ValueError("a number is in the file twice; write one part alone")
             if members and name and "INTERNAL" not in options:
-                _, level, joined = sets.setdefault(name.upper(), (name, assembled, set()))
-                if level != assembled:
+                _, was_in_assembly, element_set = sets.setdefault(name.upper(), (name, in_assembly, set()))
+                if was_in_assembly != in_assembly:
                     raise ValueError(f"the part has a set {name!r} too; give one of them another name")
-                joined.update(number for number in members if elements[number])
+                element_set.update(number for number in members if elements[number])
         except (KeyError, ValueError) as error:
             missing = " does not exist before it" if isinstance(error, KeyError) else ""
             raise InputError(f"*{keyword} in {place}: {error}{missing}") from None
-    kinds = dict.fromkeys(kind for kind, _ in elements.values())
-    of_kind = {kind: [k for k, (cell_type, _) in elements.items() if cell_type == kind] for kind in kinds}
-    cells = [(kind, np.array([elements[k][1] for k in ids])) for kind, ids in of_kind.items()]
-    parts = {name: [np.flatnonzero(np.isin(ids, [*its])) for ids in of_kind.values()] for name, _, its in sets.values()}
-    return import_optional("meshio").Mesh(np.array(points), cells, cell_sets=parts)
+    names = dict.fromkeys(kind for kind, _ in elements.values())
+    rows_of = {kind: [k for k, (cell_type, _) in elements.items() if cell_type == kind] for kind in names}
+    cells = [(kind, np.array([elements[k][1] for k in ids])) for kind, ids in rows_of.items()]
+    masks = {name: [np.flatnonzero(np.isin(ids, [*its])) for ids in rows_of.values()] for name, _, its in sets.values()}
+    return import_optional("meshio").Mesh(np.array(points), cells, cell_sets=masks)
 
 
 def _blocks(path: Path) -> Iterator[tuple[str, dict[str, str], list[list[str]], str]]:
     """Yield keyword, options, rows of data and place in the file of each block, also of those in included files."""
     text = re.sub(r"(?m)^[ \t]*\*\*.*", "", path.read_text("utf-8-sig", "replace"))
-    start, *blocks = re.split(r"(?m)^[ \t]*\*", text)
-    line = 1 + start.count("\n")
+    preamble, *blocks = re.split(r"(?m)^[ \t]*\*", text)
+    line = 1 + preamble.count("\n")
     for block in blocks:
         head, _, data = re.sub(r"\A(.*,)[ \t]*\n", r"\1", block).partition("\n")
         keyword, *others = head.split(",")

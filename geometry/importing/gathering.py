@@ -35,12 +35,12 @@ def gather_joint(mesh: object, names: TagNames | None, scale: float, comm: Comm,
     """
     comm = comm or default_comm()
     mesh, cell_tags, facet_tags = (*(mesh if isinstance(mesh, (tuple, list)) else [mesh]), None, None)[:3]
-    mine: _Part | Exception
+    own_part: _Part | Exception
     try:
-        mine = _Part.of(mesh, cell_tags, facet_tags, comm)
+        own_part = _Part.of(mesh, cell_tags, facet_tags, comm)
     except Exception as error:
-        mine = error  # the other ranks must not wait
-    parts = comm.gather(mine) or []
+        own_part = error  # the other ranks must not wait
+    parts = comm.gather(own_part) or []
     return on_root(comm, partial(_joint_of, parts, names, None if cell_tags is not None else {BODY: [0]}, scale, sides))
 
 
@@ -76,24 +76,24 @@ class _Part(NamedTuple):
         """
         require(isinstance(mesh, dolfinx.mesh.Mesh), "mesh", mesh, "give the name of a file, or a dolfinx.mesh.Mesh")
         if MPI.Comm.Compare(comm, mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
-            sizes = f"the mesh is distributed on {mesh.comm.size} ranks, comm has {comm.size}"
-            raise InputError(f"{sizes}; give comm the communicator that the mesh was made with")
+            message = f"the mesh is distributed on {mesh.comm.size} ranks, comm has {comm.size}"
+            raise InputError(f"{message}; give comm the communicator that the mesh was made with")
         topology, geometry = mesh.topology, mesh.geometry
-        kinds = [dolfinx.mesh.to_string(kind) for kind in topology.entity_types[-1]]
-        kind, dim, cells = kinds[0], topology.dim, cell_nodes(mesh)
-        if len(kinds) > 1 or kind not in CELL_TYPES:
-            raise InputError(f"cells are of type {', '.join(kinds)}; allowed: one of {', '.join(CELL_TYPES)}")
-        geometry_degree(kind, cells.shape[1])
+        names = [dolfinx.mesh.to_string(cell_type) for cell_type in topology.entity_types[-1]]
+        cell_type, dim, cells = names[0], topology.dim, cell_nodes(mesh)
+        if len(names) > 1 or cell_type not in CELL_TYPES:
+            raise InputError(f"cells are of type {', '.join(names)}; allowed: one of {', '.join(CELL_TYPES)}")
+        geometry_degree(cell_type, cells.shape[1])
         owned = topology.index_map(dim).size_local
         region, tagged = np.zeros(owned, np.int64), np.full(owned, cell_tags is None)
         numbers, values = _tags(mesh, cell_tags, dim, "cell_tags")
         is_owned = numbers < owned
         region[numbers[is_owned]], tagged[numbers[is_owned]] = values[is_owned], True
         facets, tags = _tags(mesh, facet_tags, dim - 1, "facet_tags")
-        whole = np.reshape(geometry.index_map().local_to_global(cells.ravel()), cells.shape)
+        global_nodes = np.reshape(geometry.index_map().local_to_global(cells.ravel()), cells.shape)
         points = np.asarray(geometry.x[: geometry.index_map().size_local, : geometry.dim], float)
-        vertices = vertices_of_facets(mesh, kind, facets, whole[:, : corner_count(kind)])
-        return cls(kind, points, whole[:owned], region, tagged, vertices, tags)
+        vertices = vertices_of_facets(mesh, cell_type, facets, global_nodes[:, : corner_count(cell_type)])
+        return cls(cell_type, points, global_nodes[:owned], region, tagged, vertices, tags)
 
 
 def _tags(mesh: dolfinx.mesh.Mesh, tags: dolfinx.mesh.MeshTags | None, dim: int, what: str) -> tuple[Indices, IntArray]:
@@ -118,63 +118,63 @@ def _tags(mesh: dolfinx.mesh.Mesh, tags: dolfinx.mesh.MeshTags | None, dim: int,
 
 
 def _joint_of(
-    parts: list[_Part | Exception], names: TagNames | None, whole: Tags | None, scale: float, sides: SideArgs
+    parts: list[_Part | Exception], names: TagNames | None, default_tags: Tags | None, scale: float, sides: SideArgs
 ) -> Joint:
     """Return the joint of what all ranks have of a mesh; its nodes are sorted by place, its cells by their nodes.
 
     Args:
         parts: what each rank has, or the error that was raised there.
         names: name -> (dimension of the tagged entities, tag, ...); None: names are the tags as text.
-        whole: name -> cell tags, where `names` has none for cells; None: names are the cell tags as text.
+        default_tags: name -> cell tags, where `names` has none for cells; None: names are the cell tags as text.
         scale: factor on the coordinates.
         sides: which facets are S, and which of its sides is the upper one, as keyword arguments of `read`.
     """
     for part in parts:
         if isinstance(part, Exception):
             raise part
-    (kind, *_), *arrays = zip(*parts, strict=True)
+    (cell_type, *_), *arrays = zip(*parts, strict=True)
     points, nodes, region, tagged, rows, tags = map(np.concatenate, arrays)
     if not len(nodes):
         raise InputError("the mesh has no cells")
     order = np.lexsort(points.T[::-1])
-    number = np.argsort(order)
-    nodes, rows = number[nodes], np.sort(number[rows], axis=1)
-    by_nodes = np.lexsort(np.sort(nodes[:, : corner_count(kind)], axis=1).T[::-1])
-    cells = FileCells.of(scale * points[order], nodes[by_nodes], kind, f"{len(nodes)} {kind} cells")
-    dim, chosen = cells.points.shape[1], _by_dimension(names or {})
-    groups = _groups(chosen.get(dim, whole), region[by_nodes], tagged[by_nodes], "cell")
-    if not groups:
+    new = np.argsort(order)
+    nodes, rows = new[nodes], np.sort(new[rows], axis=1)
+    cell_order = np.lexsort(np.sort(nodes[:, : corner_count(cell_type)], axis=1).T[::-1])
+    cells = FileCells.of(scale * points[order], nodes[cell_order], cell_type, f"{len(nodes)} {cell_type} cells")
+    dim, tags_of = cells.points.shape[1], _by_dimension(names or {})
+    region_masks = _groups(tags_of.get(dim, default_tags), region[cell_order], tagged[cell_order], "cell")
+    if not region_masks:
         raise InputError("no cell has a tag")
-    sets = _groups(chosen.get(dim - 1), tags, np.ones(len(tags), bool), "facet")
-    named = {name: np.unique(np.searchsorted(cells.used, rows[member]), axis=0) for name, member in sets.items()}
-    return NamedGroups(cells, groups, named, "tags", SeamSides.of(**sides)).joint()
+    masks = _groups(tags_of.get(dim - 1), tags, np.ones(len(tags), bool), "facet")
+    facets = {name: np.unique(np.searchsorted(cells.used, rows[member]), axis=0) for name, member in masks.items()}
+    return NamedGroups(cells, region_masks, facets, "tags", SeamSides.of(**sides)).joint()
 
 
 def _by_dimension(names: TagNames) -> dict[int, Tags]:
     """Sort names by the dimension of the tagged entities: return dimension -> name -> tags."""
-    chosen: dict[int, Tags] = {}
+    tags_of: dict[int, Tags] = {}
     try:
-        for name, (dim, first, *others) in names.items():
+        for name, (dim, first, *more_tags) in names.items():
             if not isinstance(name, str):
                 raise TypeError
-            chosen.setdefault(index(dim), {})[name] = [*map(index, (first, *others))]
+            tags_of.setdefault(index(dim), {})[name] = [*map(index, (first, *more_tags))]
     except (AttributeError, TypeError, ValueError):
         raise InputError(f"names is {names!r}; give {{name: (dimension, number of its tags)}}") from None
-    return chosen
+    return tags_of
 
 
-def _groups(names: Tags | None, values: IntArray, tagged: BoolArray, what: str) -> Groups:
+def _groups(names: Tags | None, values: IntArray, tagged: BoolArray, entity: str) -> Groups:
     """Return name -> (n,) whether each of n entities has one of its tags.
 
     Args:
         names: name -> tags; None: each tag is named by its number, as text.
         values: (n,) tags of the entities.
         tagged: (n,) whether each entity has a tag.
-        what: noun for the entities, for messages.
+        entity: noun for the entities, for messages.
     """
     tags = [*map(int, np.unique(values[tagged]))]
     names = {str(tag): [tag] for tag in tags} if names is None else names
     for name, tag in ((name, tag) for name, of in names.items() for tag in of if tag not in tags):
         numbers = ", ".join(map(str, tags)) or "none"
-        raise InputError(f"names: no {what} has the tag {tag}, named {name!r}; tags: {numbers}")
+        raise InputError(f"names: no {entity} has the tag {tag}, named {name!r}; tags: {numbers}")
     return {name: tagged & np.isin(values, numbers) for name, numbers in names.items()}

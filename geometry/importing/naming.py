@@ -66,7 +66,7 @@ class FileCells(NamedTuple):
     used: IntArray
 
     @classmethod
-    def of(cls, points: FloatArray, nodes: IntArray, cell_type: str, what: str) -> FileCells:
+    def of(cls, points: FloatArray, nodes: IntArray, cell_type: str, source: str) -> FileCells:
         """Return cells with only those points that they use.
 
         Args:
@@ -74,7 +74,7 @@ class FileCells(NamedTuple):
                 coordinate.
             nodes: (n_cells, k) numbers of the k nodes of each cell, in DOLFINx's order.
             cell_type: "triangle", "quadrilateral", "tetrahedron" or "hexahedron".
-            what: noun for the cells, for messages.
+            source: noun for the cells, for messages.
 
         Raises:
             InputError: nodes without coordinates, or a surface in 3D.
@@ -86,8 +86,8 @@ class FileCells(NamedTuple):
         x = points[used]
         height = x[:, dim:]
         if height.size and np.ptp(height) > NODE_TOLERANCE * np.ptp(x, axis=0).max():
-            surface = f"{what} at z = {height.min():g} to {height.max():g}, not in a plane z = const"
-            raise InputError(f"2D mesh in 3D: {surface}; for a solid save its cells too (gmsh: in a Physical Volume)")
+            extent = f"{source} at z = {height.min():g} to {height.max():g}, not in a plane z = const"
+            raise InputError(f"2D mesh in 3D: {extent}; for a solid save its cells too (gmsh: in a Physical Volume)")
         return cls(x[:, :dim].copy(), numbers.reshape(nodes.shape), cell_type, used)
 
     @property
@@ -95,15 +95,15 @@ class FileCells(NamedTuple):
         """(n_cells, k) numbers of the k vertices of each cell."""
         return self.nodes[:, : corner_count(self.type)]
 
-    def refuse(self, bad: BoolArray, what: str) -> None:
+    def refuse(self, bad: BoolArray, fault: str) -> None:
         """Raise InputError if there are bad cells; it gives their number and the place of the first.
 
         Args:
             bad: (n_cells,) whether each cell is bad.
-            what: what is wrong with them, a verb phrase for the message.
+            fault: what is wrong with them, a verb phrase for the message.
         """
         if bad.any():  # gathering the places of all nodes is expensive
-            refuse(bad, self.points[self.nodes], f"{{bad}} of {{all}} cells {what}; the first is at {{at}}")
+            refuse(bad, self.points[self.nodes], f"{{bad}} of {{all}} cells {fault}; the first is at {{at}}")
 
     def require_sound(self) -> None:
         """Raise InputError for cells without volume, for folded cells, and for several nodes at one place."""
@@ -112,8 +112,8 @@ class FileCells(NamedTuple):
         largest = np.abs(jacobian).max(axis=1)
         self.refuse(largest <= MIN_RELATIVE_JACOBIAN * size ** self.points.shape[1], "are degenerate (no volume)")
         smallest = (jacobian * np.sign(jacobian.sum(axis=1))[:, None]).min(axis=1)
-        folded = smallest <= MIN_JACOBIAN_RATIO * largest
-        self.refuse(folded, "are folded (their Jacobian vanishes or changes sign within the cell)")
+        is_folded = smallest <= MIN_JACOBIAN_RATIO * largest
+        self.refuse(is_folded, "are folded (their Jacobian vanishes or changes sign within the cell)")
         distance = NODE_TOLERANCE * np.ptp(self.points, axis=0).max()
         pairs = cKDTree(self.points).query_pairs(distance, output_type="ndarray")
         pairs_text = "{bad} pairs of nodes at the same place, the first at {at}, do not connect cells: let bodies share"
@@ -125,9 +125,9 @@ class FileCells(NamedTuple):
 
         The table also has these cells' other facets. It numbers cells as `nodes` does.
         """
-        near = np.flatnonzero(np.isin(self.corners, vertices).sum(axis=1) >= corner_count(FACET_TYPES[self.type]))
-        table = FacetTable.of(self.corners[near], self.type)
-        return replace(table, cells=np.where(table.cells < 0, -1, near[table.cells]))
+        cells = np.flatnonzero(np.isin(self.corners, vertices).sum(axis=1) >= corner_count(FACET_TYPES[self.type]))
+        table = FacetTable.of(self.corners[cells], self.type)
+        return replace(table, cells=np.where(table.cells < 0, -1, cells[table.cells]))
 
 
 class SeamSides(NamedTuple):
@@ -135,12 +135,12 @@ class SeamSides(NamedTuple):
 
     Attributes:
         S: name of the facet set of a single seam; None: all facets between the regions `lower` and `upper`.
-        single: sides of the single seam, as far as they are specified.
-        seams: name -> choice of the upper side, if there are several seams, in place of `S` and `single`; else {}.
+        default_seam: sides of the single seam, as far as they are specified.
+        seams: name -> choice of the upper side, if there are several seams, in place of `S` and `default_seam`; else {}.
     """
 
     S: str | None
-    single: Seam
+    default_seam: Seam
     seams: Mapping[str, Seam] = {}
 
     @classmethod
@@ -158,17 +158,17 @@ class SeamSides(NamedTuple):
         Raises:
             InputError: an argument has a wrong type, or sides of a single seam are given with several seams.
         """
-        above, below = _names_of(upper, "upper"), _names_of(lower, "lower")
-        way = None if direction is None else tuple(np.ravel(direction).tolist())  # checked by the seam
+        upper_names, lower_names = _names_of(upper, "upper"), _names_of(lower, "lower")
+        vector = None if direction is None else tuple(np.ravel(direction).tolist())  # checked by the seam
         if S is None or isinstance(S, str):
-            return cls(S, Seam(below, above, way))
-        rules = dict(S) if isinstance(S, Mapping) else dict.fromkeys(S)
-        if not rules or not all(isinstance(name, str) for name in rules):
-            several = "the names of several, {name: its upper side}, or None for all facets between lower and upper"
-            raise InputError(f"S is {S!r}; give the name of one set of facets, {several}")
-        if above or below or way:
+            return cls(S, Seam(lower_names, upper_names, vector))
+        side_rules = dict(S) if isinstance(S, Mapping) else dict.fromkeys(S)
+        if not side_rules or not all(isinstance(name, str) for name in side_rules):
+            allowed = "the names of several, {name: its upper side}, or None for all facets between lower and upper"
+            raise InputError(f"S is {S!r}; give the name of one set of facets, {allowed}")
+        if upper_names or lower_names or vector:
             raise InputError("S names several seams: give the sides of each there, as {name: (lower, upper)}")
-        return cls(None, Seam(), {name: _seam(name, rule) for name, rule in rules.items()})
+        return cls(None, Seam(), {name: _seam(name, rule) for name, rule in side_rules.items()})
 
 
 def _seam(name: str, rule: object) -> Seam:
@@ -177,11 +177,11 @@ def _seam(name: str, rule: object) -> Seam:
         return Seam()
     if isinstance(rule, Seam):
         return rule
-    if (way := finite_values(rule, (-1,))) is not None and way.ndim:
-        return Seam(direction=tuple(map(float, way)))
+    if (vector := finite_values(rule, (-1,))) is not None and vector.ndim:
+        return Seam(direction=tuple(map(float, vector)))
     if not isinstance(rule, tuple | list) or len(rule) != 2:
-        sides = "a vector, (lower, upper) with names of regions, or None for the order of the regions"
-        raise InputError(f"S: the upper side of {name!r} is {rule!r}; give {sides}")
+        allowed = "a vector, (lower, upper) with names of regions, or None for the order of the regions"
+        raise InputError(f"S: the upper side of {name!r} is {rule!r}; give {allowed}")
     lower, upper = (_names_of(side, f"side of {name!r}") for side in rule)
     return Seam(lower, upper)
 
@@ -230,36 +230,36 @@ class NamedGroups(NamedTuple):
             require_known("set of facets", name, self.facets, self.source)
         seams, facets = dict(self.sides.seams), self.facets
         if not seams:
-            surface, seams[S] = named._single()
+            surface, seams[S] = named._default_seam()
             facets = {S: surface, **{name: rows for name, rows in facets.items() if name != self.sides.S}}
         cells, region = self.cells, np.stack(list(named.regions.values())).argmax(axis=0)
         joint = Joint(cells.points, cells.nodes, cells.type, region, tuple(named.regions), facets, seams)
-        _require_whole(joint)
+        _require_conforming(joint)
         return joint
 
     def _disjoint(self) -> Groups:
         """Return the groups of cells that are regions; raise InputError unless each cell is in exactly one of them."""
-        regions, cells, single = self.regions, self.cells, self.sides.single
-        chosen = single.upper + single.lower
-        chosen += tuple(name for seam in self.sides.seams.values() for name in seam.lower + seam.upper)
+        regions, cells, default_seam = self.regions, self.cells, self.sides.default_seam
+        side_names = default_seam.upper + default_seam.lower
+        side_names += tuple(name for seam in self.sides.seams.values() for name in seam.lower + seam.upper)
         for name in regions:
             if name in self.facets and not name.isdigit():
                 raise InputError(f"{name!r} names both cells and facets; each needs its own name")
-        for name in chosen:
+        for name in side_names:
             require_known("region", name, regions, self.source)
         count = np.sum(list(regions.values()), axis=0)
         cells.refuse(count == 0, f"are in no named group ({self.source}: {', '.join(regions)})")
-        if chosen and (count > 1).any():
-            regions = {name: regions[name] for name in dict.fromkeys(chosen)}
+        if side_names and (count > 1).any():
+            regions = {name: regions[name] for name in dict.fromkeys(side_names)}
             count = np.sum(list(regions.values()), axis=0)
             cells.refuse(count == 0, f"are in none of {', '.join(regions)}; name every region in upper or lower")
         cells.refuse(count > 1, f"are in several of the groups {', '.join(regions)}; name regions in upper and lower")
         return regions
 
-    def _single(self) -> tuple[IntArray, Seam]:
+    def _default_seam(self) -> tuple[IntArray, Seam]:
         """Return the facets of the single seam, (n, k) numbers of k vertices each, and its choice of the upper side."""
-        name, single, whole = self.sides.S, self.sides.single, tuple(self.regions)
-        lower, upper, regions = single.lower, single.upper, f"regions: {', '.join(whole)}"
+        name, default_seam, all_regions = self.sides.S, self.sides.default_seam, tuple(self.regions)
+        lower, upper, regions = default_seam.lower, default_seam.upper, f"regions: {', '.join(all_regions)}"
         if name != S and S in self.facets:
             raise InputError(f"other facets are named {S!r}; rename them, or give S={S!r}")
         if name is None:
@@ -267,18 +267,18 @@ class NamedGroups(NamedTuple):
                 raise InputError(f"S=None is all that is between two bodies; give upper and lower; {regions}")
             return self._boundary(upper, lower), Seam(lower, upper)
         facets, cells = self.facets[name], self.adjacent_cells(name)
-        touched = self.touched(cells)
+        near_regions = self.regions_at(cells)
         if (cells[:, 1] < 0).all() and not lower:
-            if other := " and ".join(region for region in touched if region not in (upper or whole)):
-                bodies = f"{other}, and {'+'.join(upper)}, named in upper, does not touch it there"
-                raise InputError(f"{name!r} lies on the outer boundary of {bodies}; let both share their nodes")
-            return facets, Seam((), upper or whole)
-        if single.direction is not None:
-            return facets, Seam(lower or upper or whole, upper or lower or whole, single.direction)
+            if other_regions := " and ".join(region for region in near_regions if region not in (upper or all_regions)):
+                conflict = f"{other_regions}, and {'+'.join(upper)}, named in upper, does not touch it there"
+                raise InputError(f"{name!r} lies on the outer boundary of {conflict}; let both share their nodes")
+            return facets, Seam((), upper or all_regions)
+        if default_seam.direction is not None:
+            return facets, Seam(lower or upper or all_regions, upper or lower or all_regions, default_seam.direction)
         if not upper:
-            sides = "name the regions above it in upper, or give the direction upwards if one body is on both sides"
-            raise InputError(f"{name!r} lies inside {' and '.join(touched)}; {sides}; {regions}")
-        return facets, Seam(lower or tuple(region for region in whole if region not in upper), upper)
+            remedy = "name the regions above it in upper, or give the direction upwards if one body is on both sides"
+            raise InputError(f"{name!r} lies inside {' and '.join(near_regions)}; {remedy}; {regions}")
+        return facets, Seam(lower or tuple(region for region in all_regions if region not in upper), upper)
 
     def adjacent_cells(self, name: str) -> IntArray:
         """Return (n, 2) numbers of the cells on both sides of the facets of a group; -1 on the outer boundary.
@@ -290,7 +290,7 @@ class NamedGroups(NamedTuple):
         rows = table.index(facets)
         return table.cells[rows[rows >= 0]]
 
-    def touched(self, cells: IntArray) -> list[str]:
+    def regions_at(self, cells: IntArray) -> list[str]:
         """Return the names of the regions that contain any of some cells; numbers < 0 stand for no cell."""
         return [region for region, member in self.regions.items() if member[cells[cells >= 0]].any()]
 
@@ -305,7 +305,7 @@ class NamedGroups(NamedTuple):
         return facets
 
 
-def _require_whole(joint: Joint) -> None:
+def _require_conforming(joint: Joint) -> None:
     """Raise InputError for a mesh that overlaps itself or has hanging nodes; the message names the first place."""
     points, d, facets, cells = joint.points, joint.dim, joint.table.vertices, joint.table.cells
     inner = cells[:, 1] >= 0
@@ -315,8 +315,8 @@ def _require_whole(joint: Joint) -> None:
     overlap = "{bad} facets have both cells on one side, the first at {at}: the mesh overlaps itself; mesh anew"
     refuse(np.sign(sides[0]) == np.sign(sides[1]), points[facets[inner]], overlap)
     hanging = points[_hanging_nodes(points, facets[~inner])]
-    gaps = "{bad} nodes hang on facets of other cells, the first at {at}: these cells are not connected"
-    refuse(np.ones(len(hanging), bool), hanging, f"{gaps}; make the mesh conforming")
+    disconnected = "{bad} nodes hang on facets of other cells, the first at {at}: these cells are not connected"
+    refuse(np.ones(len(hanging), bool), hanging, f"{disconnected}; make the mesh conforming")
 
 
 def _hanging_nodes(points: FloatArray, facets: IntArray) -> IntArray:
@@ -330,14 +330,14 @@ def _hanging_nodes(points: FloatArray, facets: IntArray) -> IntArray:
     middles = x.mean(axis=1)
     near = cKDTree(points[vertices]).query_ball_point(middles, np.linalg.norm(x - middles[:, None], axis=2).max(axis=1))
     facet, vertex = np.repeat(np.arange(len(facets)), [*map(len, near)]), vertices[np.concatenate(near).astype(int)]
-    other = (facets[facet] != vertex[:, None]).all(axis=1)
-    x, vertex = x[facet[other]], vertex[other]
+    alien = (facets[facet] != vertex[:, None]).all(axis=1)
+    x, vertex = x[facet[alien]], vertex[alien]
     on = np.zeros(len(vertex), bool)
-    for chosen in combinations(range(x.shape[1]), x.shape[2]):  # the corners of a quadrilateral are unordered
-        first, *others = (x[:, k] for k in chosen)
-        edges, way = np.stack(others, axis=1) - first[:, None], points[vertex] - first
-        shares = np.einsum("nj,njk->nk", way, np.linalg.pinv(edges))
-        off = np.linalg.norm(way - np.einsum("nk,nkj->nj", shares, edges), axis=1)
+    for triple in combinations(range(x.shape[1]), x.shape[2]):  # the corners of a quadrilateral are unordered
+        first, *others = (x[:, k] for k in triple)
+        edges, offsets = np.stack(others, axis=1) - first[:, None], points[vertex] - first
+        shares = np.einsum("nj,njk->nk", offsets, np.linalg.pinv(edges))
+        distance = np.linalg.norm(offsets - np.einsum("nk,nkj->nj", shares, edges), axis=1)
         inside = (shares >= -NODE_TOLERANCE).all(axis=1) & (shares.sum(axis=1) <= 1 + NODE_TOLERANCE)
-        on |= inside & (off <= NODE_TOLERANCE * np.ptp(points, axis=0).max())
+        on |= inside & (distance <= NODE_TOLERANCE * np.ptp(points, axis=0).max())
     return np.unique(vertex[on])

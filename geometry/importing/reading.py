@@ -90,18 +90,18 @@ def read(
 
 
 def read_groups(
-    path: Path, use: Callable[[NamedGroups], ResultType], sides: SeamSides | None = None, scale: float = 1.0
+    path: Path, function: Callable[[NamedGroups], ResultType], sides: SeamSides | None = None, scale: float = 1.0
 ) -> ResultType:
     """Apply a function to the named groups of a mesh file and return its result. Not collective.
 
     Args:
         path: the file.
-        use: the function.
+        function: the function.
         sides: choice of the facets of S and of its upper side; None: the facet set "S".
         scale: factor on the coordinates.
 
     Raises:
-        InputError: the file or its groups are unsuitable; the message names the file, also for errors of `use`.
+        InputError: the file or its groups are unsuitable; the message names the file, also for errors of `function`.
     """
     try:
         mesh = _load(path, scale)
@@ -112,7 +112,7 @@ def read_groups(
             example = f'Physical {"Surface" if dim == 2 else "Volume"}("BODY") = {{...}}'
             raise InputError(f"no named groups of cells ({source}); in gmsh: {example}; saved with Mesh.SaveAll = 0")
         facets = _vertices(mesh, cells, _groups(mesh, dim - 1, array))
-        return use(NamedGroups(cells, regions, facets, source, sides or SeamSides.of()))
+        return function(NamedGroups(cells, regions, facets, source, sides or SeamSides.of()))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -161,11 +161,11 @@ def _cells_of(mesh: meshio.Mesh) -> FileCells:
     """Return the cells of highest dimension; raise InputError for several types, other types, or a surface in 3D."""
     dim = max((block.dim for block in mesh.cells if len(block)), default=0)
     blocks = [block for block in mesh.cells if len(block) and block.dim == dim]
-    kinds = list(dict.fromkeys(block.type for block in blocks))
-    if not kinds:
+    names = list(dict.fromkeys(block.type for block in blocks))
+    if not names:
         raise InputError("the file has no cells")
-    types, kind = ", ".join(f"{sum(len(b) for b in blocks if b.type == kind)} {kind}" for kind in kinds), kinds[0]
-    if len(kinds) > 1:
+    types, kind = ", ".join(f"{sum(len(b) for b in blocks if b.type == kind)} {kind}" for kind in names), names[0]
+    if len(names) > 1:
         raise InputError(f"mixed cell types: {types}; a joint needs cells of one type")
     if kind not in MESHIO_CELLS:
         remedy = next(text for pattern, text in ELEMENT_REMEDIES.items() if re.match(pattern, kind))
@@ -204,8 +204,8 @@ def _groups(mesh: meshio.Mesh, dim: int, array: str | None) -> Groups:
         return groups
     for name, members in mesh.cell_sets.items():
         if not name.startswith("gmsh:"):
-            parts = ((len(mesh.cells[k]), [] if members[k] is None else members[k]) for k in blocks)
-            groups[name] = np.concatenate([np.isin(np.arange(n), part) for n, part in parts])
+            members_by_block = ((len(mesh.cells[k]), [] if members[k] is None else members[k]) for k in blocks)
+            groups[name] = np.concatenate([np.isin(np.arange(n), part) for n, part in members_by_block])
     if array is not None:
         numbers = np.concatenate([mesh.cell_data[array][k] for k in blocks]).astype(np.int64)
         for number in np.unique(numbers):
@@ -247,10 +247,10 @@ def _vertices(mesh: meshio.Mesh, cells: FileCells, groups: Groups) -> dict[str, 
     odd = [block.type for block in blocks if not block.type.startswith(MESHIO_FACETS[kind])]
     if odd:
         raise InputError(f"the file has {odd[0]} facets, but its {cells.type} cells have {MESHIO_FACETS[kind]} facets")
-    number = positions(cells.used, len(mesh.points))
+    new = positions(cells.used, len(mesh.points))
     rows = np.concatenate([block.data[:, : corner_count(kind)] for block in blocks]).astype(np.int64)
-    loose, x = (number[rows] < 0).any(axis=1), mesh.points[rows, : cells.points.shape[1]]
+    free, x = (new[rows] < 0).any(axis=1), mesh.points[rows, : cells.points.shape[1]]
     for name, member in groups.items():
-        some = f"{{bad}} of {member.sum()} facets named {name!r} are not part of the bodies' mesh, the first at {{at}}"
-        refuse(member & loose, x, f"{some}; name all bodies, and in gmsh fragment them with it, or embed it")
-    return {name: np.unique(np.sort(number[rows[member]], axis=1), axis=0) for name, member in groups.items()}
+        text = f"{{bad}} of {member.sum()} facets named {name!r} are not part of the bodies' mesh, the first at {{at}}"
+        refuse(member & free, x, f"{text}; name all bodies, and in gmsh fragment them with it, or embed it")
+    return {name: np.unique(np.sort(new[rows[member]], axis=1), axis=0) for name, member in groups.items()}

@@ -42,23 +42,23 @@ class NodeCopies(NamedTuple):
     def of(cls, joint: Joint) -> NodeCopies:
         """Return the copies of the nodes of a joint in which S is a surface."""
         surface, split, n = joint.surface, joint.split_mesh.of_nodes, len(joint.points)
-        on_base = int(split.max(initial=0)) + 1
+        base_part = int(split.max(initial=0)) + 1
         components = np.stack([joint.components_at(cells, surface) for cells in joint.surface_cells.T])
-        sides = surface * (on_base + 1) + np.where(components < 0, on_base, components)
+        sides = surface * (base_part + 1) + np.where(components < 0, base_part, components)
         nodes, first = np.unique(surface, return_index=True)
-        where = np.nonzero(np.isin(joint.cells, nodes))
-        keys = joint.cells[where] * (on_base + 1) + split[where]
+        places = np.nonzero(np.isin(joint.cells, nodes))
+        keys = joint.cells[places] * (base_part + 1) + split[places]
         copy_keys = np.unique(np.concatenate([keys, sides[0].ravel()]))
         new = np.setdiff1d(copy_keys, sides[1].ravel()[first], assume_unique=True)
 
-        def number(keys: IntArray) -> IntArray:
+        def copy_number(keys: IntArray) -> IntArray:
             at = np.minimum(np.searchsorted(new, keys), len(new) - 1)
-            return np.where(new[at] == keys, n + at, keys // (on_base + 1))
+            return np.where(new[at] == keys, n + at, keys // (base_part + 1))
 
         body_cells = joint.cells.copy()
-        body_cells[where] = number(keys)
-        nodes, component = np.divmod(new, on_base + 1)
-        return cls(body_cells, number(sides[0]), number(sides[1]), nodes, component == on_base)
+        body_cells[places] = copy_number(keys)
+        nodes, component = np.divmod(new, base_part + 1)
+        return cls(body_cells, copy_number(sides[0]), copy_number(sides[1]), nodes, component == base_part)
 
     def renumbered(self, number: IntArray) -> NodeCopies:
         """Return the copies with other numbers.
@@ -80,20 +80,20 @@ class NodeLines:
         first_new: number of the first node inside the lines; all copies have smaller numbers.
         ends: (n, 2) the first and the other copy of each line.
         nodes: (n,) the node of S that both are copies of.
-        kind: (n,) position in `Joint.seams` of the seam of each line.
+        seam_no: (n,) position in `Joint.seams` of the seam of each line.
         heights: for each seam the heights of all levels over the thickness, from 0 to 1.
     """
 
     first_new: int
     ends: IntArray
     nodes: IntArray
-    kind: IntArray
+    seam_no: IntArray
     heights: tuple[FloatArray, ...]
 
     @cached_property
     def top(self) -> IntArray:
         """(n,) number of the last level of each line."""
-        return np.array([len(heights) - 1 for heights in self.heights])[self.kind]
+        return np.array([len(heights) - 1 for heights in self.heights])[self.seam_no]
 
     @cached_property
     def start(self) -> IntArray:
@@ -120,21 +120,21 @@ class NodeLines:
             (m, d) values at the m nodes inside the lines, and (m,) the node of S below or above each.
         """
         line = np.repeat(np.arange(len(self.top)), self.top - 1)
-        first = np.cumsum([0, *map(len, self.heights)])[self.kind[line]]
+        height_start = np.cumsum([0, *map(len, self.heights)])[self.seam_no[line]]
         level = np.arange(self.first_new, self.first_new + self.size) - self.start[line] + 1
-        z = np.concatenate(self.heights)[first + level][:, None]
+        z = np.concatenate(self.heights)[height_start + level][:, None]
         return (1 - z) * values[self.ends[line, 0]] + z * values[self.ends[line, 1]], self.nodes[line]
 
-    def joined(self, ends: IntArray, nodes: IntArray, kind: int) -> NodeLines:
+    def joined(self, ends: IntArray, nodes: IntArray, seam_no: int) -> NodeLines:
         """Return these lines followed by further lines, all with the levels of one seam.
 
         Args:
             ends: (n, 2) the copies at both ends of each further line.
             nodes: (n,) the node of S that both are copies of.
-            kind: position in `Joint.seams` of the seam.
+            seam_no: position in `Joint.seams` of the seam.
         """
-        kinds = np.append(self.kind, np.full(len(nodes), kind))
-        return replace(self, ends=np.append(self.ends, ends, axis=0), nodes=np.append(self.nodes, nodes), kind=kinds)
+        kinds = np.append(self.seam_no, np.full(len(nodes), seam_no))
+        return replace(self, ends=np.append(self.ends, ends, axis=0), nodes=np.append(self.nodes, nodes), seam_no=kinds)
 
 
 class FacetLines(NamedTuple):
@@ -142,11 +142,11 @@ class FacetLines(NamedTuple):
 
     Attributes:
         lines: (n_S, k) number of the line at each of the k nodes of each facet.
-        turned: (n_S, k) whether this line leads from the facet's upper side to its lower side.
+        is_reversed: (n_S, k) whether this line leads from the facet's upper side to its lower side.
     """
 
     lines: IntArray
-    turned: BoolArray
+    is_reversed: BoolArray
 
 
 def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) -> tuple[NodeLines, FacetLines]:
@@ -162,26 +162,26 @@ def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) 
             another; the levels of one seam differ where its upper side changes, or in 3D its upper side changes.
     """
     below, above = copies.below.ravel(), copies.above.ravel()
-    rows = np.column_stack([joint.surface.ravel(), np.minimum(below, above), np.maximum(below, above)])
-    _, first, at = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    line_keys = np.column_stack([joint.surface.ravel(), np.minimum(below, above), np.maximum(below, above)])
+    _, first, at = np.unique(line_keys, axis=0, return_index=True, return_inverse=True)
     at = at.ravel()
     ends = np.column_stack([below, above])[first]
     nodes = joint.surface.ravel()[first]
-    closed = "at {at} one body lies on both sides of S, so that the layer has no room there; use the interface model"
-    refuse(ends[:, 0] == ends[:, 1], joint.points[nodes], closed)
-    turned = below != ends[at, 0]
+    same_copy = "at {at} one body lies on both sides of S, so that the layer has no room there; use the interface model"
+    refuse(ends[:, 0] == ends[:, 1], joint.points[nodes], same_copy)
+    is_reversed = below != ends[at, 0]
     seam = np.repeat(joint.seam_numbers, joint.surface.shape[1])
-    cases, example = np.unique(np.column_stack([seam[first][at], seam, turned]), axis=0, return_index=True)
+    meetings, example = np.unique(np.column_stack([seam[first][at], seam, is_reversed]), axis=0, return_index=True)
     names, places = list(joint.seams), joint.points[joint.surface.ravel()[example]]
-    for (number, other, way), x in zip(cases, places, strict=True):
-        levels, other_levels = heights[number], 1 - heights[other][::-1] if way else heights[other]
+    for (number, other, reverse), x in zip(meetings, places, strict=True):
+        levels, other_levels = heights[number], 1 - heights[other][::-1] if reverse else heights[other]
         if len(levels) != len(other_levels) or np.abs(levels - other_levels).max() > HEIGHT_TOLERANCE:
             sides = "the upper side changes" if number == other else f"{names[number]!r} continues {names[other]!r}"
             raise InputError(f"{sides} at {place_text(x)}: sublayers do not meet; give equal ones, upwards on one body")
-        if way and joint.dim == 3:
+        if reverse and joint.dim == 3:
             raise InputError(f"the upper side of S changes at {place_text(x)}: in 3D it must be on one side there")
     lines = NodeLines(len(joint.points) + len(copies.new), ends, nodes, seam[first], tuple(heights))
-    return lines, FacetLines(at.reshape(joint.surface.shape), turned.reshape(joint.surface.shape))
+    return lines, FacetLines(at.reshape(joint.surface.shape), is_reversed.reshape(joint.surface.shape))
 
 
 def level_heights(degree: int, cells_through: int, fractions: Sequence[float]) -> FloatArray:
@@ -225,11 +225,11 @@ def band_cells(
     cells, sublayer, director = [], [], []
     k, top = joint.corners.shape[1], len(heights) - 1
     for base in range(0, top, degree):
-        for picked, offsets in patterns:
-            at = np.take_along_axis(footing.lines[rows], picked, axis=1)
-            turned = np.take_along_axis(footing.turned[rows], picked, axis=1)
-            cells.append(lines.number(at, np.where(turned, top - base - offsets, base + offsets)))
-            director.append(np.take_along_axis(normals, picked[:, :k, None], axis=1))
+        for facet_nodes, offsets in patterns:
+            at = np.take_along_axis(footing.lines[rows], facet_nodes, axis=1)
+            is_reversed = np.take_along_axis(footing.is_reversed[rows], facet_nodes, axis=1)
+            cells.append(lines.number(at, np.where(is_reversed, top - base - offsets, base + offsets)))
+            director.append(np.take_along_axis(normals, facet_nodes[:, :k, None], axis=1))
             sublayer.append(np.full(len(surface), np.searchsorted(edges, (heights[base] + heights[base + degree]) / 2)))
     return np.concatenate(cells), np.concatenate(sublayer), np.concatenate(director)
 
@@ -262,16 +262,16 @@ def _simplex_pattern(cell_type: str, degree: int, order: IntArray) -> list[Patte
         order: for each facet the positions of its vertices in the order of their numbers, one row each.
     """
     n = order.shape[1]
-    middle = np.diag(np.arange(n))
+    edge_nodes = np.diag(np.arange(n))
     for number, (i, j) in enumerate(basix.topology(basix.CellType[FACET_TYPES[cell_type]])[1]):
-        middle[i, j] = middle[j, i] = n + number
+        edge_nodes[i, j] = edge_nodes[j, i] = n + number
     patterns = []
     for k in range(n):
-        picked = [order[:, i] for i in (*range(k + 1), *range(k, n))]
+        columns = [order[:, i] for i in (*range(k + 1), *range(k, n))]
         offsets = [0] * (k + 1) + [degree] * (n - k)
         if degree == 2:
             for p, q in basix.topology(basix.CellType[cell_type])[1]:
-                picked.append(middle[picked[p], picked[q]])
+                columns.append(edge_nodes[columns[p], columns[q]])
                 offsets.append((offsets[p] + offsets[q]) // 2)
-        patterns.append((np.column_stack(picked), np.array(offsets)))
+        patterns.append((np.column_stack(columns), np.array(offsets)))
     return patterns

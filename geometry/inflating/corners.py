@@ -62,27 +62,27 @@ def junction_corners(joint: Joint, lines: NodeLines, footing: FacetLines) -> tup
     of = np.empty(len(copies), np.int64)
     of[at] = np.tile(of_link, 2)
     degree = np.bincount(at)
-    loose = (np.bincount(of) - np.bincount(of_link) > 1) | (np.bincount(of, degree > 2) > 0)
-    loose |= np.bincount(of_link, facets > 1) > 0  # two layers between the same bodies
+    is_open = (np.bincount(of) - np.bincount(of_link) > 1) | (np.bincount(of, degree > 2) > 0)
+    is_open |= np.bincount(of_link, facets > 1) > 0  # two layers between the same bodies
     for column in copies.T:  # a body has one corner at each end
-        loose |= np.bincount(unique_rows(np.column_stack([of, column]))[0][:, 0]) < np.bincount(of)
-    touching = "bodies only touch at a vertex or an edge, between layers that meet there: the layers' ends enclose no"
-    refuse(loose, joint.points[vertices], f"at {{at}} {touching} polygon")
+        is_open |= np.bincount(unique_rows(np.column_stack([of, column]))[0][:, 0]) < np.bincount(of)
+    complaint = "bodies only touch at a vertex or an edge, between layers that meet there: the layers' ends enclose no"
+    refuse(is_open, joint.points[vertices], f"at {{at}} {complaint} polygon")
 
-    alone = np.flatnonzero(degree == 1)
-    alone = alone[np.argsort(of[alone], kind="stable")].reshape(-1, 2)
-    pairs, number = unique_rows(np.sort(copies[alone].swapaxes(1, 2).reshape(-1, 2), axis=1))
+    end_corners = np.flatnonzero(degree == 1)
+    end_corners = end_corners[np.argsort(of[end_corners], kind="stable")].reshape(-1, 2)
+    pairs, number = unique_rows(np.sort(copies[end_corners].swapaxes(1, 2).reshape(-1, 2), axis=1))
     nodes = np.empty(len(pairs), np.int64)
-    nodes[number] = vertices[of[alone[:, 0]]].ravel()
-    closing = (len(lines.nodes) + number).reshape(-1, k)
-    lines = lines.joined(pairs, nodes, int(lines.kind[links[0, 0]]))
-    links = np.concatenate([links, closing])
-    at = np.concatenate([at[: len(of_link)], alone[:, 0], at[len(of_link) :], alone[:, 1]])
+    nodes[number] = vertices[of[end_corners[:, 0]]].ravel()
+    closing_lines = (len(lines.nodes) + number).reshape(-1, k)
+    lines = lines.joined(pairs, nodes, int(lines.seam_no[links[0, 0]]))
+    links = np.concatenate([links, closing_lines])
+    at = np.concatenate([at[: len(of_link)], end_corners[:, 0], at[len(of_link) :], end_corners[:, 1]])
     sides = links[np.argsort(at, kind="stable") % len(links)].reshape(-1, 2, k).swapaxes(1, 2)
     polygons = _polygons(sides, of)
     pairs, _ = unique_rows(np.column_stack([lines.nodes[sides[..., 0]].ravel(), polygons.ravel()]))
-    meet = "where lines along which layers meet come together: these are not meshed; use the interface model"
-    refuse(np.diff(pairs[:, 0]) == 0, joint.points[pairs[1:, 0]], f"S branches at {{at}}, {meet}")
+    crossing = "where lines along which layers meet come together: these are not meshed; use the interface model"
+    refuse(np.diff(pairs[:, 0]) == 0, joint.points[pairs[1:, 0]], f"S branches at {{at}}, {crossing}")
     return lines, JunctionCorners(copies, sides, polygons, of)
 
 
@@ -98,12 +98,12 @@ def _junction_lines(joint: Joint, lines: NodeLines, footing: FacetLines) -> tupl
         (n, k) numbers of the lines, in ascending order, at the k vertices of the junction; (n,) number of facets of S
         that touch the junction with the same lines.
     """
-    several = np.bincount(lines.nodes)[lines.nodes] > 1
+    is_shared = np.bincount(lines.nodes)[lines.nodes] > 1
     rows = np.concatenate([footing.lines[:, ridge] for ridge in local_facets(FACET_TYPES[joint.cell_type])])
-    links, number = unique_rows(np.sort(rows[several[rows].all(axis=1)], axis=1))
-    _, place = unique_rows(lines.nodes[links])
-    branches = np.bincount(place)[place] > 1
-    return links[branches], np.bincount(number, minlength=len(links))[branches]
+    links, number = unique_rows(np.sort(rows[is_shared[rows].all(axis=1)], axis=1))
+    _, junction = unique_rows(lines.nodes[links])
+    is_branch = np.bincount(junction)[junction] > 1
+    return links[is_branch], np.bincount(number, minlength=len(links))[is_branch]
 
 
 def _polygons(sides: IntArray, of: IntArray) -> IntArray:
@@ -117,10 +117,10 @@ def _polygons(sides: IntArray, of: IntArray) -> IntArray:
     k, count = sides.shape[1], np.bincount(of)
     out, first = np.empty(sides.shape[:2], np.int64), 0
     for m in np.unique(count):
-        here = np.flatnonzero(count[of] == m)
-        here = here[np.argsort(of[here], kind="stable")].reshape(-1, m)
-        polygons, number = unique_rows(np.sort(sides[here].swapaxes(1, 2).reshape(-1, 2 * m), axis=1)[:, ::2])
-        out[here] = first + number.reshape(-1, 1, k)
+        members = np.flatnonzero(count[of] == m)
+        members = members[np.argsort(of[members], kind="stable")].reshape(-1, m)
+        polygons, number = unique_rows(np.sort(sides[members].swapaxes(1, 2).reshape(-1, 2 * m), axis=1)[:, ::2])
+        out[members] = first + number.reshape(-1, 1, k)
         first += len(polygons)
     return out
 

@@ -58,25 +58,25 @@ def refined_towards_ends(layers: Joint, distance: FloatArray, size: float) -> Re
     while True:
         pairs, edges = np.unique(np.sort(cells[:, local], axis=2).reshape(-1, 2), axis=0, return_inverse=True)
         edges, (a, b) = edges.reshape(len(cells), -1), pairs.T
-        near, far = np.sort([distance[a], distance[b]], axis=0)
-        halved = _conforming_edges(kind, edges, far, (near == 0) & (far > size * (1 + LENGTH_TOLERANCE)))
-        if not halved.any():
+        near_end, far_end = np.sort([distance[a], distance[b]], axis=0)
+        is_halved = _conforming_edges(kind, edges, far_end, (near_end == 0) & (far_end > size * (1 + LENGTH_TOLERANCE)))
+        if not is_halved.any():
             return _refined_joint(layers, parent, X)
-        middle = np.where(halved, len(distance) - 1 + np.cumsum(halved), -1)
-        distance = np.concatenate([distance, (near + far)[halved] / 2])
-        rows, which = np.nonzero(halved[edges])
-        rows, which = np.unique(rows), which.reshape(len(np.unique(rows)), -1)
-        first, last = np.moveaxis(local[which], 2, 0)
-        new, at = middle[edges[rows[:, None], which]], rows[:, None]
+        middle = np.where(is_halved, len(distance) - 1 + np.cumsum(is_halved), -1)
+        distance = np.concatenate([distance, (near_end + far_end)[is_halved] / 2])
+        rows, local_edge = np.nonzero(is_halved[edges])
+        rows, local_edge = np.unique(rows), local_edge.reshape(len(np.unique(rows)), -1)
+        first, last = np.moveaxis(local[local_edge], 2, 0)
+        new, at = middle[edges[rows[:, None], local_edge]], rows[:, None]
         new_X = (X[at, first] + X[at, last]) / 2
-        upper, upper_X = cells[rows], X[rows]
+        upper, second_X = cells[rows], X[rows]
         index = np.arange(len(rows))[:, None]
         cells[at, last], X[at, last] = new, new_X
-        upper[index, first], upper_X[index, first] = new, new_X
-        cells, X, parent = (np.concatenate(both) for both in ((cells, upper), (X, upper_X), (parent, parent[rows])))
+        upper[index, first], second_X[index, first] = new, new_X
+        cells, X, parent = (np.concatenate(pair) for pair in ((cells, upper), (X, second_X), (parent, parent[rows])))
 
 
-def _conforming_edges(kind: str, edges: IntArray, far: FloatArray, wanted: BoolArray) -> BoolArray:
+def _conforming_edges(kind: str, edges: IntArray, far: FloatArray, to_halve: BoolArray) -> BoolArray:
     """Return (m,) which of the wanted edges to halve first: in each cell one edge, or one edge and all parallel to it.
 
     If an edge of quadrilaterals or hexahedra is halved, so are the parallel edges of its cells, of their neighbours,
@@ -87,23 +87,23 @@ def _conforming_edges(kind: str, edges: IntArray, far: FloatArray, wanted: BoolA
         edges: (n, k) numbers of the k edges of each cell.
         far: (m,) larger distance of the two ends of each edge from the layer's end; in simplices edges with large
             distances come first.
-        wanted: (m,) whether each edge is to be halved.
+        to_halve: (m,) whether each edge is to be halved.
     """
     first, last = np.array(basix.topology(basix.CellType[kind])[1]).T
-    direction = last - first if is_tensor(kind) else np.arange(len(first))  # parallel edges have one label
-    parallel, none = [np.flatnonzero(direction == label) for label in np.unique(direction)], len(far)
+    edge_label = last - first if is_tensor(kind) else np.arange(len(first))  # parallel edges have one label
+    parallel, no_edge = [np.flatnonzero(edge_label == label) for label in np.unique(edge_label)], len(far)
     if is_tensor(kind):
-        links = np.concatenate([edges[:, [some[0], edge]] for some in parallel for edge in some[1:]])
-        group = connected(links[:, 0], links[:, 1], none)
+        links = np.concatenate([edges[:, [labelled[0], edge]] for labelled in parallel for edge in labelled[1:]])
+        group = connected(links[:, 0], links[:, 1], no_edge)
     else:
-        group = np.argsort(np.lexsort([np.arange(none), -far]))
-    halved = np.zeros(none + 1, bool)
-    halved[group[wanted]] = True
-    in_cell = np.where(halved[group], group, none)[edges[:, [some[0] for some in parallel]]]
+        group = np.argsort(np.lexsort([np.arange(no_edge), -far]))
+    is_halved = np.zeros(no_edge + 1, bool)
+    is_halved[group[to_halve]] = True
+    in_cell = np.where(is_halved[group], group, no_edge)[edges[:, [labelled[0] for labelled in parallel]]]
     first = in_cell.min(axis=1, keepdims=True)
     alone = (in_cell == first).sum(axis=1, keepdims=True) == 1  # else parallel edges meet in a cell: they stay whole
-    halved[in_cell[(in_cell != first) | ~alone]] = False
-    return np.asarray(halved[group])
+    is_halved[in_cell[(in_cell != first) | ~alone]] = False
+    return np.asarray(is_halved[group])
 
 
 def _shapes(kind: str, degree: int, X: FloatArray) -> FloatArray:
@@ -126,7 +126,7 @@ def _refined_joint(layers: Joint, parent: IntArray, corners: FloatArray) -> Refi
     shapes = _shapes(kind, layers.degree, nodes)
     old = layers.cells[parent]
     places = (layers.points[old], band.reference[old])
-    x, reference = (np.einsum("nqk,nkd->nqd", shapes, some).reshape(-1, layers.dim) for some in places)
+    x, reference = (np.einsum("nqk,nkd->nqd", shapes, values).reshape(-1, layers.dim) for values in places)
     same = cKDTree(x).query_pairs(NODE_TOLERANCE * layers.size, output_type="ndarray")
     _, chosen, number = np.unique(connected(same[:, 0], same[:, 1], len(x)), return_index=True, return_inverse=True)
     cells = number.reshape(nodes.shape[:2])
@@ -135,16 +135,16 @@ def _refined_joint(layers: Joint, parent: IntArray, corners: FloatArray) -> Refi
     director /= np.linalg.norm(director, axis=2, keepdims=True)
 
     local = local_facets(kind)
-    off = np.array([np.isin(np.arange(linear.shape[2]), facet, invert=True) for facet in local])
+    is_outside = np.array([np.isin(np.arange(linear.shape[2]), facet, invert=True) for facet in local])
     # whether all vertices of a facet of a cell lie on a facet of the parent: (n, its facets, the parent's facets)
-    on = (np.einsum("nqk,fk->nqf", linear, off)[:, local] < LENGTH_TOLERANCE).all(axis=2)
+    on = (np.einsum("nqk,fk->nqf", linear, is_outside)[:, local] < LENGTH_TOLERANCE).all(axis=2)
     facets = {}
     for name, parent_facets in layers.facets.items():
         rows = layers.table.index(parent_facets)
-        named = np.zeros((len(layers.cells), len(local)), bool)
-        named[layers.table.cells[rows, 0], layers.table.local[rows, 0]] = True
-        facets[name] = cells[:, local][(on & named[parent][:, None]).any(axis=2)]
+        is_named = np.zeros((len(layers.cells), len(local)), bool)
+        is_named[layers.table.cells[rows, 0], layers.table.local[rows, 0]] = True
+        facets[name] = cells[:, local][(on & is_named[parent][:, None]).any(axis=2)]
     points, region = x[chosen], layers.region[parent]
-    parts = replace(band, reference=reference[chosen], director=director)
-    joint = replace(layers, points=points, cells=cells, region=region, facets=facets, band=parts)
+    new_band = replace(band, reference=reference[chosen], director=director)
+    joint = replace(layers, points=points, cells=cells, region=region, facets=facets, band=new_band)
     return RefinedLayers(joint, parent, corners)

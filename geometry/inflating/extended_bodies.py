@@ -40,12 +40,12 @@ def face_motion(joint: Joint, copies: NodeCopies, depths: tuple[FloatArray, Floa
         InputError: S is folded; an outer face touches S nearly parallel to it; layers of different thickness meet
             nearly in line.
     """
-    upper, there = joint.node_normals, joint.surface_cells[:, 0] >= 0
-    at = np.concatenate([copies.above, copies.below[there]])
-    normals = np.concatenate([upper, -upper[there]])
-    g = np.concatenate([depths[1], depths[0][there]])
+    upper, has_lower = joint.node_normals, joint.surface_cells[:, 0] >= 0
+    at = np.concatenate([copies.above, copies.below[has_lower]])
+    normals = np.concatenate([upper, -upper[has_lower]])
+    g = np.concatenate([depths[1], depths[0][has_lower]])
     face_nodes, first, index = np.unique(at, return_index=True, return_inverse=True)
-    x = joint.points[np.concatenate([joint.surface, joint.surface[there]]).ravel()[first]]
+    x = joint.points[np.concatenate([joint.surface, joint.surface[has_lower]]).ravel()[first]]
     n, count = len(face_nodes), np.bincount(index.ravel())
     total, along_n = sum_by_number(index, g[..., None] * normals, n), sum_by_number(index, normals, n)
     moment = sum_by_number(index, normals[..., :, None] * normals[..., None, :], n)
@@ -54,25 +54,25 @@ def face_motion(joint: Joint, copies: NodeCopies, depths: tuple[FloatArray, Floa
     thick, thin = np.zeros(n), np.full(n, np.inf)
     np.maximum.at(thick, index, g)
     np.minimum.at(thin, index, g)
-    uniform = thick - thin <= THICKNESS_TOLERANCE * thick
-    least = np.where(uniform, MIN_COSINE, MIN_FACET_ANGLE)[:, None] ** 2
+    is_uniform = thick - thin <= THICKNESS_TOLERANCE * thick
+    min_eigenvalue = np.where(is_uniform, MIN_COSINE, MIN_FACET_ANGLE)[:, None] ** 2
     outer, faces = _outer_moments(joint, copies.cells)
-    values, vectors = np.linalg.eigh(outer[face_nodes] / np.maximum(faces[face_nodes], 1)[:, None, None])
-    slip = (vectors * (values < SMOOTH_SQUARED_SINE)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
-    values, vectors = np.linalg.eigh(slip @ moment @ slip / count[:, None, None])
-    inverse = np.where(values > least, 1 / np.maximum(values, least), 0.0)
-    motion = np.einsum("nik,nk,njk,nj->ni", vectors, inverse, vectors, np.einsum("nij,nj->ni", slip, total))
+    eigenvalues, vectors = np.linalg.eigh(outer[face_nodes] / np.maximum(faces[face_nodes], 1)[:, None, None])
+    free_projector = (vectors * (eigenvalues < SMOOTH_SQUARED_SINE)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    eigenvalues, vectors = np.linalg.eigh(free_projector @ moment @ free_projector / count[:, None, None])
+    inverse = np.where(eigenvalues > min_eigenvalue, 1 / np.maximum(eigenvalues, min_eigenvalue), 0.0)
+    motion = np.einsum("nik,nk,njk,nj->ni", vectors, inverse, vectors, np.einsum("nij,nj->ni", free_projector, total))
     motion /= count[:, None]
     gap = np.einsum("fkd,fkd->fk", motion[index], normals) / g
-    lowest = np.full(n, np.inf)
-    np.minimum.at(lowest, index, gap)
-    parallel = "an outer face touches S at {at} and is nearly parallel to it, so the body cannot give way there"
-    refuse((lowest < MIN_COSINE) & uniform, x, f"bodies='extended': {parallel}; use bodies='kept' if S is planar")
-    error = np.where(uniform[index].all(axis=1, keepdims=True), 0.0, np.abs(gap - 1))
+    min_gap = np.full(n, np.inf)
+    np.minimum.at(min_gap, index, gap)
+    complaint = "an outer face touches S at {at} and is nearly parallel to it, so the body cannot give way there"
+    refuse((min_gap < MIN_COSINE) & is_uniform, x, f"bodies='extended': {complaint}; use bodies='kept' if S is planar")
+    error = np.where(is_uniform[index].all(axis=1, keepdims=True), 0.0, np.abs(gap - 1))
     if error.max() > CORNER_ERROR:
         at = index.flat[error.argmax()]
-        sizes = f"layers of different thickness, {thin[at]:g} and {thick[at]:g} on one side"
-        raise InputError(f"{sizes}, meet nearly in line at {place_text(x[at])}; give them one thickness")
+        conflict = f"layers of different thickness, {thin[at]:g} and {thick[at]:g} on one side"
+        raise InputError(f"{conflict}, meet nearly in line at {place_text(x[at])}; give them one thickness")
     return face_nodes, motion
 
 
@@ -115,9 +115,9 @@ def extended_motion(
 
     moments, count = _outer_moments(joint, body_cells)
     eigenvalues, vectors = np.linalg.eigh(moments[free] / np.maximum(count[free], 1)[:, None, None])
-    node, way = np.nonzero(eigenvalues < EXACT_SQUARED_SINE)
+    node, direction = np.nonzero(eigenvalues < EXACT_SQUARED_SINE)
     rows, columns = (node[:, None] * d + np.arange(d)).ravel(), np.repeat(np.arange(len(node)), d)
-    entries, shape = vectors[node, :, way].ravel(), (len(free) * d, len(node))
+    entries, shape = vectors[node, :, direction].ravel(), (len(free) * d, len(node))
     directions = scipy.sparse.csr_matrix((entries, (rows, columns)), shape=shape)
     if len(node):
         laplacian = _laplacian(joint.points[joint.corners], corners, joint.cell_type, n_nodes)
@@ -153,7 +153,7 @@ def _laplacian(x: FloatArray, corners: IntArray, cell_type: str, n: int) -> scip
 def _solve(matrix: scipy.sparse.csr_matrix, b: FloatArray) -> FloatArray:
     """Solve a symmetric linear system by conjugate gradients on this rank; raise InputError without convergence."""
     scaled = scipy.sparse.diags(1 / matrix.diagonal())
-    solution, failed = scipy.sparse.linalg.cg(matrix, b, rtol=CG_TOLERANCE, atol=0.0, maxiter=50_000, M=scaled)
-    if failed:
+    solution, status = scipy.sparse.linalg.cg(matrix, b, rtol=CG_TOLERANCE, atol=0.0, maxiter=50_000, M=scaled)
+    if status:
         raise InputError("the harmonic motion of the bodies' nodes was not found: the mesh has nearly flat cells")
     return np.asarray(solution)

@@ -48,11 +48,11 @@ def junction_cells(
     """
     half, k = int(lines.top[corners.sides.flat[0]]) // 2, corners.copies.shape[1]
     copies, sides, polygons = corners.copies.ravel(), corners.sides.reshape(-1, 2), corners.polygons.ravel()
-    count, of_centres = np.bincount(polygons), np.empty(int(polygons.max()) + 1, np.int64)
-    of_centres[polygons] = nodes[copies]
+    count, centre_nodes = np.bincount(polygons), np.empty(int(polygons.max()) + 1, np.int64)
+    centre_nodes[polygons] = nodes[copies]
     centres = sum_by_number(polygons, values[copies], len(count)) / count[:, None]
     key_values = np.concatenate([values, values[lines.ends].mean(axis=1), centres])
-    key_nodes = np.concatenate([nodes, lines.nodes, of_centres])
+    key_nodes = np.concatenate([nodes, lines.nodes, centre_nodes])
     keys = np.column_stack([copies, len(values) + sides, len(values) + len(lines.nodes) + polygons])
 
     level = np.arange(half + 1)
@@ -62,13 +62,13 @@ def junction_cells(
     codes = np.where(weights > 0, keys[:, None, None] * base + weights, -1)
     unique_codes, inverse = np.unique(np.sort(codes.reshape(-1, 4), axis=1), axis=0, return_inverse=True)
     at, number = inverse.reshape(codes.shape[:3]), np.full(len(unique_codes), -1)
-    for side, on_side in zip(sides.T, (at[:, :, 0], at[:, 0]), strict=True):
-        first = (lines.ends[side, 0] == copies)[:, None]
-        number[on_side] = lines.number(side[:, None], np.where(first, level, 2 * half - level))
+    for side, side_codes in zip(sides.T, (at[:, :, 0], at[:, 0]), strict=True):
+        starts_here = (lines.ends[side, 0] == copies)[:, None]
+        number[side_codes] = lines.number(side[:, None], np.where(starts_here, level, 2 * half - level))
     new = np.flatnonzero(number < 0)
     number[new] = lines.first_new + lines.size + np.arange(len(new))
     key, weight = np.divmod(unique_codes[new], base)
-    added = np.einsum("nk,nkd->nd", np.where(key < 0, 0, weight) / half**2, key_values[key])
+    new_values = np.einsum("nk,nkd->nd", np.where(key < 0, 0, weight) / half**2, key_values[key])
 
     grid = number[at]
     pieces = np.stack([grid[:, :-1, :-1], grid[:, 1:, :-1], grid[:, :-1, 1:], grid[:, 1:, 1:]], axis=-1)
@@ -78,10 +78,10 @@ def junction_cells(
     else:
         cells = _extruded(_halved(quads, lines.ends[corners.sides[:, 0], 0] != corners.copies[:, :1]))
     rows = np.repeat(np.arange(len(quads)), cells.shape[1])
-    return JunctionCells(cells.reshape(-1, cells.shape[2]), rows, added, key_nodes[key[:, -1]])
+    return JunctionCells(cells.reshape(-1, cells.shape[2]), rows, new_values, key_nodes[key[:, -1]])
 
 
-def _halved(quads: IntArray, back: BoolArray) -> IntArray:
+def _halved(quads: IntArray, is_reversed: BoolArray) -> IntArray:
     """Return triangles (n, k, 2 m, 3) from the quadrilaterals (n, k, m, 4) of blocks, halved from corner to centre.
 
     This suits corners of all angles. Vertices are in the same order wherever triangles share an edge; along node lines
@@ -89,15 +89,15 @@ def _halved(quads: IntArray, back: BoolArray) -> IntArray:
 
     Args:
         quads: numbers of the vertices of m quadrilaterals in each of n blocks, at each of k vertices of a junction.
-        back: (n, 2) whether the node lines at the block's two outer sides lead towards its corner.
+        is_reversed: (n, 2) whether the node lines at the block's two outer sides lead towards its corner.
     """
-    half = round(quads.shape[2] ** 0.5)
-    p, q = np.divmod(np.arange(half * half), half)
-    out = []
-    for middle, outer, turned in ((1, q == 0, back[:, 0]), (2, p == 0, back[:, 1])):
+    n_side = round(quads.shape[2] ** 0.5)
+    p, q = np.divmod(np.arange(n_side * n_side), n_side)
+    triangles = []
+    for middle, outer, flip in ((1, q == 0, is_reversed[:, 0]), (2, p == 0, is_reversed[:, 1])):
         rows = quads[..., [0, middle, 3]]
-        out.append(np.where((turned[:, None] & outer)[:, None, :, None], rows[..., [1, 0, 2]], rows))
-    return np.concatenate(out, axis=2)
+        triangles.append(np.where((flip[:, None] & outer)[:, None, :, None], rows[..., [1, 0, 2]], rows))
+    return np.concatenate(triangles, axis=2)
 
 
 def _extruded(triangles: IntArray) -> IntArray:
@@ -109,5 +109,5 @@ def _extruded(triangles: IntArray) -> IntArray:
     if triangles.shape[1] == 1:
         return triangles[:, 0]
     low, high = triangles[:, 0], triangles[:, 1]
-    steps = [np.concatenate([low[..., : j + 1], high[..., j:]], axis=2) for j in range(low.shape[2])]
-    return np.concatenate(steps, axis=1)
+    prisms = [np.concatenate([low[..., : j + 1], high[..., j:]], axis=2) for j in range(low.shape[2])]
+    return np.concatenate(prisms, axis=1)

@@ -85,47 +85,47 @@ def inflate(
     if periods:
         fixed = np.unique(np.concatenate(periods.pairs))
         sides = f"the periodic sides {' and '.join(map(repr, periods.names))}"
-        reach = f"S reaches one of {sides}, at {{at}}, which would not match when the layer opens; cut the cell where S"
-        others = "is not, use the interface model, or mesh a large piece that is not periodic"
-        refuse(np.isin(fixed, joint.surface), joint.points[fixed], f"{reach} {others}")
+        text = f"S reaches one of {sides}, at {{at}}, which would not match when the layer opens; cut the cell where S"
+        advice = "is not, use the interface model, or mesh a large piece that is not periodic"
+        refuse(np.isin(fixed, joint.surface), joint.points[fixed], f"{text} {advice}")
     layers = Layering.of(joint, eps, profile, cells_through, fractions, junctions, gaps)
     copies = NodeCopies.of(joint)
     lines, footing = node_lines(joint, copies, layers.heights)
     check_junctions(joint, lines, layers)
-    lines, meetings = junction_corners(joint, lines, footing)
+    lines, junctions_at = junction_corners(joint, lines, footing)
 
-    copied = _motion(joint, copies, layers.thickness, bodies, fixed)
-    moved, below = lines.between(copied)
-    motion = np.concatenate([copied, moved])
-    foot = np.concatenate([np.arange(len(joint.points)), copies.new, below])
+    copy_motion = _motion(joint, copies, layers.thickness, bodies, fixed)
+    line_motion, line_nodes = lines.between(copy_motion)
+    motion = np.concatenate([copy_motion, line_motion])
+    foot = np.concatenate([np.arange(len(joint.points)), copies.new, line_nodes])
 
     bands, names = _bands(joint, lines, footing, layers)
-    between = _BandCells(joint.cells[:0], joint.region[:0], bands.director[:0])
-    if meetings:
-        filled = junction_cells(joint, lines, meetings, copied, foot[: len(copied)])
+    filler = _BandCells(joint.cells[:0], joint.region[:0], bands.director[:0])
+    if junctions_at:
+        filled = junction_cells(joint, lines, junctions_at, copy_motion, foot[: len(copy_motion)])
         motion, foot = np.concatenate([motion, filled.values]), np.concatenate([foot, filled.nodes])
-        between = _junctions(joint, lines, footing, meetings, layers.claims, filled)
-    owners = np.unique(between.region)
+        filler = _junctions(joint, lines, footing, junctions_at, layers.claims, filled)
+    owners = np.unique(filler.region)
     seams, prefix = list(joint.seams), f"{LAYER}/{JUNCTIONS}"
     shared = {prefix if len(owners) == 1 else f"{prefix}/{seams[k]}": seams[k] for k in owners}
-    askew = (between.director == 0).all(axis=(1, 2))
+    tilted = (filler.director == 0).all(axis=(1, 2))
     first = len(joint.regions) + sum(map(len, names.values()))
 
-    cells, used = np.concatenate([copies.cells, bands.cells, between.cells]), np.zeros(len(foot), bool)
-    used[cells] = True
-    number = np.where(used, np.cumsum(used) - 1, -1)
-    foot, cells, copies = foot[used], number[cells], copies.renumbered(number)
-    points = joint.points[foot] + motion[used]
+    cells, is_used = np.concatenate([copies.cells, bands.cells, filler.cells]), np.zeros(len(foot), bool)
+    is_used[cells] = True
+    number = np.where(is_used, np.cumsum(is_used) - 1, -1)
+    foot, cells, copies = foot[is_used], number[cells], copies.renumbered(number)
+    points = joint.points[foot] + motion[is_used]
     _check_cells(joint, points, cells, len(bands.cells))
     corners = cells[len(joint.cells) :, : joint.corners.shape[1]]
     facets, faces = moved_facets(joint, copies, layers, corners, len(bands.cells), foot)
     regions = (*(name for of_seam in names.values() for name in of_seam), *shared)
-    aligned = tuple(name for name, seam in shared.items() if seams.index(seam) not in between.region[askew])
-    director = np.concatenate([bands.director, np.where(askew[:, None, None], np.eye(joint.dim)[1], between.director)])
+    aligned = tuple(name for name, seam in shared.items() if seams.index(seam) not in filler.region[tilted])
+    director = np.concatenate([bands.director, np.where(tilted[:, None, None], np.eye(joint.dim)[1], filler.director)])
     band = InflatedBand(layers.eps, bodies, regions, names, shared, aligned, faces, joint, joint.points[foot], director)
-    region = np.concatenate([joint.region, bands.region, first + np.searchsorted(owners, between.region)])
-    opened = Joint(points, cells, joint.cell_type, region, joint.regions + regions, facets, joint.seams, band)
-    return with_periods_of(opened, periods) if periods else opened
+    region = np.concatenate([joint.region, bands.region, first + np.searchsorted(owners, filler.region)])
+    inflated = Joint(points, cells, joint.cell_type, region, joint.regions + regions, facets, joint.seams, band)
+    return with_periods_of(inflated, periods) if periods else inflated
 
 
 def without_bodies(inflated: Joint) -> Joint:
@@ -136,9 +136,9 @@ def without_bodies(inflated: Joint) -> Joint:
     """
     band = inflated.band
     assert band is not None
-    first = len(inflated.regions) - len(band.regions)
-    mine = inflated.region >= first
-    used, cells = np.unique(inflated.cells[mine], return_inverse=True)
+    first_region = len(inflated.regions) - len(band.regions)
+    in_layer = inflated.region >= first_region
+    used, cells = np.unique(inflated.cells[in_layer], return_inverse=True)
     number = positions(used, len(inflated.points))
     table = FacetTable.of(cells[:, : inflated.corners.shape[1]], inflated.cell_type)
     facets: dict[str, IntArray] = {}
@@ -147,7 +147,7 @@ def without_bodies(inflated: Joint) -> Joint:
         rows = rows[(rows >= 0).all(axis=1)]
         if len(rows := rows[table.index(rows) >= 0]):
             facets[name] = facets[FacetName.parse(name).continued] = rows
-    points, region = inflated.points[used], inflated.region[mine] - first
+    points, region = inflated.points[used], inflated.region[in_layer] - first_region
     new_band = replace(band, reference=band.reference[used])
     return Joint(points, cells, inflated.cell_type, region, band.regions, facets, inflated.seams, new_band)
 
@@ -182,19 +182,19 @@ def _junctions(
         claims: names of the seams with cells, in order of priority for the cells of junctions.
         filled: cells in all junctions.
     """
-    seams, last = list(joint.seams), len(claims)
-    rank = np.array([claims.index(name) if name in claims else last for name in seams])
-    of_lines = np.full(len(lines.nodes), last)  # the sides that close a polygon have no seam
-    of_lines[: footing.lines.max() + 1] = rank[lines.kind[: footing.lines.max() + 1]]
-    first = np.full(int(corners.of.max()) + 1, last)
-    np.minimum.at(first, corners.of, of_lines[corners.sides].min(axis=(1, 2)))
-    owners = np.array([*map(seams.index, claims), -1])[first[corners.of]]
-    gap = of_lines == last
+    seams, no_rank = list(joint.seams), len(claims)
+    rank = np.array([claims.index(name) if name in claims else no_rank for name in seams])
+    line_rank = np.full(len(lines.nodes), no_rank)  # the sides that close a polygon have no seam
+    line_rank[: footing.lines.max() + 1] = rank[lines.seam_no[: footing.lines.max() + 1]]
+    best_rank = np.full(int(corners.of.max()) + 1, no_rank)
+    np.minimum.at(best_rank, corners.of, line_rank[corners.sides].min(axis=(1, 2)))
+    owners = np.array([*map(seams.index, claims), -1])[best_rank[corners.of]]
+    is_gap = line_rank == no_rank
     # where a body has a corner between two gaps there are no cells: it would touch them at that corner only
-    empty = np.bincount(corners.of, gap[corners.sides[:, 0]].all(axis=1)) > 0
-    kept = ~empty[corners.of][filled.corners]
-    cells, corner = filled.cells[kept], filled.corners[kept]
-    normals = common_normals(joint, footing, corners, gap)[corner]
+    is_empty = np.bincount(corners.of, is_gap[corners.sides[:, 0]].all(axis=1)) > 0
+    is_kept = ~is_empty[corners.of][filled.corners]
+    cells, corner = filled.cells[is_kept], filled.corners[is_kept]
+    normals = common_normals(joint, footing, corners, is_gap)[corner]
     return _BandCells(cells, owners[corner], np.broadcast_to(normals[:, None], (*cells.shape, joint.dim)))
 
 
@@ -211,16 +211,16 @@ def _bands(
     """
     bands: list[_BandCells] = []
     names: dict[str, tuple[str, ...]] = {}
-    first = len(joint.regions)
+    first_region = len(joint.regions)
     for number, seam in enumerate(joint.seams):
         if seam not in layers.claims:
             continue
         rows, fractions = np.flatnonzero((joint.seam_numbers == number) & layers.with_cells), layers.fractions[seam]
         cells, sublayer, director = band_cells(joint, lines, footing, rows, layers.heights[number], fractions)
-        whole = LAYER if len(joint.seams) == 1 else f"{LAYER}/{seam}"
-        names[seam] = tuple(f"{whole}/{k + 1}" for k in range(len(fractions))) if len(fractions) else (whole,)
-        bands.append(_BandCells(cells, first + sublayer, director))
-        first += len(names[seam])
+        layer_name = LAYER if len(joint.seams) == 1 else f"{LAYER}/{seam}"
+        names[seam] = tuple(f"{layer_name}/{k + 1}" for k in range(len(fractions))) if len(fractions) else (layer_name,)
+        bands.append(_BandCells(cells, first_region + sublayer, director))
+        first_region += len(names[seam])
     return _BandCells(*map(np.concatenate, zip(*bands, strict=True))), names
 
 
@@ -237,8 +237,8 @@ def _motion(joint: Joint, copies: NodeCopies, thickness: FloatArray, bodies: str
     n_nodes = len(joint.points) + len(copies.new)
     if bodies == "extended":
         on_base = (joint.surface_cells[:, 0] < 0)[:, None]
-        up, down = np.where(on_base, thickness, thickness / 2), np.where(on_base, 0.0, thickness / 2)
-        face_nodes, values = face_motion(joint, copies, (down, up))
+        depth_above, depth_below = np.where(on_base, thickness, thickness / 2), np.where(on_base, 0.0, thickness / 2)
+        face_nodes, values = face_motion(joint, copies, (depth_below, depth_above))
         return extended_motion(joint, copies.cells, n_nodes, face_nodes, values, fixed)
     for number, name in enumerate(joint.seams):
         eps = thickness[joint.seam_numbers == number]
@@ -252,15 +252,15 @@ def _motion(joint: Joint, copies: NodeCopies, thickness: FloatArray, bodies: str
 
 
 def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int) -> None:
-    before = node_jacobians(joint.points, joint.cells, joint.cell_type)
+    jacobians = node_jacobians(joint.points, joint.cells, joint.cell_type)
     after = node_jacobians(points, cells, joint.cell_type)
     n = len(joint.cells)
-    large = "eps is too large for these bodies: {bad} cells turn inside out, the first at {at}; take a smaller eps"
+    complaint = "eps is too large for these bodies: {bad} cells turn inside out, the first at {at}; take a smaller eps"
     remedy = "larger cells there (at sharp ends several times eps), or on planar seams bodies='kept', which keeps cells"
-    refuse((before * after[:n] <= 0).any(axis=1), joint.points[joint.cells], f"{large}, {remedy}")
+    refuse((jacobians * after[:n] <= 0).any(axis=1), joint.points[joint.cells], f"{complaint}, {remedy}")
     folded = np.abs(np.sign(after[n:]).sum(axis=1)) < after.shape[1]
-    where = "the layer" if folded[:n_bands].any() else "a junction of layers"
-    refuse(folded, points[cells[n:]], f"S turns too sharply for eps: {{bad}} cells of {where} are folded, as at {{at}}")
+    place = "the layer" if folded[:n_bands].any() else "a junction of layers"
+    refuse(folded, points[cells[n:]], f"S turns too sharply for eps: {{bad}} cells of {place} are folded, as at {{at}}")
 
 
 def with_gaps(joint: Joint, eps: Sizes, *, profile: Profiles = None) -> Joint:
@@ -297,8 +297,8 @@ def offset_to_middle(joint: Joint) -> FloatArray:
 
     The vectors have d components in d dimensions; k is the number of nodes of each cell.
     """
-    out, both = np.zeros_like(joint.cell_points), joint.faces()
-    for cells, face in zip(joint.surface_cells.T, both, strict=True):
+    offsets, face_points = np.zeros_like(joint.cell_points), joint.faces()
+    for cells, face in zip(joint.surface_cells.T, face_points, strict=True):
         at = np.flatnonzero(cells >= 0)
-        out[cells[at, None], joint.on_surface(cells)[at]] = (both.mean(axis=0) - face)[at]
-    return out
+        offsets[cells[at, None], joint.on_surface(cells)[at]] = (face_points.mean(axis=0) - face)[at]
+    return offsets

@@ -46,45 +46,45 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
     count = int(pieces.max()) + 1
     ends = np.where(cells >= 0, pieces[cells], count)
     count += bool((cells < 0).any())
-    around = f"one body, as at {{at}}, lies below S and above it: {NOT_KEPT_MESSAGE}"
-    refuse(ends[:, 0] == ends[:, 1], joint.points[joint.corners[cells[:, 1]]], around)
+    complaint = f"one body, as at {{at}}, lies below S and above it: {NOT_KEPT_MESSAGE}"
+    refuse(ends[:, 0] == ends[:, 1], joint.points[joint.corners[cells[:, 1]]], complaint)
     sheet = Sheet(joint)
-    area = np.bincount(sheet.parts[0], sheet.areas)
+    area = np.bincount(sheet.simplices[0], sheet.areas)
     pairs, at = unique_rows(ends)
     weight: FloatArray = np.bincount(at, area).astype(float)
     moment = sum_by_number(at, area[:, None, None] * n[:, :, None] * n[:, None, :], len(pairs))
     opened = sum_by_number(at, (area * eps)[:, None] * n, len(pairs))
     values, vectors = np.linalg.eigh(moment / weight[:, None, None])
-    across = values > 10 * PLANAR_TOLERANCE**2
-    inverse = np.where(across, 1 / np.where(across, values, 1.0), 0.0)
-    wanted = np.einsum("pik,pk,pjk,pj->pi", vectors, inverse, vectors, opened / weight[:, None])
+    is_normal = values > 10 * PLANAR_TOLERANCE**2
+    inverse = np.where(is_normal, 1 / np.where(is_normal, values, 1.0), 0.0)
+    pair_jump = np.einsum("pik,pk,pjk,pj->pi", vectors, inverse, vectors, opened / weight[:, None])
     part = connected(pairs[:, 0], pairs[:, 1], count)
-    T = _translations(pairs, part, wanted, (vectors * across[:, None, :]) @ np.swapaxes(vectors, 1, 2), weight)
+    T = _translations(pairs, part, pair_jump, (vectors * is_normal[:, None, :]) @ np.swapaxes(vectors, 1, 2), weight)
 
     contradictory = "the layers around the bodies at {at} ask for motions that contradict one another"
-    due, mean = (wanted[at] * n).sum(axis=1), (np.bincount(at, eps) / np.bincount(at))[at]
+    target_gap, mean = (pair_jump[at] * n).sum(axis=1), (np.bincount(at, eps) / np.bincount(at))[at]
     # layers of several thicknesses get the strict tolerance
-    shallow = np.where(np.abs(eps - mean) > FLAT_GAP_TOLERANCE * mean, FLAT_GAP_TOLERANCE, CURVED_GAP_TOLERANCE)
-    separate = wanted[at], eps, shallow, "S is not planar, as at {at}"
-    together = T[ends[:, 1]] - T[ends[:, 0]], due, FLAT_GAP_TOLERANCE, contradictory
-    for jump, least, allowed, reason in (separate, together):
+    tolerance = np.where(np.abs(eps - mean) > FLAT_GAP_TOLERANCE * mean, FLAT_GAP_TOLERANCE, CURVED_GAP_TOLERANCE)
+    pair_check = pair_jump[at], eps, tolerance, "S is not planar, as at {at}"
+    joint_check = T[ends[:, 1]] - T[ends[:, 0]], target_gap, FLAT_GAP_TOLERANCE, contradictory
+    for jump, wanted_gap, allowed, reason in (pair_check, joint_check):
         gap = (jump * n).sum(axis=1)
-        lean = np.linalg.norm(jump - gap[:, None] * n, axis=1)
-        wrong = np.abs(gap - least) > allowed * eps + PLANAR_TOLERANCE * lean
-        refuse(wrong, joint.points[joint.surface], f"{reason}: {NOT_KEPT_MESSAGE}")
-    opening = np.einsum("nd,nkd->nk", wanted[at], joint.node_normals) / eps[:, None]
+        sideways = np.linalg.norm(jump - gap[:, None] * n, axis=1)
+        is_wrong = np.abs(gap - wanted_gap) > allowed * eps + PLANAR_TOLERANCE * sideways
+        refuse(is_wrong, joint.points[joint.surface], f"{reason}: {NOT_KEPT_MESSAGE}")
+    opening = np.einsum("nd,nkd->nk", pair_jump[at], joint.node_normals) / eps[:, None]
     if np.abs(opening - 1).max() > GAP_WARNING_ERROR:
-        thickness = f"its thickness is {opening.min():.3f} to {opening.max():.3f} of eps with bodies='kept'"
-        warn_of_range("curved", f"the meshed layer is curved: {thickness}; use bodies='extended' for a uniform one")
-    on_base, mine, n_parts = cells[:, 0] < 0, part[ends[:, 1]], int(part.max()) + 1
+        range_text = f"its thickness is {opening.min():.3f} to {opening.max():.3f} of eps with bodies='kept'"
+        warn_of_range("curved", f"the meshed layer is curved: {range_text}; use bodies='extended' for a uniform one")
+    on_base, part_above, n_parts = cells[:, 0] < 0, part[ends[:, 1]], int(part.max()) + 1
     middle = np.where(on_base[:, None], T[ends[:, 1]], (T[ends[:, 0]] + T[ends[:, 1]]) / 2)
-    share = np.where(np.isin(mine, mine[on_base]) & ~on_base, 0.0, area)
-    total = np.maximum(np.bincount(mine, share, n_parts), np.finfo(float).tiny)
-    shift = np.stack([np.bincount(mine, share * middle[:, k], n_parts) / total for k in range(d)], axis=1)
+    share = np.where(np.isin(part_above, part_above[on_base]) & ~on_base, 0.0, area)
+    total = np.maximum(np.bincount(part_above, share, n_parts), np.finfo(float).tiny)
+    shift = np.stack([np.bincount(part_above, share * middle[:, k], n_parts) / total for k in range(d)], axis=1)
     return np.asarray(T - shift[part])
 
 
-def _translations(pair: IntArray, part: IntArray, jump: FloatArray, across: FloatArray, area: FloatArray) -> FloatArray:
+def _translations(pair: IntArray, part: IntArray, jump: FloatArray, P_n: FloatArray, area: FloatArray) -> FloatArray:
     """Return translations with the least tangential jumps for prescribed normal jumps: (count, d) in d dimensions.
 
     A translation of all pieces together remains free. The method is an augmented Lagrangian, which also converges for
@@ -94,24 +94,24 @@ def _translations(pair: IntArray, part: IntArray, jump: FloatArray, across: Floa
         pair: (n, 2) numbers of the pieces below and above each of n layers.
         part: (count,) number of the connected part of the joint that each piece is in.
         jump: (n, d) prescribed jump across each layer, in its normal directions.
-        across: (n, d, d) projector onto these normal directions. A bent layer has several.
+        P_n: (n, d, d) projector onto these normal directions. A bent layer has several.
         area: (n,) area of S between the two pieces.
     """
     (n, d), count = jump.shape, len(part)
     low, up = (scipy.sparse.csr_matrix((np.ones(n), (np.arange(n), end)), shape=(n, count)) for end in pair.T)
     jumps = scipy.sparse.kron(up - low, np.eye(d), format="csr")
-    stiffness = NORMAL_PENALTY * across + (area / area.mean())[:, None, None] * (np.eye(d) - across)
+    stiffness = NORMAL_PENALTY * P_n + (area / area.mean())[:, None, None] * (np.eye(d) - P_n)
     blocks = scipy.sparse.bsr_matrix((stiffness, np.arange(n), np.arange(n + 1)), shape=(n * d, n * d))
-    ground = np.zeros(count)
-    ground[np.unique(part, return_index=True)[1]] = NORMAL_PENALTY
-    matrix = jumps.T @ blocks @ jumps + scipy.sparse.kron(scipy.sparse.diags(ground), np.eye(d))
+    anchor = np.zeros(count)
+    anchor[np.unique(part, return_index=True)[1]] = NORMAL_PENALTY
+    matrix = jumps.T @ blocks @ jumps + scipy.sparse.kron(scipy.sparse.diags(anchor), np.eye(d))
     factors = scipy.sparse.linalg.splu(matrix.tocsc())
     T, multiplier = np.zeros((count, d)), np.zeros((n, d))
     for _ in range(MAX_MULTIPLIER_STEPS):
-        missing = jump - np.einsum("nij,nj->ni", across, T[pair[:, 1]] - T[pair[:, 0]])
-        if np.abs(missing).max() <= 10 * np.finfo(float).eps * np.abs(jump).max():
+        residual = jump - np.einsum("nij,nj->ni", P_n, T[pair[:, 1]] - T[pair[:, 0]])
+        if np.abs(residual).max() <= 10 * np.finfo(float).eps * np.abs(jump).max():
             break
-        multiplier += missing
+        multiplier += residual
         T = factors.solve(jumps.T @ (NORMAL_PENALTY * multiplier).ravel()).reshape(count, d)
     return T
 
@@ -133,29 +133,29 @@ def require_room(joint: Joint, translation: FloatArray) -> None:
     low, high = np.full_like(translation, np.inf), np.full_like(translation, -np.inf)
     np.minimum.at(low, piece, x.min(axis=1))
     np.maximum.at(high, piece, x.max(axis=1))
-    least = FLAT_GAP_TOLERANCE * np.abs(translation).max()  # largest relative motion of bodies that move together
+    min_motion = FLAT_GAP_TOLERANCE * np.abs(translation).max()  # largest relative motion of bodies that move together
     for body in range(len(translation) - 1):
         lengths = np.linalg.norm(translation[body] - translation[body + 1 :], axis=1)
         gap = np.maximum(low[body + 1 :] - high[body], low[body] - high[body + 1 :]).max(axis=1)  # of bounding boxes
-        for other in body + 1 + np.flatnonzero((gap <= lengths) & (lengths > least)):
-            way, eps = translation[body] - translation[other], float(lengths[other - body - 1])
+        for other in body + 1 + np.flatnonzero((gap <= lengths) & (lengths > min_motion)):
+            direction, eps = translation[body] - translation[other], float(lengths[other - body - 1])
             for moving, fixed, sign in ((body, other, 1.0), (other, body, -1.0)):
                 corners = table.vertices[outer[piece == moving]]
                 weights = RAY_OFFSETS[: corners.shape[1]] / RAY_OFFSETS[: corners.shape[1]].sum()
                 probes = np.concatenate([joint.points[np.unique(corners)], weights @ joint.points[corners]])
-                hit = _first_hit(joint, probes, outer[piece == fixed], sign * way / eps, eps)
+                hit = _first_hit(joint, probes, outer[piece == fixed], sign * direction / eps, eps)
                 if hit is not None:
                     raise InputError(f"no room for a layer of thickness {eps:g} at {place_text(hit)}: bodies overlap")
 
 
-def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, way: FloatArray, eps: float) -> FloatArray | None:
+def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, direction: FloatArray, eps: float) -> FloatArray | None:
     """Return the first of some points that hits a facet on a straight way, or None if none does.
 
     Args:
         joint: the joint as drawn, before S is opened.
         x: (n, d) coordinates of the points in d dimensions.
         rows: row numbers in `joint.table` of the facets.
-        way: (d,) unit vector along which the points move.
+        direction: (d,) unit vector along which the points move.
         eps: length of the way.
     """
     nodes = joint.table.nodes(rows, joint.corners, joint.cell_type)
@@ -163,18 +163,18 @@ def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, way: FloatArray, eps
         nodes = np.concatenate([nodes[:, [0, 1, 2]], nodes[:, [3, 1, 2]]])
     facets = joint.points[nodes]
     tolerance = 1e-9 * joint.size
-    start, heights = x @ way, facets @ way
+    start, heights = x @ direction, facets @ direction
     low, high = start.min(initial=np.inf) + tolerance, start.max(initial=-np.inf) + eps
-    near = (heights.max(axis=1) > low) & (heights.min(axis=1) < high)
-    plane = np.linalg.svd(way[None])[2][1:]
-    for facet, height in zip(facets[near] @ plane.T, heights[near], strict=True):
+    is_near = (heights.max(axis=1) > low) & (heights.min(axis=1) < high)
+    plane_axes = np.linalg.svd(direction[None])[2][1:]
+    for facet, height in zip(facets[is_near] @ plane_axes.T, heights[is_near], strict=True):
         edges = (facet[1:] - facet[0]).T
         if abs(np.linalg.det(edges)) < tolerance ** (joint.dim - 1):
             continue  # the facet is parallel to the motion
-        weights = np.linalg.solve(edges, (x @ plane.T - facet[0]).T).T
+        weights = np.linalg.solve(edges, (x @ plane_axes.T - facet[0]).T).T
         gap = height[0] + weights @ (height[1:] - height[0]) - start
-        inside = (weights > 1e-9).all(axis=1) & (weights.sum(axis=1) < 1 - 1e-9)
-        hit = np.flatnonzero(inside & (gap > tolerance) & (gap < eps))
+        is_inside = (weights > 1e-9).all(axis=1) & (weights.sum(axis=1) < 1 - 1e-9)
+        hit = np.flatnonzero(is_inside & (gap > tolerance) & (gap < eps))
         if len(hit):
             return np.asarray(x[hit[0]], float)
     return None

@@ -94,27 +94,27 @@ class Layering(NamedTuple):
         Raises:
             InputError: an argument is out of range, all seams are gaps, or S ends inside the bodies.
         """
-        for what, names in (("junctions", junctions), ("gaps", gaps)):
+        for argument, names in (("junctions", junctions), ("gaps", gaps)):
             for name in names:
-                require_known("seam", name, joint.seams, what)
+                require_known("seam", name, joint.seams, argument)
         in_gaps = np.isin(np.array([*joint.seams])[joint.seam_numbers], list(gaps))
         if in_gaps.all():
             raise InputError("all seams are gaps: there is no layer to mesh; use the interface model")
         sizes = value_by_seam(joint, eps, "eps")
         shares: dict[str, Sequence[float]] = value_by_seam(joint, fractions, "fractions", ())
         profiles: dict[str, Profile | None] = value_by_seam(joint, profile, "profile", None)
-        unresolved = f"the coordinates of bodies of size {joint.size:.3g} do not resolve it; use the interface model"
+        too_thin = f"the coordinates of bodies of size {joint.size:.3g} do not resolve it; use the interface model"
         for name, size in sizes.items():
             which, some = "" if len(joint.seams) == 1 else f" of {name!r}", shares[name]
             require(is_finite(size) and size > 0, f"the layer's thickness eps{which}", size, "it must be > 0")
-            require(size >= MIN_THICKNESS * joint.size, f"the layer's thickness eps{which}", size, unresolved)
+            require(size >= MIN_THICKNESS * joint.size, f"the layer's thickness eps{which}", size, too_thin)
             if len(some) and not (all(map(is_finite, some)) and min(some) > 0 and abs(sum(some) - 1) <= 1e-12):
                 raise InputError(f"the fractions {tuple(some)}{which} of sublayers must be numbers > 0 and add up to 1")
         if joint.tip is not None:
             tip = f"S ends inside the bodies (near {place_text(joint.tip)})"
             raise InputError(f"{tip}: the layer has no room at its tip and cannot be meshed; use the interface model")
-        relative = np.stack([size * joint.relative_thickness(profiles[name], name) for name, size in sizes.items()])
-        thickness = relative[joint.seam_numbers[:, None], joint.surface]
+        by_node = np.stack([size * joint.relative_thickness(profiles[name], name) for name, size in sizes.items()])
+        thickness = by_node[joint.seam_numbers[:, None], joint.surface]
         heights = [level_heights(joint.degree, through, some) for some in shares.values()]
         varying = tuple(name for name in joint.seams if profiles[name] is not None)
         claims = [name for name in dict.fromkeys([*junctions, *joint.seams]) if name not in gaps]
@@ -133,10 +133,10 @@ def check_junctions(joint: Joint, lines: NodeLines, layers: Layering) -> None:
         layers: checked arguments for the layers.
     """
     meeting = np.flatnonzero(np.bincount(lines.nodes)[lines.nodes] > 1)
-    names, x = np.array([*joint.seams])[lines.kind[meeting]], joint.points[lines.nodes[meeting]]
-    layered = [name for name, some in layers.fractions.items() if len(some)]
+    names, x = np.array([*joint.seams])[lines.seam_no[meeting]], joint.points[lines.nodes[meeting]]
+    with_sublayers = [name for name, fractions in layers.fractions.items() if len(fractions)]
     for reason, of_seams in (
-        ("the sublayers of one layer have no place in the others", layered),
+        ("the sublayers of one layer have no place in the others", with_sublayers),
         ("junctions are meshed between layers of uniform thickness only", list(layers.varying)),
         ("junctions are meshed between straight-sided cells only", [*joint.seams] if joint.degree == 2 else []),
     ):
@@ -157,33 +157,33 @@ def moved_facets(
         n_bands: number of cells of bands.
         foot: for each node of the new joint the node of the drawn joint that it is, or on S lies above or below.
     """
-    filled, order = layers.with_cells, np.argsort(joint.surface[:, : joint.table.vertices.shape[1]], axis=1)
+    is_filled, order = layers.with_cells, np.argsort(joint.surface[:, : joint.table.vertices.shape[1]], axis=1)
     above, below = (np.take_along_axis(side, order, axis=1) for side in (copies.above, copies.below))
     on_base = joint.surface_cells[:, 0] < 0
-    out: dict[str, IntArray] = {}
+    new_facets: dict[str, IntArray] = {}
     faces: list[str] = []
     for number, seam in enumerate(joint.seams):
-        of_seam, several = joint.seam_numbers == number, len(joint.seams) > 1
-        both = {UPPER_FACE: above} if on_base[of_seam].any() else {UPPER_FACE: above, LOWER_FACE: below}
-        named = {str(FacetName(seam, name)) if several else name: side[of_seam] for name, side in both.items()}
-        out |= named
-        faces += named if filled[of_seam].any() else ()
-    if (on_base & filled).any():
-        out[BASE] = below[on_base & filled]
+        of_seam, has_seams = joint.seam_numbers == number, len(joint.seams) > 1
+        face_facets = {UPPER_FACE: above} if on_base[of_seam].any() else {UPPER_FACE: above, LOWER_FACE: below}
+        named = {str(FacetName(seam, name)) if has_seams else name: side[of_seam] for name, side in face_facets.items()}
+        new_facets |= named
+        faces += named if is_filled[of_seam].any() else ()
+    if (on_base & is_filled).any():
+        new_facets[BASE] = below[on_base & is_filled]
     table = FacetTable.of(cells, joint.cell_type)
     outer = table.cells[:, 1] < 0
-    outer[table.index(np.concatenate([above[filled], below[filled]]))] = False
+    outer[table.index(np.concatenate([above[is_filled], below[is_filled]]))] = False
     sides, of_band = table.vertices[outer], table.cells[outer, 0] < n_bands
-    stands = foot[sides]
-    below_sides, upright = keys_of_ridges(stands, joint.dim - 1), (stands == stands[:, :1]).all(axis=1)
+    s_vertices = foot[sides]
+    below_sides, is_upright = keys_of_ridges(s_vertices, joint.dim - 1), (s_vertices == s_vertices[:, :1]).all(axis=1)
     for name, facets in joint.facets.items():
         if name in joint.seams:
             continue
         rows = joint.table.index(facets)
-        out[name] = joint.table.nodes(rows, copies.cells[:, : joint.corners.shape[1]], joint.cell_type)
+        new_facets[name] = joint.table.nodes(rows, copies.cells[:, : joint.corners.shape[1]], joint.cell_type)
         on = np.isin(below_sides, continued_ridges(joint, facets)).any(axis=1)
         # in 3D the end of a junction continues the same sets as its layers
-        on |= upright & np.isin(stands[:, 0], stands[on & of_band])
+        on |= is_upright & np.isin(s_vertices[:, 0], s_vertices[on & of_band])
         if on.any():
-            out[str(FacetName(name, LAYER))] = sides[on]
-    return out, tuple(faces)
+            new_facets[str(FacetName(name, LAYER))] = sides[on]
+    return new_facets, tuple(faces)

@@ -50,13 +50,13 @@ class Boxes(Prism):
         kernel = gmsh.model.geo
         heights = [*(-height for _, height in self.bodies[:-1]), 0.0, self.bodies[-1][1]]
         corners = [[kernel.addPoint(x, y, 0) for x in (0.0, self.width)] for y in heights]
-        across = [kernel.addLine(left, right) for left, right in corners]
+        levels = [kernel.addLine(left, right) for left, right in corners]
         rise = [[kernel.addLine(a[k], b[k]) for k in (0, 1)] for a, b in pairwise(corners)]
-        curves = {"LEFT": [r[0] for r in rise], "RIGHT": [r[1] for r in rise], "TOP": [across[-1]], S: [across[-2]]}
+        curves = {"LEFT": [r[0] for r in rise], "RIGHT": [r[1] for r in rise], "TOP": [levels[-1]], S: [levels[-2]]}
         if len(self.bodies) == 2:
-            curves["BOTTOM"] = [across[0]]
-        rows = zip(pairwise(across), rise, strict=True)
-        surfaces = [plane_surface([low, right, -high, -left]) for (low, high), (left, right) in rows]
+            curves["BOTTOM"] = [levels[0]]
+        strips = zip(pairwise(levels), rise, strict=True)
+        surfaces = [plane_surface([low, right, -high, -left]) for (low, high), (left, right) in strips]
         kernel.synchronize()
         bodies = {name: [tag] for (name, _), tag in zip(self.bodies, surfaces, strict=True)}
         return Drawing(bodies, curves, surfaces, {})
@@ -73,11 +73,11 @@ class Boxes(Prism):
             return super()._build(unit)
         h, h_S, h_ends = self.sizes
         (*below, (_, height)), names = self.bodies, tuple(name for name, _ in self.bodies)
-        down = [-Grading.of(lower, h_S, h).along(lower)[:0:-1] for _, lower in below]
+        y_below = [-Grading.of(lower, h_S, h).along(lower)[:0:-1] for _, lower in below]
         lengths = (self.width, *([self.depth] if self.depth else []))
         across = [Grading.of(length, h_ends, h_S, symmetric=True).along(length) for length in lengths]
-        axes = [across[0], np.concatenate([*down, Grading.of(height, h_S, h).along(height)]), *across[1:]]
-        grid, base = BoxGrid([axis * unit for axis in axes], self.kind, self.cells.arrangement), sum(map(len, down))
+        axes = [across[0], np.concatenate([*y_below, Grading.of(height, h_S, h).along(height)]), *across[1:]]
+        grid, base = BoxGrid([axis * unit for axis in axes], self.kind, self.cells.arrangement), sum(map(len, y_below))
         facets = grid.sides() | {S: grid.plane(1, base)}
         if not below:
             del facets["BOTTOM"]
@@ -144,10 +144,10 @@ class BoxGrid:
         o, x, y, xy = (numbers[ends[i], ends[j]].ravel() for i, j in ((0, 0), (1, 0), (0, 1), (1, 1)))
         if is_tensor(self.kind):
             return np.column_stack([o, x, y, xy])
-        odd = np.indices([n - 1 for n in numbers.shape]).sum(axis=0).ravel() % 2 == 1
-        left = {"Left": True, "Right": False, "AlternateLeft": odd, "AlternateRight": ~odd}[self.arrangement]
+        is_odd = np.indices([n - 1 for n in numbers.shape]).sum(axis=0).ravel() % 2 == 1
+        is_left = {"Left": True, "Right": False, "AlternateLeft": is_odd, "AlternateRight": ~is_odd}[self.arrangement]
         halves = ((o, x, xy), (o, y, x)), ((o, y, xy), (y, x, xy))
-        return np.concatenate([np.where(left, flipped, plain).T for plain, flipped in halves])
+        return np.concatenate([np.where(is_left, flipped, plain).T for plain, flipped in halves])
 
     def _swept(self, rows: IntArray) -> IntArray:
         """Return the cells above some facets at z = 0, in all layers of the grid.
@@ -172,11 +172,11 @@ def running_bond(cells: MeshOptions, size: Sequence[float], bricks: int, courses
     Raises:
         InputError: sizes or numbers are out of range.
     """
-    half, height, *others = _counts(cells, size, 1)
-    for what, number in (("bricks", bricks), ("courses", courses)):
-        require(is_integer(number, 1), what, number, "give a whole number >= 1")
+    n_half, n_high, *others = _counts(cells, size, 1)
+    for argument, number in (("bricks", bricks), ("courses", courses)):
+        require(is_integer(number, 1), argument, number, "give a whole number >= 1")
     lengths = [size[0] * bricks, size[1] * courses, *size[2:]]
-    return _joint(cells, lengths, [2 * half * int(bricks), height * int(courses), *others], (half, height))
+    return _joint(cells, lengths, [2 * n_half * int(bricks), n_high * int(courses), *others], (n_half, n_high))
 
 
 def repeated_bond(cells: MeshOptions, size: Sequence[float], cut: tuple[float, float]) -> Joint:
@@ -192,13 +192,13 @@ def repeated_bond(cells: MeshOptions, size: Sequence[float], cut: tuple[float, f
     Raises:
         InputError: sizes are out of range, or the cut is along a joint of mortar.
     """
-    half, height, *others = _counts(cells, size, 2)
+    n_half, n_high, *others = _counts(cells, size, 2)
     if np.shape(cut) != (2,) or not all(is_finite(c) and 0 < c < 1 for c in cut):
         raise InputError(f"cut is {cut!r}; it must be two shares of a brick's width and height, between 0 and 1")
-    start = round(2 * half * cut[0]), round(height * cut[1])
-    if start[0] % half == 0 or start[1] % height == 0:
-        raise InputError(f"cut is {tuple(cut)}, along a joint of a grid {2 * half} x {height}; cut through bricks")
-    return _joint(cells, [size[0], 2 * size[1], *size[2:]], [2 * half, 2 * height, *others], (half, height), start)
+    start = round(2 * n_half * cut[0]), round(n_high * cut[1])
+    if start[0] % n_half == 0 or start[1] % n_high == 0:
+        raise InputError(f"cut is {tuple(cut)}, along a joint of a grid {2 * n_half} x {n_high}; cut through bricks")
+    return _joint(cells, [size[0], 2 * size[1], *size[2:]], [2 * n_half, 2 * n_high, *others], (n_half, n_high), start)
 
 
 def _counts(cells: MeshOptions, size: Sequence[float], least: int) -> list[int]:
@@ -225,21 +225,21 @@ def _joint(cells: MeshOptions, lengths: Sequence[float], counts: list[int], bric
         brick: numbers of cells in half a brick along x, and in its height.
         start: place in a brick of the grid's lower left corner, as numbers of cells along x and y.
     """
-    d, (half, height) = len(lengths), brick
-    kind = cells.cell or {2: "quadrilateral", 3: "hexahedron"}[d]
+    d, (n_half, n_high) = len(lengths), brick
+    cell_type = cells.cell or {2: "quadrilateral", 3: "hexahedron"}[d]
     axes = [np.linspace(0.0, length, n + 1).astype(float) for length, n in zip(lengths, counts, strict=True)]
-    grid = BoxGrid(axes, kind)
+    grid = BoxGrid(axes, cell_type)
     rows, at = grid.cells, grid.places
-    course = (at[:, 1] + start[1]) // height
-    number = (at[:, 0] + start[0] + half * (course % 2)) // (2 * half)
-    region = course % (counts[1] // height)
-    table = FacetTable.of(rows, kind)
+    course = (at[:, 1] + start[1]) // n_high
+    number = (at[:, 0] + start[0] + n_half * (course % 2)) // (2 * n_half)
+    region = course % (counts[1] // n_high)
+    table = FacetTable.of(rows, cell_type)
     first, second = table.cells.T
-    beds = (second >= 0) & (course[first] != course[second])
-    heads = (second >= 0) & ~beds & (number[first] != number[second])
-    facets = {BED: table.vertices[beds], HEAD: table.vertices[heads], **grid.sides()}
+    is_bed = (second >= 0) & (course[first] != course[second])
+    is_head = (second >= 0) & ~is_bed & (number[first] != number[second])
+    facets = {BED: table.vertices[is_bed], HEAD: table.vertices[is_head], **grid.sides()}
     facets = {name: of_name for name, of_name in facets.items() if len(of_name)}
-    ways = (BED, np.eye(d)[1]), (HEAD, np.eye(d)[0])
-    seams = {name: Seam(direction=tuple(map(float, way))) for name, way in ways if name in facets}
+    directions = (BED, np.eye(d)[1]), (HEAD, np.eye(d)[0])
+    seams = {name: Seam(direction=tuple(map(float, direction))) for name, direction in directions if name in facets}
     regions = tuple(f"COURSE {k + 1}" for k in range(int(region.max()) + 1))
-    return Joint(grid.points, rows, kind, region, regions, facets, seams)
+    return Joint(grid.points, rows, cell_type, region, regions, facets, seams)

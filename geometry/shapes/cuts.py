@@ -48,11 +48,11 @@ class CutRectangle(Shape):
 
     width: float
     height: float
-    grain: float
+    feature_size: float
     cuts: FloatArray
     names: Sequence[str]
     seams: Mapping[str, Seam]
-    part: str
+    body_word: str
     centres: FloatArray | None = None
 
     @property
@@ -62,8 +62,8 @@ class CutRectangle(Shape):
 
     @property
     def extent(self) -> SizeLengths:
-        """Lengths for the cell sizes: `grain`, and the longer side."""
-        return SizeLengths(self.grain, max(self.width, self.height))
+        """Lengths for the cell sizes: `feature_size`, and the longer side."""
+        return SizeLengths(self.feature_size, max(self.width, self.height))
 
     @property
     def lines(self) -> FloatArray:
@@ -77,26 +77,26 @@ class CutRectangle(Shape):
 
     def draw(self) -> Drawing:
         """Draw the parts of the rectangle in the current gmsh model, with pieces of lines that end inside a part."""
-        kernel, near = gmsh.model.occ, DISTANCE_TOLERANCE * self.extent.span
-        gmsh.option.setNumber("Geometry.ToleranceBoolean", near)
+        kernel, tolerance = gmsh.model.occ, DISTANCE_TOLERANCE * self.extent.span
+        gmsh.option.setNumber("Geometry.ToleranceBoolean", tolerance)
         ends = [kernel.addPoint(x, y, 0.0) for x, y in np.round(self.lines, COORDINATE_DECIMALS).reshape(-1, 2)]
-        curves = [(1, kernel.addLine(*both)) for both in zip(ends[::2], ends[1::2], strict=True)]
-        whole = kernel.addRectangle(0.0, 0.0, 0.0, self.width, self.height)
-        _, (parts, *drawn) = kernel.fragment([(2, whole)], curves)
+        curves = [(1, kernel.addLine(*point_pair)) for point_pair in zip(ends[::2], ends[1::2], strict=True)]
+        rectangle = kernel.addRectangle(0.0, 0.0, 0.0, self.width, self.height)
+        _, (surfaces, *lines_drawn) = kernel.fragment([(2, rectangle)], curves)
         kernel.synchronize()
         facets: dict[str, list[int]] = {}
-        for name, pieces in zip((*SIDE_NAMES, *self.names), drawn, strict=True):
+        for name, pieces in zip((*SIDE_NAMES, *self.names), lines_drawn, strict=True):
             tags = np.array([tag for _, tag in pieces])
-            kept = self.inside(np.array([kernel.getCenterOfMass(1, tag)[:2] for tag in tags]), near)
-            facets.setdefault(name, []).extend(map(int, tags if name in SIDE_NAMES else tags[kept]))
+            is_kept = self.inside(np.array([kernel.getCenterOfMass(1, tag)[:2] for tag in tags]), tolerance)
+            facets.setdefault(name, []).extend(map(int, tags if name in SIDE_NAMES else tags[is_kept]))
         for name in (name for name in self.seams if not facets[name]):
             raise InputError(f"the fault {name!r} lies outside the block")
-        tags = np.array([tag for _, tag in parts])
+        tags = np.array([tag for _, tag in surfaces])
         middles = np.array([kernel.getCenterOfMass(2, tag)[:2] for tag in tags])
         order = np.lexsort(np.round(middles / self.extent.span, COORDINATE_DECIMALS).T[::-1])
         if self.centres is not None:
             order = np.argsort(cKDTree(self.centres).query(middles)[1])
-        bodies = {f"{self.part} {k + 1}": [int(tag)] for k, tag in enumerate(tags[order])}
+        bodies = {f"{self.body_word} {k + 1}": [int(tag)] for k, tag in enumerate(tags[order])}
         return Drawing(bodies, facets, [], {}, self.seams)
 
     def require_apart(self, what: str, remedy: str) -> Self:
@@ -108,12 +108,12 @@ class CutRectangle(Shape):
             what: noun for the lines, for the message.
             remedy: advice for the message.
         """
-        size, lines, near = self.sizes[2], self.lines, DISTANCE_TOLERANCE * self.extent.span
+        size, lines, tolerance = self.sizes[2], self.lines, DISTANCE_TOLERANCE * self.extent.span
         ends = lines.reshape(-1, 2)
-        points = ends[self.inside(ends, -near)]
+        points = ends[self.inside(ends, -tolerance)]
         vectors = vectors_from_segments(points, lines[:, 0], lines[:, 1])
         distance = np.linalg.norm(vectors, axis=2)
-        distance[distance <= 2 * near] = np.inf
+        distance[distance <= 2 * tolerance] = np.inf
         point, line = np.unravel_index(distance.argmin(), distance.shape)
         at, gap = points[point] - vectors[point, line] / 2, distance[point, line]
         touch = f"{what} nearly touch each other or a side at {{at}}: {gap:.3g}, less than {MIN_LINE_DISTANCE:g} cells"
@@ -150,8 +150,8 @@ def _points(points: object, what: str) -> FloatArray:
 def _path(name: str, points: object) -> FloatArray:
     """Return the points of a fault as an array (n, 2); raise InputError if a piece leads away from the last point."""
     x = _points(points, f"the fault {name!r}")
-    way, whole = np.diff(x, axis=0), x[-1] - x[0]
-    back = way @ whole <= MIN_COSINE * np.linalg.norm(way, axis=1) * np.linalg.norm(whole)
+    way, chord = np.diff(x, axis=0), x[-1] - x[0]
+    back = way @ chord <= MIN_COSINE * np.linalg.norm(way, axis=1) * np.linalg.norm(chord)
     refuse(back, x[:-1], f"the fault {name!r} turns back at {{at}}; give its parts before and after it different names")
     return x
 
@@ -178,10 +178,10 @@ def grain_rectangle(
     else:
         points = np.asarray(_grain_points(grains, width, height) / size, float)
     ridges, pairs = _ridges(points, box)
-    named = [seams(int(a), int(b)) for a, b in pairs + 1] if seams else ["S"] * len(pairs)
-    grain = size * float(np.sqrt(box.prod() / len(points)))
-    sides = {name: Seam() for name in sorted(set(named))}
-    shape = CutRectangle(cells, width, height, grain, ridges * size, named, sides, "GRAIN", points * size)
+    seam_names = [seams(int(a), int(b)) for a, b in pairs + 1] if seams else ["S"] * len(pairs)
+    mean_width = size * float(np.sqrt(box.prod() / len(points)))
+    sides = {name: Seam() for name in sorted(set(seam_names))}
+    shape = CutRectangle(cells, width, height, mean_width, ridges * size, seam_names, sides, "GRAIN", points * size)
     return shape.require_apart("boundaries of grains", "use smaller cells, another seed or other points")
 
 
@@ -190,8 +190,8 @@ def _grain_points(points: object, width: float, height: float) -> FloatArray:
     x = _points(points, "grains")
     box = f"the rectangle (0, {width:g}) x (0, {height:g})"
     refuse(~((x > 0) & (x < (width, height))).all(axis=1), x, f"the point {{at}} of a grain is not inside {box}")
-    same = cKDTree(x).query_pairs(DISTANCE_TOLERANCE * max(width, height), output_type="ndarray")
-    refuse(np.ones(len(same), bool), x[same[:, 0]], "two points of grains are the same, {at}")
+    coincident = cKDTree(x).query_pairs(DISTANCE_TOLERANCE * max(width, height), output_type="ndarray")
+    refuse(np.ones(len(coincident), bool), x[coincident[:, 0]], "two points of grains are the same, {at}")
     return x
 
 
@@ -207,11 +207,11 @@ def _ridges(points: FloatArray, box: FloatArray) -> tuple[FloatArray, IntArray]:
     """
     cells = _voronoi(points, box)
     pairs = np.sort(cells.ridge_points, axis=1)
-    inner = pairs[:, 1] < len(points)
-    x = cells.vertices[np.array([cells.ridge_vertices[k] for k in np.flatnonzero(inner)])]
-    long = np.linalg.norm(x[:, 1] - x[:, 0], axis=1) > DISTANCE_TOLERANCE
-    order = np.lexsort(pairs[inner][long].T[::-1])
-    return x[long][order], pairs[inner][long][order]
+    is_inner = pairs[:, 1] < len(points)
+    x = cells.vertices[np.array([cells.ridge_vertices[k] for k in np.flatnonzero(is_inner)])]
+    is_long = np.linalg.norm(x[:, 1] - x[:, 0], axis=1) > DISTANCE_TOLERANCE
+    order = np.lexsort(pairs[is_inner][is_long].T[::-1])
+    return x[is_long][order], pairs[is_inner][is_long][order]
 
 
 def _voronoi(points: FloatArray, box: FloatArray) -> Voronoi:
@@ -238,14 +238,14 @@ def _relaxed_points(points: FloatArray, box: FloatArray) -> FloatArray:
     for _ in range(MAX_RELAXATION_STEPS):
         cells = _voronoi(points, box)
         pairs, x = cells.ridge_points, cells.vertices[np.array(cells.ridge_vertices)]
-        short = (pairs.min(axis=1) < n) & (np.linalg.norm(x[:, 1] - x[:, 0], axis=1) < MIN_GRAIN_SIDE * size)
-        if not short.any():
+        is_short = (pairs.min(axis=1) < n) & (np.linalg.norm(x[:, 1] - x[:, 0], axis=1) < MIN_GRAIN_SIDE * size)
+        if not is_short.any():
             break
-        first, other = pairs[short].T
-        way = cells.points[other] - cells.points[first]
-        way *= MIN_GRAIN_SIDE * size / 2 / np.linalg.norm(way, axis=1)[:, None]
+        first, other = pairs[is_short].T
+        offsets = cells.points[other] - cells.points[first]
+        offsets *= MIN_GRAIN_SIDE * size / 2 / np.linalg.norm(offsets, axis=1)[:, None]
         count = len(cells.points)
-        points = points + (sum_by_number(first, way, count) - sum_by_number(other, way, count))[:n]
+        points = points + (sum_by_number(first, offsets, count) - sum_by_number(other, offsets, count))[:n]
     return points
 
 
@@ -254,8 +254,8 @@ def _centres(points: FloatArray, box: FloatArray) -> FloatArray:
     cells, n = _voronoi(points, box), len(points)
     first, other = cells.ridge_points.T
     cell, ends = np.concatenate([first, other]), np.tile(cells.ridge_vertices, (2, 1))
-    kept = (cell < n) & (ends >= 0).all(axis=1)
-    cell, x = cell[kept], cells.vertices[ends[kept]]
+    is_finite = (cell < n) & (ends >= 0).all(axis=1)
+    cell, x = cell[is_finite], cells.vertices[ends[is_finite]]
     to = x - points[cell][:, None]
     area = np.abs(to[:, 0, 0] * to[:, 1, 1] - to[:, 0, 1] * to[:, 1, 0])  # twice the area of a triangle with the point
     moment = area[:, None] * to.sum(axis=1) / 3

@@ -39,7 +39,7 @@ class Drawing(NamedTuple):
     Attributes:
         bodies: name of a cell region -> tags of its surfaces (2D) or volumes (3D); the lower body comes first.
         facets: name of a facet set -> tags of its curves (2D) or surfaces (3D).
-        floor: tags of the surfaces on which a grid is made; in 3D these are the surfaces that were swept to volumes.
+        base_tags: tags of the surfaces on which a grid is made; in 3D these are the surfaces that were swept to volumes.
         gradings: tag of each curve around these surfaces -> the sizes of cells along it.
         seams: name of a seam -> choice of its upper side. {}: one seam "S", whose upper side is the last body and whose
             lower side is all others.
@@ -49,7 +49,7 @@ class Drawing(NamedTuple):
 
     bodies: dict[str, list[int]]
     facets: dict[str, list[int]]
-    floor: list[int]
+    base_tags: list[int]
     gradings: dict[int, Grading]
     seams: Mapping[str, Seam] = {}
     circles: tuple[list[int], float] | None = None
@@ -65,7 +65,7 @@ class SizeLengths(NamedTuple):
         limit: further upper bound of the cell size, a formula in x, y and z for gmsh; "": none.
     """
 
-    thinnest: float
+    min_width: float
     span: float
     distance: str = "0"
     limit: str = ""
@@ -125,7 +125,7 @@ class Shape(ABC):
     @property
     def sizes(self) -> tuple[float, float, float]:
         """Largest cell size h, size h_S at S and size h_ends at the ends of S, with defaults filled in; lengths."""
-        h = float(self.cells.h or self.extent.thinnest / DEFAULT_CELLS_ACROSS[self.dim])
+        h = float(self.cells.h or self.extent.min_width / DEFAULT_CELLS_ACROSS[self.dim])
         h_S = float(self.cells.h_S or h)
         return h, h_S, float(self.cells.h_ends or h_S)
 
@@ -139,7 +139,7 @@ class Shape(ABC):
             InputError: the thinnest part or the default cell size is too small for gmsh.
         """
         size = max(self.lengths.values())
-        require_width("the thinnest part", self.extent.thinnest, size)
+        require_width("the thinnest part", self.extent.min_width, size)
         if self.cells.h is None and self.sizes[0] < MIN_SIZE_RATIO * size:
             raise InputError(f"the default cell size h is {self.sizes[0]:g}; give h, from {MIN_SIZE_RATIO * size:g} on")
         digits = UNIT_DECADES * floor(log10(size) / UNIT_DECADES)
@@ -152,8 +152,8 @@ class Shape(ABC):
             gmsh.option.setNumber("General.Terminal", 0)
             gmsh.model.add("joint")
             drawing = self.draw()
-            *below, above = drawing.bodies
-            drawing = drawing._replace(seams=drawing.seams or {S: Seam(tuple(below), (above,))})
+            *lower_names, upper_name = drawing.bodies
+            drawing = drawing._replace(seams=drawing.seams or {S: Seam(tuple(lower_names), (upper_name,))})
             if self.gridded:
                 self._set_grid(drawing)
             else:
@@ -185,33 +185,33 @@ class Shape(ABC):
         return {tag: [swept[k][1], swept[k - 1][1]] for tag, k in zip(surfaces, volumes, strict=True)}
 
     def _set_grid(self, drawing: Drawing) -> None:
-        """Prescribe a grid of quadrilaterals, or of their halves, on the surfaces `floor`; `sweep` sets its layers."""
+        """Prescribe a grid of quadrilaterals, or of their halves, on the surfaces `base_tags`; `sweep` sets its layers."""
         for curve, grading in drawing.gradings.items():
-            grading.put(curve)
-        for surface in drawing.floor:
+            grading.set_on_curve(curve)
+        for surface in drawing.base_tags:
             gmsh.model.mesh.setTransfiniteSurface(surface, self.cells.arrangement)
             if is_tensor(self.kind):
                 gmsh.model.mesh.setRecombine(2, surface)
 
-    def _set_sizes(self, s: Sequence[int]) -> None:
+    def _set_sizes(self, s_entities: Sequence[int]) -> None:
         """Prescribe cell sizes: h_ends where S ends or branches, h_S on S, and growth to h away from S.
 
         Args:
-            s: tags of the curves (2D) or surfaces (3D) of S.
+            s_entities: tags of the curves (2D) or surfaces (3D) of S.
         """
         h, h_S, h_ends = self.sizes
         field = gmsh.model.mesh.field
-        boundary = gmsh.model.getBoundary([(self.dim - 1, tag) for tag in s], combined=False, oriented=False)
+        boundary = gmsh.model.getBoundary([(self.dim - 1, tag) for tag in s_entities], combined=False, oriented=False)
         ends = [tag for (_, tag), count in Counter(boundary).items() if count != 2]
         formulas = []
-        for dim, where, size in ((self.dim - 1, s, h_S), (self.dim - 2, ends, h_ends)):
+        for dim, entities, size in ((self.dim - 1, s_entities, h_S), (self.dim - 2, ends, h_ends)):
             distance = f"({self.extent.distance})"
             if dim < 2:  # gmsh measures the distance from curves and points of its built-in kernel, not from surfaces
                 nearest = field.add("Distance")
-                field.setNumbers(nearest, ("PointsList", "CurvesList")[dim], where)
+                field.setNumbers(nearest, ("PointsList", "CurvesList")[dim], entities)
                 field.setNumber(nearest, "Sampling", min(20000, int(4 * self.extent.span / size)))
                 distance = f"F{nearest}"
-            if where:
+            if entities:
                 formulas.append(f"{size!r} + {SIZE_GROWTH!r} * {distance}")
         bounds = []
         for formula in [*formulas, *filter(None, [self.extent.limit])]:
@@ -221,8 +221,8 @@ class Shape(ABC):
         field.setNumbers(smallest, "FieldsList", bounds)
         field.setAsBackgroundMesh(smallest)
         gmsh.option.setNumber("Mesh.MeshSizeMax", h)
-        for source in ("ExtendFromBoundary", "FromPoints", "FromCurvature"):
-            gmsh.option.setNumber(f"Mesh.MeshSize{source}", 0)
+        for option in ("ExtendFromBoundary", "FromPoints", "FromCurvature"):
+            gmsh.option.setNumber(f"Mesh.MeshSize{option}", 0)
 
     def _read(self, drawing: Drawing, unit: float) -> Callable[[], Joint]:
         """Read gmsh's arrays, and return a function that makes the joint from them without gmsh.
@@ -236,16 +236,16 @@ class Shape(ABC):
         facet_type = FACET_TYPES[self.kind]
         facets = {name: self._elements(facet_type, tags) for name, tags in drawing.facets.items()}
         order = dolfinx.cpp.io.perm_gmsh(dolfinx.mesh.to_type(self.kind), bodies[0].shape[1])
-        used = np.zeros(int(nodes.max()) + 1, bool)
+        is_used = np.zeros(int(nodes.max()) + 1, bool)
         for body in bodies:
-            used[body] = True
-        place, new = np.empty((len(used), self.dim)), np.cumsum(used) - 1
-        place[nodes] = x.reshape(-1, 3)[:, : self.dim]
-        points, cells = place[used], new[np.concatenate(bodies)[:, order]]
+            is_used[body] = True
+        places, new_number = np.empty((len(is_used), self.dim)), np.cumsum(is_used) - 1
+        places[nodes] = x.reshape(-1, 3)[:, : self.dim]
+        points, cells = places[is_used], new_number[np.concatenate(bodies)[:, order]]
         if is_tensor(self.kind) and self.cells.degree == 2 and drawing.circles:
             points = curve_grid(points, cells, self.kind, *drawing.circles)
         region = np.repeat(np.arange(len(bodies)), [len(body) for body in bodies])
-        facets = {name: new[rows[:, : corner_count(facet_type)]] for name, rows in facets.items()}
+        facets = {name: new_number[rows[:, : corner_count(facet_type)]] for name, rows in facets.items()}
         return partial(Joint, points * unit, cells, self.kind, region, tuple(drawing.bodies), facets, drawing.seams)
 
     def _elements(self, kind: str, tags: Sequence[int]) -> IntArray:
@@ -291,10 +291,10 @@ class Prism(Shape):
         if self.depth is None:
             return plane
         _, h_S, h_ends = self.sizes
-        swept = self.sweep(plane.floor, (0.0, 0.0, self.depth), Grading.of(self.depth, h_ends, h_S, symmetric=True))
-        facets = {name: swept_surfaces(curves, plane.floor) for name, curves in plane.facets.items()}
+        swept = self.sweep(plane.base_tags, (0.0, 0.0, self.depth), Grading.of(self.depth, h_ends, h_S, symmetric=True))
+        facets = {name: swept_surfaces(curves, plane.base_tags) for name, curves in plane.facets.items()}
         bodies = {name: [swept[tag][0] for tag in tags] for name, tags in plane.bodies.items()}
-        ends = {"BACK": plane.floor, "FRONT": [front for _, front in swept.values()]}
+        ends = {"BACK": plane.base_tags, "FRONT": [front for _, front in swept.values()]}
         return plane._replace(bodies=bodies, facets=facets | ends)
 
 
@@ -324,7 +324,7 @@ def plane_surface(sides: Sequence[int]) -> int:
     return int(kernel.addPlaneSurface([kernel.addCurveLoop(sides)]))
 
 
-def curve_grid(points: FloatArray, cells: IntArray, kind: str, axes: list[int], core: float) -> FloatArray:
+def curve_grid(points: FloatArray, cells: IntArray, kind: str, axes: list[int], r_core: float) -> FloatArray:
     """Return the points of a polar grid of degree 2 with nodes moved onto circles, and less towards a straight core.
 
     gmsh itself curves only cells that touch a circle of the drawing, and would fold thin cells.
@@ -334,13 +334,13 @@ def curve_grid(points: FloatArray, cells: IntArray, kind: str, axes: list[int], 
         cells: (n_cells, n_nodes) numbers of the nodes of each cell, vertices first.
         kind: "quadrilateral" or "hexahedron".
         axes: numbers of the two coordinates in the circles' plane.
-        core: radius up to which nodes do not move, a length; 0: all circles are fully curved.
+        r_core: radius up to which nodes do not move, a length; 0: all circles are fully curved.
     """
     corners = corner_count(kind)
     radius = np.hypot(*points[:, axes].T)
-    goal = radius.copy()
-    goal[cells[:, corners:]] = radius[cells[:, :corners]] @ weights_between(kind).T
-    share = np.clip((radius - core) / (radius.max() - core), 0.0, 1.0) if core else 1.0
+    new_radius = radius.copy()
+    new_radius[cells[:, corners:]] = radius[cells[:, :corners]] @ weights_between(kind).T
+    weight = np.clip((radius - r_core) / (radius.max() - r_core), 0.0, 1.0) if r_core else 1.0
     points = points.copy()
-    points[:, axes] *= (1 + share * (goal / np.where(radius > 0, radius, 1.0) - 1))[:, None]
+    points[:, axes] *= (1 + weight * (new_radius / np.where(radius > 0, radius, 1.0) - 1))[:, None]
     return points

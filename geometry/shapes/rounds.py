@@ -45,16 +45,16 @@ class PolarLines(NamedTuple):
         kernel = gmsh.model.geo
         n = 2 if angle <= pi else 4  # gmsh's arcs are shorter than half a circle
 
-        def place(radius: float, turn: float) -> int:
+        def add_point(radius: float, turn: float) -> int:
             x, y = radius * cos(turn), radius * sin(turn)
             return kernel.addPoint(*((x, y, 0.0) if plane == "xy" else (x, 0.0, y)))
 
         def neighbours(row: Sequence[int]) -> list[tuple[int, int]]:
             return list(pairwise([*row, row[0]][: n + 1]))
 
-        centre = place(0.0, 0.0)
-        turns = [angle * k / n for k in range(n if is_circle(angle) else n + 1)]
-        points = [[place(radius, turn) for turn in turns] for radius in radii]
+        centre = add_point(0.0, 0.0)
+        angles = [angle * k / n for k in range(n if is_circle(angle) else n + 1)]
+        points = [[add_point(radius, theta) for theta in angles] for radius in radii]
         arcs = [[kernel.addCircleArc(a, centre, b) for a, b in neighbours(row)] for row in points[chords:]]
         if chords:
             arcs.insert(0, [kernel.addLine(a, b) for a, b in neighbours(points[0])])
@@ -113,12 +113,12 @@ class Rings(Prism):
         inner, outer = web.spokes
         gradings = dict.fromkeys(inner, Grading.of(self.interface - self.inner, h_S, h, backwards=True))
         gradings |= dict.fromkeys(outer, Grading.of(self.outer - self.interface, h_S, h))
-        along = min(h_S, MAX_CELL_ANGLE * self.interface)
+        arc_h = min(h_S, MAX_CELL_ANGLE * self.interface)
         last = len(web.arcs[0]) - 1
         length = self.angle * self.interface / (last + 1)
         for k, arcs in enumerate(zip(*web.arcs, strict=True)):
-            first = min(h_ends, along) if k in (0, last) and not is_circle(self.angle) else along
-            gradings |= dict.fromkeys(arcs, Grading.of(length, first, along, backwards=k == last))
+            end_size = min(h_ends, arc_h) if k in (0, last) and not is_circle(self.angle) else arc_h
+            gradings |= dict.fromkeys(arcs, Grading.of(length, end_size, arc_h, backwards=k == last))
         bodies = dict(zip(("INNER", "OUTER"), web.patches, strict=True))
         return Drawing(bodies, curves, list(chain.from_iterable(web.patches)), gradings, circles=([0, 1], 0.0))
 
@@ -169,23 +169,23 @@ class Discs(Shape):
         S to h_S between them.
         """
         h, h_S, h_ends = self.sizes
-        core = CORE_RADIUS_RATIO * self.radius if self.gridded and not self.hole else 0.0
-        start = self.hole or core
-        web = PolarLines.drawn((start, self.radius) if start else (self.radius,), tau, "xz", chords=core > 0)
+        r_core = CORE_RADIUS_RATIO * self.radius if self.gridded and not self.hole else 0.0
+        start = self.hole or r_core
+        web = PolarLines.drawn((start, self.radius) if start else (self.radius,), tau, "xz", chords=r_core > 0)
         disc = list(chain.from_iterable(web.patches)) + ([] if self.hole else [plane_surface(web.arcs[0])])
         gmsh.model.geo.synchronize()
         low = self.sweep(disc, (0.0, -self.lower, 0.0), Grading.of(self.lower, h_S, h))
         high = self.sweep(disc, (0.0, self.upper, 0.0), Grading.of(self.upper, h_S, h))
         hole = {"HOLE": swept_surfaces(web.arcs[0], disc)} if self.hole else {}
         facets = {S: disc, "SIDE": swept_surfaces(web.arcs[-1], disc)} | hole
-        facets |= {name: [far for _, far in swept.values()] for name, swept in (("BOTTOM", low), ("TOP", high))}
+        facets |= {name: [end for _, end in swept.values()] for name, swept in (("BOTTOM", low), ("TOP", high))}
         bodies = {name: [volume for volume, _ in swept.values()] for name, swept in (("LOWER", low), ("UPPER", high))}
-        along = min(h_S, MAX_CELL_ANGLE * self.radius)
-        gradings = dict.fromkeys(chain.from_iterable(web.arcs), Grading.of(self.radius * pi / 2, along, along))
+        arc_h = min(h_S, MAX_CELL_ANGLE * self.radius)
+        gradings = dict.fromkeys(chain.from_iterable(web.arcs), Grading.of(self.radius * pi / 2, arc_h, arc_h))
         # with a hole there are circles at both ends of the spokes
         radial = Grading.of(self.radius - start, h_ends, h_S, symmetric=bool(self.hole), backwards=not self.hole)
         gradings |= dict.fromkeys(chain.from_iterable(web.spokes), radial)
-        return Drawing(bodies, facets, disc, gradings, circles=([0, 2], core))
+        return Drawing(bodies, facets, disc, gradings, circles=([0, 2], r_core))
 
 
 @dataclass(frozen=True)
@@ -205,25 +205,25 @@ class Fibre(Shape):
             raise InputError(f"around is {self.around}; it must be a radius, or a width and a height")
         super().__post_init__()
         if self.gap <= 0:
-            what = "radius" if self.round else "smaller half side"
-            raise InputError(f"radius is {self.radius}; it must be less than the {what} of the matrix")
-        if self.gridded and not self.round:
+            argument = "radius" if self.is_round else "smaller half side"
+            raise InputError(f"radius is {self.radius}; it must be less than the {argument} of the matrix")
+        if self.gridded and not self.is_round:
             raise InputError(f"{self.kind!r} needs a matrix with an outer circle; in a rectangle use 'triangle'")
 
     @property
-    def round(self) -> bool:
+    def is_round(self) -> bool:
         """Whether the matrix is a disc."""
         return len(self.around) == 1
 
     @property
     def gap(self) -> float:
         """Least width of the matrix between fibre and outside, a length."""
-        return (self.around[0] if self.round else min(self.around) / 2) - self.radius
+        return (self.around[0] if self.is_round else min(self.around) / 2) - self.radius
 
     @property
     def lengths(self) -> dict[str, float]:
         """Radius of the fibre, and radius or sides of the matrix, by name for messages."""
-        names = ("radius of the matrix",) if self.round else ("width", "height")
+        names = ("radius of the matrix",) if self.is_round else ("width", "height")
         return {"radius": self.radius} | dict(zip(names, self.around, strict=True))
 
     @property
@@ -236,20 +236,20 @@ class Fibre(Shape):
     def draw(self) -> Drawing:
         """Draw the fibre and its matrix; set the cell sizes of a grid, polar around a square, from h_S at S to h."""
         h, h_S, _ = self.sizes
-        core = CORE_RADIUS_RATIO * self.radius
-        radii = (*([core] if self.gridded else []), self.radius, *(self.around if self.round else ()))
+        r_core = CORE_RADIUS_RATIO * self.radius
+        radii = (*([r_core] if self.gridded else []), self.radius, *(self.around if self.is_round else ()))
         web = PolarLines.drawn(radii, tau, "xy", chords=self.gridded)
         fibre = [*(web.patches[0] if self.gridded else ()), plane_surface(web.arcs[0])]
         circle = web.arcs[int(self.gridded)]
-        sides, matrix = ({"OUTSIDE": web.arcs[-1]}, web.patches[-1]) if self.round else self._rectangle(circle)
+        sides, matrix = ({"OUTSIDE": web.arcs[-1]}, web.patches[-1]) if self.is_round else self._rectangle(circle)
         gmsh.model.geo.synchronize()
         gradings: dict[int, Grading] = {}
         if self.gridded:
-            along = min(h_S, MAX_CELL_ANGLE * self.radius)
-            gradings = dict.fromkeys(chain.from_iterable(web.arcs), Grading.of(self.radius * pi / 2, along, along))
-            gradings |= dict.fromkeys(web.spokes[0], Grading.of(self.radius - core, h_S, h_S))
+            arc_h = min(h_S, MAX_CELL_ANGLE * self.radius)
+            gradings = dict.fromkeys(chain.from_iterable(web.arcs), Grading.of(self.radius * pi / 2, arc_h, arc_h))
+            gradings |= dict.fromkeys(web.spokes[0], Grading.of(self.radius - r_core, h_S, h_S))
             gradings |= dict.fromkeys(web.spokes[1], Grading.of(self.gap, h_S, h))
-        bodies, circles = {"FIBRE": fibre, "MATRIX": matrix}, ([0, 1], core)
+        bodies, circles = {"FIBRE": fibre, "MATRIX": matrix}, ([0, 1], r_core)
         return Drawing(bodies, {S: circle} | sides, fibre + matrix, gradings, circles=circles)
 
     def _rectangle(self, hole: Sequence[int]) -> tuple[dict[str, list[int]], list[int]]:

@@ -67,17 +67,17 @@ def scaled_length(length: float, factor: float) -> float:
     return length if factor == 1 else float(f"{length * factor:.15g}")
 
 
-def require_width(what: str, size: float, largest: float) -> None:
+def require_width(part_name: str, size: float, largest: float) -> None:
     """Raise InputError if a part of a shape is thinner than 1e-6 of the largest length: gmsh could merge its points.
 
     Args:
-        what: name of the part, for the message.
+        part_name: name of the part, for the message.
         size: its width, a length.
         largest: largest length of the shape.
     """
     if size < (least := MIN_LENGTH_RATIO * largest):
         raise InputError(
-            f"{what} is {size:g}; allowed: at least {least:g} ({MIN_LENGTH_RATIO:g} of the largest length)"
+            f"{part_name} is {size:g}; allowed: at least {least:g} ({MIN_LENGTH_RATIO:g} of the largest length)"
         )
 
 
@@ -123,15 +123,15 @@ class MeshOptions(NamedTuple):
             lengths: name for messages -> length of the shape.
             dim: number of dimensions, 2 or 3.
         """
-        for what, value in lengths.items():
-            require(is_finite(value) and value > 0, what, value, "it must be > 0")
+        for argument, value in lengths.items():
+            require(is_finite(value) and value > 0, argument, value, "it must be > 0")
         largest = max(lengths.values())
-        for what, value in lengths.items():
-            require_width(what, value, largest)
+        for argument, value in lengths.items():
+            require_width(argument, value, largest)
         smallest = MIN_SIZE_RATIO * largest
-        for what, size in {"h": self.h, "h_S": self.h_S, "h_ends": self.h_ends}.items():
+        for argument, size in {"h": self.h, "h_S": self.h_S, "h_ends": self.h_ends}.items():
             allowed = size is None or (is_finite(size) and smallest <= size <= largest)
-            require(allowed, f"cell size {what}", size, f"allowed: {smallest:g} to {largest:g}")
+            require(allowed, f"cell size {argument}", size, f"allowed: {smallest:g} to {largest:g}")
         if self.cell is not None:
             require_known(f"cell in {dim}D", self.cell, CELL_TYPES_OF_DIM[dim])
         require(is_finite(self.degree) and self.degree in (1, 2), "degree", self.degree, "allowed: 1, 2 (curved cells)")
@@ -197,9 +197,9 @@ class Grading(NamedTuple):
         """Return (n + 1,) positions of the ends of the n cells along a line of this length, from 0."""
         return length * np.array([0.0, *self.layers])
 
-    def put(self, curve: int) -> None:
+    def set_on_curve(self, curve: int) -> None:
         """Prescribe these cells on the curve of the gmsh model with this tag."""
-        law = ("Progression", 1 / self.growth if self.backwards else self.growth)
+        progression = ("Progression", 1 / self.growth if self.backwards else self.growth)
         if self.symmetric and self.first != self.last:
-            law = ("Bump", self.first / self.last)
-        gmsh.model.mesh.setTransfiniteCurve(curve, self.n + 1, *law)
+            progression = ("Bump", self.first / self.last)
+        gmsh.model.mesh.setTransfiniteCurve(curve, self.n + 1, *progression)

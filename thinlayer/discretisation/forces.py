@@ -161,7 +161,7 @@ class Forces:
             return 0.0
         joint, sheet = band.base, Sheet(band.base)
         ends = sheet.rim[sheet.rim.on(joint.facets[part.whole])]
-        side_cells = [side for side in joint.surface_cells[sheet.parts[0][ends.simplex]].T if (side >= 0).all()]
+        side_cells = [side for side in joint.surface_cells[sheet.simplices[0][ends.simplex]].T if (side >= 0).all()]
         loaded_regions = [joint.regions.index(body) for body in ([part.region] if part.region else joint.bodies)]
         covered = [np.isin(joint.region[side], loaded_regions) for side in side_cells]
         if any(mask.any() and not mask.all() for mask in covered):

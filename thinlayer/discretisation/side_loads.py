@@ -120,9 +120,9 @@ def _load_densities(end: StraightEnd, rim: Rim, layer: SeamLayer) -> FloatArray:
     constants = free_end(poisson_ratio(law_with_numbers(layer.layer, kinematics)))
     strips, points, within = EndStrips.of(constants), sheet.joint.points, partial(shares_within, end, sheet)
     area = mean_on_facets(sheet, kinematics.factor_at(points[sheet.vertices].mean(axis=1)))
-    factor = area * np.bincount(np.searchsorted(sheet.facets, sheet.parts[0]), sheet.areas)
+    factor = area * np.bincount(np.searchsorted(sheet.facets, sheet.simplices[0]), sheet.areas)
     middles = points[rim.vertices].mean(axis=1)
-    end_factor = kinematics.factor_at(middles[end.has(middles)]).mean()
+    end_factor = kinematics.factor_at(middles[end.contains(middles)]).mean()
     l_N, l_T = strips.opening.length, strips.shear.length
     shares = [within(eps * reach) for reach in (strips.r_N, strips.r_T, 2 * ANTIPLANE_MOMENT)]
     forces = [eps * end.length * end_factor * share / (share @ factor) for share in shares]

@@ -38,7 +38,7 @@ def side_kinds(layer: SeamLayer) -> npt.NDArray[np.str_]:
     matter.
     """
     sheet, projectors = layer.sheet, constrained_directions(layer)
-    normals = sheet.joint.interface_normals[sheet.parts[0][sheet.rim.simplex]]
+    normals = sheet.joint.interface_normals[sheet.simplices[0][sheet.rim.simplex]]
     shares = np.stack([np.einsum("ni,nij,nj->n", e, projectors, e) for e in (sheet.rim.outward, normals)], axis=1)
     tolerance = FLAT_SQUARED_COSINE if sheet.planar else CURVED_SQUARED_COSINE
     along, across = (shares > tolerance).T
@@ -76,14 +76,14 @@ def _rim_normals(joint: Joint, rim: Rim, name: str) -> FloatArray:
 
 def mean_on_facets(sheet: Sheet, values: FloatArray) -> FloatArray:
     """Means (n,) by area on the n facets of a seam, from values (m,) on its m triangles (in 2D segments)."""
-    facet, count = np.searchsorted(sheet.facets, sheet.parts[0]), len(sheet.facets)
+    facet, count = np.searchsorted(sheet.facets, sheet.simplices[0]), len(sheet.facets)
     return np.asarray(np.bincount(facet, sheet.areas * values, count) / np.bincount(facet, sheet.areas, count))
 
 
 def shares_within(end: StraightEnd, sheet: Sheet, reach: float) -> FloatArray:
     """Fraction (n,) of the area of each facet of S that lies opposite an end, within a distance `reach` of it."""
     x = sheet.joint.points[sheet.vertices]
-    return mean_on_facets(sheet, share_within(end.distance(x), reach) * end.faces(x.mean(axis=1)))
+    return mean_on_facets(sheet, share_within(end.distance(x), reach) * end.is_in_front(x.mean(axis=1)))
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class FacetWeights:
         for end in ends:
             for k, strip in enumerate((strips.opening, strips.shear, strips.resistance)):
                 weights[k] += strip.c / strip.length * shares_within(end, sheet, strip.length * eps)
-            closer = end.faces(centre) & (end.distance(centre) < nearest)
+            closer = end.is_in_front(centre) & (end.distance(centre) < nearest)
             nearest[closer], m[closer], offset[closer] = end.distance(centre)[closer], end.m, end.offset
         return cls(weights[0], weights[1], weights[2], m, offset, sheet, eps, strips)
 

@@ -209,7 +209,7 @@ class Zoom:
         every = points[np.unique(free.vertices)]
         for end in ends:
             near = [other.adjoins(every) & (other.distance(every) <= SINGLE_END_DISTANCE * self.eps) for other in ends]
-            x = every[end.has(every) & (np.sum(near, axis=0) == 1)]
+            x = every[end.contains(every) & (np.sum(near, axis=0) == 1)]
             if len(x):
                 pairs.append((end, x[np.argsort(x @ end.along)]))
         return pairs

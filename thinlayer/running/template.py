@@ -27,7 +27,7 @@ def template(mesh: Path) -> str:
 
 def _filled(mesh: Path, named: NamedGroups) -> str:
     adjacent = {name: named.adjacent_cells(name) for name in named.facets}
-    inside = {name: named.touched(cells) for name, cells in adjacent.items() if cells.size and (cells >= 0).all()}
+    inside = {name: named.regions_at(cells) for name, cells in adjacent.items() if cells.size and (cells >= 0).all()}
     seam, words = _seam(inside, ", ".join(named.facets))
     layers = "\n\n".join(
         f'[layer{name}]\nlaw = "LinearElastic"\nE = "?"\nnu = "?"\neps = "?"  # thickness'
