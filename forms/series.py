@@ -112,9 +112,10 @@ def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[AnyStation]:
 
 
 def _from_below(steps: list[float]) -> Iterator[tuple[float, float]]:
-    """Pairs for each sublayer: the value at its lower side, -1/2 for the first, and the growth over the sublayer.
+    """Value of the function Phi of `in_series` at the lower side of each sublayer, and its increment over the sublayer.
 
-    `steps` are the growths over the sublayers, from the lower face on.
+    Phi grows from -1/2 at the layer's lower face to 1/2 at its upper face. `steps` are the increments, from the lower
+    face on.
     """
     return zip(accumulate(steps[:-1], initial=-0.5), steps, strict=True)
 

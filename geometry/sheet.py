@@ -81,15 +81,15 @@ class Rim:
 
 
 def continued_ridges(joint: Joint, facets: IntArray) -> IntArray:
-    """Return keys of the ridges of S where outer facets continue on the outer boundary of the meshed layer.
+    """Return keys of the ridges at the ends of S where a set of outer facets also covers the side of the meshed layer.
 
-    A ridge is a vertex of S in 2D, an edge in 3D; `ridge_keys` gives its key. All outer facets at such a ridge must be
-    in `facets`. Between two bodies these lie on both; facets on only one of them end where S begins. On a rigid base
-    there is one body. Where several layers end at one ridge, the outer facets next to all of them count.
+    A ridge is a vertex of S in 2D, an edge in 3D; `ridge_keys` gives its key. The set covers the layer's side where all
+    outer facets at the ridge are in it: those of both bodies, or on a rigid base of the only body. A set with facets of
+    one of two bodies ends at S. Where several layers end at one ridge, the facets of all bodies there must be in it.
 
     Args:
         joint: the joint, in which S is a surface.
-        facets: (n, k) numbers of the k vertices of outer facets.
+        facets: (n, k) numbers of the k vertices of the outer facets in the set.
     """
     rows, keys = joint.outer_beside_s
     is_named = np.isin(rows, joint.table.index(facets))

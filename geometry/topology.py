@@ -310,7 +310,10 @@ class Splitting:
 
     @cached_property
     def keys(self) -> list[IntArray]:
-        """For each dimension (n_cells, m) numbers of a cell's m entities in the cut mesh; entities on cuts double."""
+        """For each dimension, the numbers (n_cells, m) of the m entities of each cell in the cut mesh.
+
+        An entity that the cut divides has a different number in each component. Numbers of different dimensions differ.
+        """
         out, start = [], 0
         for dim in range(len(self._topology)):
             numbers, split = self.entities(dim, self._corners), self.components(dim)

@@ -46,7 +46,9 @@ class Cylinders:
     def stretched(
         cls, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs, stretch: tuple[float, float]
     ) -> Self:
-        """Solve for the coefficients of both modes.
+        """Return the closed form for a displacement (a x, b y) prescribed on the outermost radius.
+
+        It solves for the coefficients of mode 0 (axisymmetric) and mode 2 (radial displacements as cos(2 theta)).
 
         Args:
             laws: laws of the cylinders, the innermost first.

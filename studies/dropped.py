@@ -291,7 +291,7 @@ def _plies(*laws: BulkLaw) -> LayerOfThickness:
 
 
 def further_cases() -> list[DroppedCase]:
-    """The cases chosen for this study, for which no other results are known."""
+    """The cases of `may_i_drop` that were chosen for it; unlike `published_cases`, without published results."""
     work, moved = goals.Compliance(), goals.Displacement((0.3, 0.35), (0.6, 0.8))
     end_goals, middle_goals = (work, moved), (work, moved, goals.MeanTraction((1.0, 0.0)))
     unlike_blocks = partial(free, load=(-0.6, 0.4), heights=(0.4, 0.7), lower=young(50.0, 0.2), upper=young(200.0, 0.35))

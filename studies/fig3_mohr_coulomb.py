@@ -47,7 +47,7 @@ class Loads:
     Attributes:
         pressure, shear: the two loads, each as side of the bar and traction (MPa).
         supports: side of the bar -> component -> prescribed displacement.
-        why: expected result, as text in the picture.
+        expected: expected result, as text in the picture.
         scale: factor of the displacements in the picture of the layer's left end.
         shown: smallest and largest ratio t_T/u_T in the picture, 10^3 N/mm^3; ratios at the free ends of the meshed
             layer lie outside.

@@ -152,7 +152,7 @@ def free_blocks(
         load: the traction.
         heights: heights of the lower and the upper block.
         h_S: cell size on S.
-        more: arguments of `Structure` that replace those above.
+        more: further arguments of `Structure`; `body`, `supports` and `tractions` replace those of `loaded`.
     """
     return loaded(sandwich(1.0, *heights, h=1 / 8, h_S=h_S, h_ends=h_ends, cell="quadrilateral"), load, **more)
 

@@ -90,9 +90,10 @@ def no_normal_jump(record: Record, tables: Tables) -> None:
 def less_fraction(record: Record, tables: Tables) -> None:
     """Check that the error of pulled frictional layers is larger for a smaller elastic fraction h.
 
-    Where the tension exceeds C cot(Omega), only the elastic fraction h resists shear, and the layer contracts along S
-    where it is pulled along n. The interface law assumes that strains along S are small against strains along n. This
-    holds only if eps is small against sqrt(h) times the length of S (an estimate).
+    With cohesion c and friction angle Omega, only the elastic fraction h resists shear where the tension exceeds
+    c cot(Omega). There the layer contracts along S as it is pulled along n. The interface law assumes that strains
+    along S are small against strains along n. This holds only if eps is small against sqrt(h) times the length of S (an
+    estimate).
     """
     for name in ERROR_COLUMNS:
         less, more = (tables[f"monodirectional {case}"][f"error_{name}"][-1] for case in ("pulled_less", "pulled"))
@@ -186,7 +187,12 @@ at_once, to_and_fro = (partial(bands.blocks, path=path) for path in (bands.DIREC
 
 
 def switches(case: str, label: str) -> Row:
-    """Return a row for a layer with phases, the case of this name in `phases.CASES`, with this label."""
+    """Return a row of the study for a layer of a non-monotone law, whose material changes phase under the loads.
+
+    Args:
+        case: name in `phases.CASES` of the law and the amplitudes of shear and pull.
+        label: text that distinguishes the row from other rows of its law.
+    """
     law, shear, pull = phases.CASES[case]
     problem = partial(phases.blocks, shear=shear, pull=pull)
     return fine(of(law), label, problem, cells_through=2, pictured=None, more=phases.shares, along=phases.along_s)

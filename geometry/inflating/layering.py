@@ -86,7 +86,7 @@ class Layering(NamedTuple):
             joint: the joint as drawn, in which S is a surface.
             eps: thickness of the layers, a length, or {name of a seam: thickness}.
             profile: function of coordinates (d, n) that multiplies eps, or {name of a seam: function}; None: 1.
-            n_cells_through: number of cells through the thickness.
+            through: number of cells through the thickness.
             fractions: thickness of each sublayer over the layer's, or {name of a seam: these}; () for no sublayers.
             junctions: names of the first seams in the order of priority for the cells of junctions.
             gaps: names of the seams that get no cells.

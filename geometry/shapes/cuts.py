@@ -37,11 +37,11 @@ class CutRectangle(Shape):
 
     Attributes:
         width, height: lengths > 0.
-        grain: the default cell size is a tenth of this length.
+        feature_size: the default cell size is a tenth of this length.
         cuts: (n, 2, 2) coordinates of the two ends of each of n lines. Lines may cross each other and the sides.
         names: (n,) name of the seam that each line belongs to.
         seams: name of a seam -> choice of its upper side.
-        part: word in the names of the parts, such as "GRAIN" in "GRAIN 1".
+        body_word: word in the names of the parts, such as "GRAIN" in "GRAIN 1".
         centres: (n_parts, 2) a point in each part, in the order of the parts' numbers; None: parts are numbered from
             left to right, then upwards.
     """

@@ -59,7 +59,7 @@ class SizeLengths(NamedTuple):
     """Lengths from which the cell sizes of a shape follow.
 
     Attributes:
-        thinnest: the default cell size is a fraction of this length, such as a tenth.
+        min_width: the default cell size is a fraction of this length, such as a tenth.
         span: length of S in 2D, of the longest curve around S in 3D.
         distance: distance from S in a shape in 3D, a formula in x, y and z for gmsh.
         limit: further upper bound of the cell size, a formula in x, y and z for gmsh; "": none.

@@ -74,7 +74,8 @@ def boundary_values(
         name: name of the facet set as the user wrote it.
         what: first words of error messages.
         inside: whether the facets may lie inside the bodies, or on the axis of revolution, but not on S.
-        side: whether "NAME/LAYER" is allowed if the layer is not meshed, so that its side has no facets.
+        side: whether "NAME/LAYER", the part of the facet set NAME on the meshed layer's own side, is allowed also where
+            the layer is not meshed. This part has no facets then, and the result is ().
 
     Raises:
         InputError: no facet set has this name, it has no facets, or its facets are not allowed here.

@@ -60,8 +60,8 @@ class Coordinates(FormerNames):
         clock: clock of the model, which holds the time.
         places: (n, d) coordinates of n vertices of the joint where functions are tested, extreme ones among them.
         cache: coefficients made so far.
-        planned: list with the set of break times that the last march has read; empty before the first march. At a break
-            time a coefficient changes its slope.
+        planned_breaks: list with the set of break times that the last march has read; empty before the first march. At
+            a break time a coefficient changes its slope.
     """
 
     former_names = {"given": "coefficient"}

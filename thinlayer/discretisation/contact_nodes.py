@@ -312,7 +312,10 @@ def _entities(mesh: Mesh, a: int, b: int) -> Indices:
 
 
 def _nodes(V: fem.FunctionSpace, cells: Indices, entities: Indices, e: int) -> Indices:
-    """Local numbers (n, k) of the nodes of V at k entities (n, k), of dimension e, of each of n cells (n,)."""
+    """Local numbers (n, k) of the nodes of V in the interior of k entities of each of n cells, one node per entity.
+
+    `cells` (n,) and `entities` (n, k) are local numbers; e is the dimension of the entities, 0 for vertices.
+    """
     cell_entities = _entities(V.mesh, V.mesh.topology.dim, e)[cells]
     local_index = (cell_entities[:, None, :] == entities[:, :, None]).argmax(axis=2)
     layout_dofs = np.array([V.dofmap.dof_layout.entity_dofs(e, k)[0] for k in range(cell_entities.shape[1])])

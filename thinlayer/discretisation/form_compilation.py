@@ -193,10 +193,10 @@ def law_with_expressions(law: BulkLaw, mesh: Mesh, values: Mapping[str, Expr]) -
 
 
 def compiled_terms(terms: Iterable[Term]) -> dict[str, Term]:
-    """Return the terms with compiled laws by key, such as "layer", "layer BED" or "body STEEL".
+    """Return key -> term for all terms whose laws are compiled functions of a point, not parts of UFL forms.
 
-    Terms with the same key are numbered in their order (sublayers from the lower face): "layer 1", "layer 2", ..., or
-    with the name of a seam "layer BED/1", "layer BED/2", ...
+    Keys are "layer", "layer BED" on a seam BED, or "body STEEL" in a region STEEL. Terms with the same key, such as
+    sublayers from the lower face on, are numbered: "layer 1", "layer 2", ..., on a seam "layer BED/1", ...
     """
     by_key: dict[str, list[Term]] = {}
     for p in terms:

@@ -156,7 +156,7 @@ class SharedDofs:
     Attributes:
         continuous_space: the ordinary continuous space.
         keys: (n,) keys of the dofs, the same on all ranks, in the order of the dofs of `continuous_space`.
-        meeting: (n,) for each key the rank that collects which ranks use it, the same on all ranks.
+        meeting_rank: (n,) for each key the rank that collects which ranks use it, the same on all ranks.
         cell_dofs: (cells, dofs per cell) positions in `keys`.
     """
 

@@ -106,7 +106,7 @@ class ModelFamily:
     One solver at a time has the family's matrices. A solver that begins meanwhile makes its own.
 
     Attributes:
-        several: whether a model was made from another one; if not, no matrices are stored for later solvers.
+        is_shared: whether a model was made from another one; if not, no matrices are stored for later solvers.
     """
 
     is_shared: bool = False
@@ -423,10 +423,11 @@ class Model(ABC):
         return Constraints(Prescribed(self.supports, self.V), mpcs)
 
     def under_mean_strain(self, strain: Strain) -> Self:
-        """Return this model of a periodic cell under a mean strain alone, without loads and eigenstrains. Collective.
+        """Return a copy of this model of a periodic cell, whose only load is a mean strain. Collective.
 
-        `strain` is (d, d) symmetric numbers in d dimensions, or a function (x, t) of the time alone that returns them.
-        The model shares no matrices with other models, as they would contain its strain.
+        The copy has no other loads and no eigenstrains. `strain` is (d, d) symmetric numbers in d dimensions, or a
+        function (x, t) that returns them and uses only the time t. The copy shares no matrices with other models, as
+        they would contain its strain.
         """
         new = copied(self, keep=CACHES_OF_MESH)
         new.family, new.coordinates = ModelFamily(), Coordinates.of(self.domain)

@@ -234,9 +234,13 @@ class ConcentratedForms:
         return terms
 
     def _densities(self, nodes: LoadNodes, weights: Array) -> Array:
-        """Dofs (n_cells, m, 1), m in each cell, of the polynomials g times weights (n, k), see the class.
+        """Coefficients (n_cells, m, 1) of the sum of weighted polynomials g in each cell, for its m basis functions.
 
-        The polynomials of the k places in each of n cells are summed.
+        The integral of g v over the reference cell is the value of v at the place that belongs to g.
+
+        Args:
+            nodes: n loaded cells, which may recur, each with k loaded places.
+            weights: (n, k) factor of the polynomial of each place.
         """
         phi = self._element.tabulate(0, nodes.points.reshape(-1, self.joint.dim))[0, :, :, 0]
         g = (phi @ self._inverse_mass.T).reshape(*nodes.points.shape[:2], -1)

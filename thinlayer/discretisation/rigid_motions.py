@@ -123,14 +123,17 @@ def model_motions(model: Model, kinematics: Kinematics | None = None) -> dict[st
 
 
 def resistance_matrix(model: Model, resistances: Sequence[Resistance]) -> Array:
-    """Gram matrix (m, m) of the constraint violations of m rigid motions, plus scaled stiffnesses. Collective.
+    """Matrix (m, m) whose null space is the rigid motions that nothing prevents. Collective.
 
-    A motion that nothing prevents is in its null space.
+    It refers to the m motions of `scaled_motions`. Entry (i, j) is the scalar product of the displacements in motions i
+    and j along all support conditions, which violate these conditions. Multi-point constraints, such as rigid plates,
+    move so that the violations are least. Then the stiffness of each part that resists the motions is added. It is made
+    symmetric and divided by its largest absolute entry, as only its null space counts.
 
     Args:
         model: the model.
-        resistances: functions of the m motions, as displacements, that return the stiffness (m, m) of a part such as
-            springs against them.
+        resistances: for each part that resists the motions, such as springs, a function that returns its stiffness
+            (m, m) against the m motions, given as displacements.
     """
     matrix = model.constraints.resistance(partial(model_motion_values, model))
     motions = [*model_motions(model).values()] if resistances else []
@@ -145,7 +148,8 @@ def resistance_matrix(model: Model, resistances: Sequence[Resistance]) -> Array:
 def free_axes(joint: Joint, kinematics: Kinematics, resistance: Array) -> tuple[str, ...]:
     """Return the names of the axes along which nothing prevents a translation.
 
-    `resistance` (m, m) is the matrix of `resistance_matrix` for the motions of `scaled_motions`.
+    `resistance` (m, m) is the result of `resistance_matrix`. Its first diagonal entries belong to the translations; an
+    entry of about 0 means that neither a support nor a part such as springs resists this translation.
     """
     # translations are the first motions of `scaled_motions`
     axes = [*kinematics.translations(joint.dim)]

@@ -88,7 +88,10 @@ class Audit:
 
     @property
     def imbalance(self) -> float:
-        """Residual of the balance, supplied minus other terms, over the largest of its terms and the total energy."""
+        """Relative residual of the energy balance; NaN if a term is not known, as for laws without energy.
+
+        It is supplied - stored - dissipated - remainder, over the largest absolute value of these four and `total`.
+        """
         terms = (self.supplied, self.stored, self.dissipated, self.remainder)
         largest = max(abs(self.total), *map(abs, terms)) if all(map(math.isfinite, terms)) else math.nan
         return (terms[0] - sum(terms[1:])) / largest if largest else 0.0

@@ -200,7 +200,10 @@ class GlobalLocal:
         return iterate
 
     def _add_couple(self, along: Array) -> None:
-        """Solve for the couple in proportion to the rigid motion that is new in a resultant, unless it is very small.
+        """Add nodal forces on the layers' faces that can cancel a resultant, and the bodies' response to them.
+
+        They are called a couple, and are a rigid motion times the diagonal of the layers' stiffness. The motion is the
+        part of the resultant along rigid motions without a couple so far. If this part is very small, nothing is added.
 
         Args:
             along: the resultant, as coefficients of the orthonormal rigid motions of the layers.
@@ -432,13 +435,16 @@ class GlobalLocal:
         return GoalBounds(estimate, middle - half_width, middle + half_width, rounding)
 
     def goal_estimate(self, at_rest: float, q: Array, last: BodyEquilibrium, z: BodyEquilibrium) -> float:
-        """Value of a linear goal with the layer meshed, corrected by the residual on S times the weights. Collective.
+        """Estimate a linear goal of the structure with meshed layers from an iterate. Collective.
+
+        The estimate is the goal's value in the iterate, plus the work of the iterate's residual forces in the adjoint
+        solution.
 
         Args:
             at_rest: value of the goal at zero displacements.
-            q: (m,) its nodal weights at the displacements of this rank.
+            q: (m,) derivative of the goal by the displacements of this rank.
             last: the last iterate.
-            z: the goal's adjoint solution; its weights in the layers are z.load.
+            z: the goal's adjoint solution; z.load is the derivative of the goal by the layers' unknowns.
         """
         layers, w, w_z = self.layers, self.layer_unknowns(last), self.layer_unknowns(z)
         bulk = self._dot(q, self.equations.constraints.unknowns(last.u)) + self._dot(z.u, self._missing_forces(last.u))

@@ -50,8 +50,8 @@ class CornerStrength:
         m: (d,) outward unit normal of the end, in the plane of S.
         side: "lower" or "upper", the face of the layer.
         exponent: exponent of the displacements, r^exponent; from 1 at Poisson's ratio 0 to 0.595 at 0.5.
-        shear: ratio of the tangential traction, inward along S, to the normal traction; on the upper face its sign is
-            opposite.
+        shear: ratio of tangential to normal traction on the lower face near the corner; tangential traction is positive
+            inward along S (against m). On the upper face the ratio is -shear.
         H: (n,) strengths, in units of stress times length^(1 - exponent).
     """
 
@@ -67,19 +67,20 @@ class Zoom:
     """Stresses inside a layer of an interface model, from a mesh of the layer with prescribed face displacements.
 
     The lower and upper face of the mesh move with the bodies of the interface model. The layer's law must have an
-    energy: a linear law, or plasticity in one step from rest. Sublayers, curved seams, seams that meet, and layers with
-    a weight or an eigenstrain are possible. Cells are refined towards free ends and junctions.
+    energy: a linear law, or plasticity in one step from rest. Sublayers, curved seams, seams that meet, own weight and
+    eigenstrains of the layer are possible. Cells are refined towards free ends and junctions.
 
     The relative error is that of the face displacements: O(eps) for an interface law of order 0, O(eps^2) for order 1.
-    `Zoom(estimate(state).better)` takes face displacements that include the forces of the meshed layer and its ends.
+    In `estimate(state).better` the bodies are in equilibrium with the meshed layer, including its free ends. So
+    `Zoom(estimate(state).better)` prescribes more accurate face displacements than `Zoom(state)`.
     For a full model the stresses are those in its own layer cells. Collective.
 
     Args:
         state: state of an interface model or a full model, as `solve` or `history.at(t)` returns it.
         seam: name of the seam with the layer; "S" if the joint has only one seam.
         cells_through: number of cells through the thickness.
-        at_ends: largest size of cells at free ends and junctions, over the thickness, > 0. None: 1/16; for tetrahedra
-            1/2, to limit their number.
+        at_ends: largest size of cells at free ends and junctions, as a fraction of the layer's thickness, > 0. None:
+            1/16; for tetrahedra 1/2, to limit their number.
 
     Attributes:
         state: the argument.

@@ -29,7 +29,7 @@ class ContactPart(Part):
     Attributes:
         law: the law.
         nodes: the n nodes of S on this rank.
-        now: the law in use: the law itself, or the law of the continuation that `set_homotopy` has selected.
+        law_now: the law in use: the law itself, or the law of the continuation that `set_homotopy` has selected.
         slip: (n, d - 1) tangential slip at the beginning of the step, a length; d: number of dimensions.
     """
 

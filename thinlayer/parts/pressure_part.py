@@ -98,7 +98,9 @@ class PressurePart(FieldPart):
         self._volume, self._C_product, self._forces = G.createVecLeft(), G.createVecLeft(), G.createVecRight()
 
     def _compliance(self, space: fem.FunctionSpace, term: Term, points: Quadrature | None) -> PETSc.Mat | None:
-        """Assemble the matrix C without the factor `unit`; None: it is zero. Collective.
+        """Assemble the matrix of int c p q + int_S f grad_S p . grad_S q; None: c and f are zero. Collective.
+
+        c and f are explained in the class. The attribute `C` is this matrix times the square of `unit`.
 
         Args:
             space: space of the pressures.

@@ -94,7 +94,9 @@ class ColumnTerm(CompiledTerm):
         return float(np.einsum("p,pi,pij,pj->", self.weights, deviation, self._elastic[:, self.slots], deviation) / 2)
 
     def stored(self, e: Array, memory: Array, dt: float) -> float:
-        """Stored energy on this rank: of the law at the strains' means, and of the strains' deviations from them.
+        """Stored energy on this rank: that of the law at mean strains, and that of the strains' deviations from them.
+
+        Means are over columns, the cells above each other through the layer's thickness.
 
         Args:
             e: (points, m) strains, as m Mandel components.

@@ -19,7 +19,7 @@ class Columns:
 
     Attributes:
         count: number of columns on all ranks.
-        of: (points,) number of the column of each point of this rank.
+        column_of: (points,) number of the column of each point of this rank.
     """
 
     def __init__(self, comm: MPI.Intracomm, of: IntArray, count: int, weights: Array) -> None:

@@ -310,7 +310,7 @@ class Projection:
             self._difference += scipy.sparse.csr_matrix((change[mask], places), self._difference.shape)
 
     def __call__(self, values: Array) -> Array:
-        """Project strains or stresses (points, m), given as m Mandel components."""
+        """Project strains or stresses (points, m), as m Mandel components, on the functions; return the same shape."""
         m = values.shape[1]
         return np.asarray(values + self._difference @ values @ self._part[:m, :m])
 

@@ -76,8 +76,8 @@ def drive(
     `Surface.frame`, replace T. A step that does not converge is halved repeatedly.
 
     Args:
-        law: any law of a layer except contact and incompressible laws, also a Stack. Jumps of a law of strains are
-            divided by the layer's thickness, [u]/eps.
+        law: any law of a layer except contact and incompressible laws, also a Stack. For a law of strains the caller
+            gives jumps divided by the layer's thickness, [u]/eps; jumps in the result are divided by it too.
         steps: for each step, the name of each component's jump or traction and its prescribed value.
         n: normal of S from the lower to the upper body, (2,) or (3,), of any length.
         dt: length of the steps in time, one number for all steps or one for each. 0: a sudden load, for which theta is

@@ -23,12 +23,13 @@ TRACTION_TOLERANCE, STAGNATION_TOLERANCE = (1e-12, 1e-9)
 
 
 class MaterialPointState(NamedTuple):
-    """Response of a law at a point of S at the end of a step, or at rest; d: number of dimensions.
+    """Response of a law at a point of S in a step, or at rest; d: number of dimensions.
 
-    In the frame of S it has the jump w (d,), the traction (d,) and its derivative `tangent` (d, d) by the jump. The
-    stress (6,) is in Mandel's order, and `memory` are internal variables. The three energies are stored, dissipated,
-    and the remainder of the energy balance. Traction, stress and tangent are those after the fraction theta of the
-    step, where forces balance.
+    Values at the end of the step are the time t, the jump w (d,), the internal variables `memory` and the stored
+    energy. `energies` (3,) are this energy, the energy dissipated in the step, and the remainder of the energy balance.
+    Values after the fraction theta of the step, where forces balance, are the traction (d,) and the stress (6,).
+    `tangent` (d, d) is the derivative of this traction by w. w, traction and tangent are in the frame of S: tangents
+    first, then the normal. The stress has Mandel components in the axes x, y, z.
     """
 
     t: float

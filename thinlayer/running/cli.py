@@ -110,7 +110,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def start() -> int:
-    """Run `main` as the whole process; an exception is printed and gives an exit status, too."""
+    """Run `main` with the command line of this process, and return its exit status.
+
+    An exception is printed, and its exit status is that of a study that did not finish.
+    """
     streams = (sys.stdout, sys.stderr)  # None if closed
     sys.stdout, sys.stderr = (stream or open(os.devnull, "w", encoding="utf-8") for stream in streams)  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):

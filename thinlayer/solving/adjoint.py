@@ -109,7 +109,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     @cached_property
     def layer_loads(self) -> Array:
-        """Nodal forces (m,) on the m displacements of this rank, for the loads on the model's layers. Collective."""
+        """Nodal forces (m,) of the loads on the layers, at the m displacement dofs that this rank owns. Collective."""
         return np.asarray(self.model.forces.nodal_at(self.model.V, self.state.t, layers=True).array_r.copy())
 
     def prescribed_motions(self) -> PETSc.Vec:

@@ -215,7 +215,10 @@ class Equations(PartSum):
         self.external.aypx(-1.0, self.loads)
 
     def loads_at(self, t: float) -> PETSc.Vec:
-        """New vector of the nodal forces of the loads at time t, including loads on multi-point constraints.
+        """New vector of the nodal forces of the loads at time t.
+
+        Forces and moments prescribed for multi-point constraints, such as rigid plates, are included, as nodal forces
+        with these resultants.
 
         Raises:
             InputError: loads that are not finite, or that nothing balances in a periodic joint.

@@ -150,8 +150,9 @@ class PartSum:
         block_of: (n,) block number >= 1 of each of the first n unknowns of this rank, see `ForceScale`. Further
             unknowns count for the whole model only.
         n_blocks: number k of blocks, including the whole model, block 0.
-        within: (k, k) sparse; entry (i, j) is 1 if block j lies within block i, or is block i. The row and column of
-            the whole model are as in the identity.
+        nesting: (k, k) sparse; its product with sums over unknowns by `block_of` adds the sums of blocks within a block
+            to the block's own sum. Entry (i, j) is 1 if j = i, or if block j lies within block i. The row and column of
+            block 0 are those of the identity, as all unknowns are summed for it. None: no block lies within another.
         last_body: the last of the parts that are bodies.
         body_norms: norms (k,) of the summed forces of the bodies in the last evaluation.
     """
@@ -295,9 +296,9 @@ class PartSum:
 
     # ---------------------------------------------------------------- tests of balance
     def norms(self, values: Array) -> Array:
-        """Norms (k,) of forces on the unknowns of this rank: of all forces, then of those on each block.
+        """Euclidean norms (k,) over all ranks of forces on the unknowns: of all forces, then of those on each block.
 
-        They are sums over all ranks.
+        `values` are the forces on this rank's unknowns. A block includes the blocks within it.
         """
         squares = values * values
         sums = np.bincount(self.block_of, squares[: len(self.block_of)], self.n_blocks)

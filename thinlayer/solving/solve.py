@@ -71,13 +71,16 @@ def solve(
         t: the time of loads and supports.
         options: {name of a PETSc option without its prefix: value}; they override the defaults of this package. An
             option -thinlayer_NAME in PETSc's database, as from the command line, overrides both.
-        method: "linear" (default if every law is linear) or "newton" (default otherwise). Contact laws have four
-            methods. "newton" is Newton's method for all unknowns. "condensed" condenses the bodies to the nodes of S,
-            on one rank. "multigrid" is Newton's method with a multigrid preconditioner. "relaxation" is the relaxation
-            of the paper, for comparison, on one rank, for one seam without branches. The default is "newton" if a body
-            is not linear, or if only some seams are in contact. It is also "newton" for user-defined contact laws,
-            inclined supports, rigid plates and periodic joints. In all other cases it is "condensed" on one rank if S
-            has few nodes, else "multigrid".
+        method: name of the method; None: the default. Without contact laws "linear" is one linear solve, and "newton"
+            is Newton's method. With contact laws "newton" is Newton's method for all unknowns. "condensed" condenses
+            the bodies to the nodes of S, on one rank. "multigrid" is Newton's method with a multigrid preconditioner.
+            "relaxation" is the relaxation of the paper, for comparison, on one rank, for one seam without branches.
+            The defaults are:
+
+            - without contact laws "linear" if every law is linear, else "newton";
+            - with contact laws "newton" if a body is not linear, or if only some seams are in contact;
+            - with contact laws "newton" also for laws of the user, inclined supports, rigid plates and periodic joints;
+            - with contact laws in all other cases "condensed" on one rank if S has few nodes, else "multigrid".
         like: a state of an interface model of the same joint, for example with another load, thickness or law. Without
             contact laws Newton's method begins at its displacements. With them "condensed" and "multigrid" begin with
             its jumps on S, the other methods at rest. If the solve fails from there, it begins again at rest.
@@ -85,7 +88,8 @@ def solve(
     Warns:
         RangeWarning: an interface model, or its result, is outside the range in which its law is valid; strains of
             bodies are not small; elements of bodies lock; a law relaxes (Maxwell), and the result is its response just
-            after sudden loads. Each warning is issued once for a model, or once for its state at a time.
+            after sudden loads. A warning about the model is issued in its first solve only, a
+            warning about a result once for each seam and time.
 
     Raises:
         SolveError: no convergence, or no unique solution; its subclass LooseBody if a body can move freely.

@@ -38,7 +38,7 @@ MIN_DECREASE = 0.1  # least relative decrease of the residual, over the length o
 
 
 class WeakSprings:
-    """Search for the equilibrium at the end of a step, with springs at all nodes that soften. Collective.
+    """Search for the equilibrium at the end of a step, with springs at all nodes, whose stiffness falls. Collective.
 
     Arrays x (n,) are the unknowns of this rank.
 

@@ -323,11 +323,11 @@ def free_end_remark(model: Model, seam_layer: SeamLayer, layers: Sequence[list[R
 def pressure_length(sublayers: list[RestingSublayer], width: float) -> float:
     """Decay length delta of the pressure at a free end of S, relative to the thickness of the layer.
 
-    All sublayers have the same normal traction t. The layer opens by w = c t - B t'', with derivatives along S. c is
-    the sum of the compliances of the sublayers. B t'' is the flow along S that a slope of t drives in nearly
-    incompressible sublayers. The flow shears the other sublayers. It also stretches them, as strains along S grow in
-    proportion to the distance. Then delta^2 = B/c; for one sublayer delta is its `length`. B follows from displacements
-    along S, of degree 2 through each sublayer, with the least energy.
+    All sublayers have the same normal traction t, a function of the position along S. The normal jump is
+    w = c t - B t'', so that disturbances of t decay over the length delta = sqrt(B/c). c is the sum of the sublayers'
+    compliances. B t'' is the contribution of material that flows along S: a slope t' drives nearly incompressible
+    sublayers. These shear and stretch the other sublayers, which resist. B follows from the displacements along S that
+    minimise the energy, as polynomials of degree 2 through each sublayer. For a single sublayer delta is its `length`.
 
     Args:
         sublayers: moduli of the sublayers, from the lower to the upper face.

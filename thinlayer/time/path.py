@@ -300,9 +300,10 @@ class EquilibriumPath:
         return self.equations.accept(self._x, Report("newton", iterations, residual, time.perf_counter() - begin))
 
     def _direction_beyond(self, last: State, tangent: Array, length: float) -> tuple[Array, float]:
-        """Direction (n + 1,) of the branch beyond a corner, and distance from the predictor of a plane normal to it.
+        """Unit direction (n + 1,) of the path beyond a corner, and the distance of a plane from the predictor.
 
-        The equilibrium of a step through the corner is looked for in this plane.
+        The plane is normal to this direction, and beyond the predictor by this arc length. Newton's method looks in it
+        for the equilibrium after the step. The direction has the n unknowns of this rank, then t.
 
         Args:
             last: the state before the corner.

@@ -146,7 +146,11 @@ def outer_surface(mesh: pyvista.UnstructuredGrid) -> pyvista.PolyData:
 
 
 def sharp_edges(surface: pyvista.PolyData) -> pyvista.PolyData:
-    """Boundary of a surface, and edges between faces at more than 30 degrees before deformation, in drawn positions."""
+    """Return the lines to draw for a surface: its boundary, and its edges where two faces meet at a sharp angle.
+
+    The angle between the faces' normals is more than 30 degrees before deformation. `surface` and the lines are in
+    deformed positions; its point data "moved" (n, 3) are the displacements as drawn.
+    """
     still = surface.copy()
     still.points -= SPLIT_FACTOR * surface["moved"]
     if not surface.n_lines:

@@ -229,7 +229,11 @@ class _NewtonRun:
             self.tangent.sweep(u, self._f, self._reversed)
 
     def _linearise(self, snes: PETSc.SNES, u: PETSc.Vec, _: PETSc.Mat, __: PETSc.Mat) -> None:
-        """Set the tangents of a step at displacements u, and the tolerance of its linear solve."""
+        """Set up the linear system of a Newton step, as SNES asks for a new Jacobian.
+
+        The contact tangents at displacements u, the preconditioner's springs and the tolerance of the linear solve are
+        set. The matrices that PETSc passes are not used: their context is `tangent`.
+        """
         first = not snes.getIterationNumber()
         tangents = self._first_tangents(u, self._f) if first else self._next_tangents(u)
         rtol = self.reductions[0] if first else min(0.5, self._target / self._relative)

@@ -184,9 +184,10 @@ class ContactPairs:
 
 
 def sweep_parameters(law: NodalLaw) -> tuple[float, ...]:
-    """Parameters of a law for the sweeps: K_N, K_T, friction, cohesion, and the fraction of bonded springs.
+    """Parameters of a contact law for Gauss-Seidel sweeps: K_N, K_T, friction, cohesion, and the weight of springs.
 
-    The fraction is that of a homotopy law; it is 0 for the law itself.
+    A homotopy law is a weighted mean of a contact law and of springs that neither open nor slide. The weight of the
+    springs is from 0 to 1; it is 0 for a contact law itself.
     """
     law, share = (law.law, law.share) if isinstance(law, ContactHomotopy) else (law, 0.0)
     assert law.numbers is not None
