@@ -114,9 +114,11 @@ def _is_for_another_stress(cls: type, name: str, responses: tuple[str, ...]) -> 
     if not _is_own(cls, name):
         return False
     bases = reversed(cls.__mro__[: _place(cls, name) + 1])
-    own = _responses(cls, responses)
-    before = next((attributes for base in bases if (attributes := _responses(base, responses))), own)
-    return any(before.get(key) is not own.get(key) for key in responses if key in before or key not in UPDATE_METHODS)
+    present = _responses(cls, responses)
+    before = next((attributes for base in bases if (attributes := _responses(base, responses))), present)
+    return any(
+        before.get(key) is not present.get(key) for key in responses if key in before or key not in UPDATE_METHODS
+    )
 
 
 def _responses(cls: type, names: tuple[str, ...]) -> dict[str, object]:

@@ -30,7 +30,7 @@ def pairs_of(law, ends, frames, weights, slip, gap=None, bc_dofs=()):
     nodes = SimpleNamespace(dim=d, pairs=ends, frames=frames, weights=weights, gap=gap)
     mask = np.zeros((ends.max() + 1) * d, bool)
     mask[list(bc_dofs)] = True
-    return ContactPairs([SimpleNamespace(nodes=nodes, now=law, slip=slip)], mask)
+    return ContactPairs([SimpleNamespace(nodes=nodes, law_now=law, slip=slip)], mask)
 
 
 def problem(rng, law, ends, d, spread=1e3):

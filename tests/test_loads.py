@@ -149,7 +149,7 @@ def test_temperatures_are_asked_for_in_the_joint_before_inflating(bodies, across
         return 20 + 100 * x[1]
 
     law = NonMonotone(60.0, 40.0, Tabulated([(0.0, 0.5), (100.0, 1.5)]), 0.15, CHI, T=T)
-    for part in Equations(model(law=law, make_model=partial(Structure.full, bodies=bodies))).parts:
+    for part in Equations(model(law=law, kind=partial(Structure.full, bodies=bodies))).parts:
         part.at_time(0.0)
     assert np.abs(seen[-1][1]).max() == pytest.approx(across, rel=0.2, abs=1e-12)
     assert np.ptp(seen[-1][0]) > 0.8
@@ -183,7 +183,7 @@ def test_booleans_and_complex_numbers_are_refused():
         (lambda: ThinLayer(GLUE, True), "eps is True"),
         (lambda: ThinLayer(GLUE, 0.1, order=True, at=1.0), "order of the interface law is True"),
         (lambda: ThinLayer(GLUE, 0.1, at=True), "at, is True"),
-        (lambda: model(law=GLUE, make_model=partial(Structure.full, cells_through=True)), "cells_through is True"),
+        (lambda: model(law=GLUE, kind=partial(Structure.full, cells_through=True)), "cells_through is True"),
         (lambda: sandwich(1.0, 0.5, 0.5, h=True), "h is True"),
         (lambda: disc(1.0, 1.0, 1.0, degree=True), "degree is True"),
         (lambda: march(model(law=MARCHED), [2.0], theta=True), "theta is True"),

@@ -103,7 +103,7 @@ def test_length_of_the_pressure_in_series():
     assert pressure_length([halves[0], shim, halves[1]], 10.0) == pytest.approx(rubber.length / 2, rel=1e-3)
     # does not shear; the flow of each half stretches it
     sheet, h, width = RestingSublayer(0.3, 1.0, 1e8, 5e3), 0.35, 10.0
-    resistance = 2 * 9 / h + 0.3 * sheet.along * width / (width**3 / 3)  # moves in proportion to the distance: works
+    resistance = 2 * 9 / h + 0.3 * sheet.E_plane * width / (width**3 / 3)  # moves in proportion to the distance: works
     B = 9e3 / 9018 * (h**3 / (6 * 9) + h**2 / resistance)
     length = pressure_length([halves[0], sheet, halves[1]], width)
     assert length == pytest.approx((B / (2 * halves[0].compliance + sheet.compliance)) ** 0.5, rel=1e-6)
