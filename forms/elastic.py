@@ -24,6 +24,7 @@ from forms.parameter_fields import (
 )
 from forms.stations import AnyStation, Faces, Station, gauss_stations
 from forms.tensors import MANDEL_PAIRS, SQRT2, Expr, condensed_tangent, isotropic_tensor, layer_frame
+from forms.traits import warn_outside
 
 VOIGT_PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 VOIGT_INDEX = ((0, 5, 4), (5, 1, 3), (4, 3, 2))  # Voigt index of each component of a tensor
@@ -36,6 +37,14 @@ IN_PLANE_VOIGT = [0, 1, 5]
 def lame_stress(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
     """Isotropic stress (3, 3), UFL, at the strain e (3, 3): lmbda tr(e) I + 2 mu e."""
     return lmbda * ufl.tr(e) * ufl.Identity(3) + 2 * mu * e
+
+
+def __getattr__(name: str) -> Callable[[Expr, Expr, Expr], Expr]:
+    """Return `lame_stress` for its name of version 1.0, "lame", with a DeprecationWarning."""
+    if name != "lame":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    warn_outside(DeprecationWarning(f"{__name__}.lame is deprecated since thinlayer 1.1; use {__name__}.lame_stress"))
+    return lame_stress
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,6 +34,7 @@ FORMER = [
     ("thinlayer.parts.part", "Interval", "TimeStep"),
     ("thinlayer.parts.part", "Outcome", "StepOutcome"),
     ("thinlayer.parts.form_part", "matrix", "assemble_plain_matrix"),
+    ("forms.elastic", "lame", "lame_stress"),
 ]
 
 
