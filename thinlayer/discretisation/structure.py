@@ -247,7 +247,8 @@ class Structure:
         data = {"tractions": tractions, "body_force": body_force, "loads": loads and tuple(loads), "supports": supports}
         changed = {name: value for name, value in data.items() if value is not None}
         vars(new).update(changed)
-        new.data_hash = digest([self.data_hash, require_same(self.comm, **changed | {"supports": _ordered(supports)})])
+        hashed = changed if supports is None else changed | {"supports": _ordered(supports)}
+        new.data_hash = digest([self.data_hash, require_same(self.comm, **hashed)])
         return new
 
     def layers_alone(self, names: Collection[str]) -> Self:
