@@ -22,6 +22,8 @@ from geometry import sandwich
 from tests.test_units_of_laws import LAWS as OF_POINTS
 from tests.test_units_of_laws import Units
 from thinlayer import Adaptive, ArcLength, Structure, ThinLayer, march, piecewise, solve
+from thinlayer.parts.pressure_part import PressurePart
+from thinlayer.solving.solve import Solver
 
 pytestmark = pytest.mark.few(5)
 
@@ -102,6 +104,18 @@ CASES += [(name, "interface", 10) for name in (HARDENING, "holonomic")]
 def test_units_and_loads(name, kind, depth):
     """Loads and thresholds times a number: so are displacements; energies go with its square."""
     same(*(run(name, u, kind, depth) for u in (OTHER, Units())))
+
+
+@pytest.mark.parametrize("kind", ["interface", "full"])
+def test_equations_of_pressures_are_scaled_by_the_stiffness_of_bodies(kind):
+    """Bodies are linear. `unit` is a pressure over a length, so that a volume times it is a force."""
+
+    def unit(u):
+        with Solver(structure(u, LAWS["incompressible"](u), kind)) as solver:
+            (part,) = solver.equations.of_kind(PressurePart)
+            return part.unit
+
+    assert unit(OTHER) == pytest.approx(unit(Units()) * OTHER.P / OTHER.L, rel=1e-6)
 
 
 @pytest.mark.few(1)

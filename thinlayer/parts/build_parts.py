@@ -64,14 +64,13 @@ def layer_parts(model: Model, bc_dofs: Indices, bodies: Sequence[Part]) -> list[
 def _largest_stiffness(model: Model, parts: Sequence[Part]) -> float:
     """Stiffness, force per displacement, with which equations of pressures are scaled to forces. Collective.
 
-    It is the largest diagonal entry of the parts' stiffness at rest if a part is no `LawFormPart`. If all are, or if
-    that entry is 0, it is the largest `LawFormPart.largest_stiffness`, which is 1 without non-linear laws in UFL.
+    It is the largest diagonal entry of the parts' stiffness at rest, non-linear laws in UFL included. It is 1 if no
+    part has any stiffness at rest.
     """
-    in_forms, largest = [part for part in parts if isinstance(part, LawFormPart)], 0.0
-    if parts != in_forms:
-        sums = fem.Function(model.V)  # must outlive its PETSc vector
-        largest = float(diagonal_at_rest(parts, sums.x.petsc_vec).max()[1])
-    return largest or max(part.largest_stiffness() for part in in_forms)
+    sums = fem.Function(model.V)  # must outlive its PETSc vector
+    largest = float(diagonal_at_rest(parts, sums.x.petsc_vec).max()[1])
+    tangents = [part.largest_stiffness() for part in parts if isinstance(part, LawFormPart)]
+    return max(largest, *tangents) or 1.0
 
 
 def _compiled_parts(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:

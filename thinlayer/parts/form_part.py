@@ -261,13 +261,13 @@ class LawFormPart(FormPart):
     def largest_stiffness(self) -> float:
         """Largest diagonal entry of the non-linear laws' tangent at rest, force per displacement. Collective.
 
-        1 if there is no non-linear law, or if the entry is not finite or not positive.
+        0 if there is no non-linear law, or if the entry is not finite or not positive.
         """
         self._u.x.array[:] = 0.0
         diagonals = [A.getDiagonal() for A in self._present_tangent()]
         largest = max((float(diagonal.max()[1]) for diagonal in diagonals), default=0.0)
         destroy(*diagonals)
-        return largest if 0 < largest < np.inf else 1.0
+        return largest if 0 < largest < np.inf else 0.0
 
     @cached_property
     def _softening(self) -> list[tuple[CompiledTerm, Callable[[float], Array]]]:
