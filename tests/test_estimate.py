@@ -289,7 +289,7 @@ def test_what_has_no_estimate():
     for call, message in [
         (lambda: estimate(3), "the state is 3"),
         (lambda: estimate(limit, LAYER), "no others: no seam"),
-        (lambda: estimate(solve(structure().full(LAYER))), "has all its meshes"),
+        (lambda: estimate(solve(structure().full(LAYER))), "drops no mesh"),
         (lambda: estimate(solve(two), LAYER, seam="A"), "'A' has a layer, and bonds are at B"),
         (lambda: dropped(tied), "tie nodes on S"),
         (lambda: asked("traction"), "a goal is 'traction'"),

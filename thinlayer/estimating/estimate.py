@@ -299,7 +299,7 @@ def _with_layers(state: State, layer: Layers | None) -> InterfaceModel:
     """The interface model of a state, with layers (`layer`) in place of bonds. Collective."""
     model = state.model
     if not isinstance(model, InterfaceModel):
-        raise InputError(f"estimate: a {model.name} model has all its meshes; give a state of an interface model")
+        raise InputError(f"estimate: a {model.name} model drops no mesh; give a state of an interface model")
     left_out = layer if isinstance(layer, Mapping) else dict.fromkeys(model.bonds, layer) if layer else {}
     bonded = ", ".join(model.bonds) or "no seam"
     if set(left_out) != set(model.bonds) or (layer is not None and not model.bonds):

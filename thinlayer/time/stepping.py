@@ -73,7 +73,7 @@ class PlannedStepsController(Controller):
         """
         thorough = self._failed_at == math.inf or self.last.report.homotopy_steps > 0
         newton = StepAttempt("Newton's method", partial(self._step, thorough=thorough))
-        retry = StepAttempt("Newton's method, with homotopy laws,", partial(self._step, thorough=True), self.smallest)
+        retry = StepAttempt("Newton's method with homotopy", partial(self._step, thorough=True), self.smallest)
         spring_search = StepAttempt("a search by weak springs", self._regularised_step, self.smallest)
         return [newton, *([] if thorough else [retry]), spring_search] if self.solver.bounded else [newton]
 
