@@ -1,4 +1,4 @@
-"""Shared by all packages: errors, messages for unknown names, tests for numbers, array type, names of the packages."""
+"""Errors, checks of numbers and names, and the array type, which the packages forms, geometry and thinlayer share."""
 
 from __future__ import annotations
 
@@ -27,26 +27,36 @@ class InputError(ThinlayerError, ValueError):
     """Input that cannot be used. The message says what is wrong, where, and which values are allowed.
 
     Attributes:
-        key: identifier of the condition that is violated; "" if it has none.
+        key: identifier of the violated condition; "" if the condition has none.
     """
 
     key = ""
 
 
 def require(condition: object, quantity: str, value: object, wanted: str) -> None:
-    """Raise InputError with the message "{what} is {value}; {wanted}" unless `condition` is true."""
+    """Raise InputError unless `condition` is true.
+
+    The message is "{quantity} is {value}; {wanted}".
+
+    Args:
+        condition: result of a check; anything with a truth value.
+        quantity: name of the checked quantity.
+        value: the quantity's value, of which the message shows at most 200 characters.
+        wanted: text that says which values are allowed.
+    """
     if not condition:
         raise InputError(f"{quantity} is {value!r:.200}; {wanted}")
 
 
 def import_optional(name: str) -> ModuleType:
-    """Import a module by its full name; if an optional dependency is missing, say how to install it.
+    """Import a module that is, or itself imports, an optional dependency; if this is missing, say how to install it.
 
     Args:
-        name: a key of `OPTIONAL_PACKAGES`, or a module of these packages that imports one of them.
+        name: full name of the module: an optional dependency (a key of `OPTIONAL_PACKAGES`), or a module of these
+            packages that imports one.
 
     Raises:
-        InputError: the optional dependency is not installed. The message names the extra that installs it.
+        InputError: the optional dependency is not installed. The message has the command of pip that installs it.
     """
     try:
         return import_module(name)
@@ -58,9 +68,9 @@ def import_optional(name: str) -> ModuleType:
 
 
 def unknown_name_message(kind: str, name: object, allowed: Iterable[str]) -> str:
-    """Error message for an unknown name, with all known names and the one that was probably meant.
+    """Return an error message for an unknown name, with all known names and a suggestion.
 
-    This is the most similar name, or the only name that starts with the unknown one.
+    The suggestion is the known name most similar to the unknown one, or the only one that starts with it.
 
     Args:
         kind: noun for what the name stands for, such as "seam".

@@ -1,4 +1,4 @@
-"""Checks of user-defined laws: `check`, which models and `drive` call for each law that they get."""
+"""Check of a law that a user has written: `check`, which is called for each law that a model or `drive` gets."""
 
 from __future__ import annotations
 
@@ -28,22 +28,23 @@ _CHECKED_LAWS: set[tuple[object, ...]] = set()  # laws that have passed, with th
 def check(law: Law, d: int | None = 3) -> None:
     """Raise InputError unless a law, with its parameter values, agrees with the declarations of its class.
 
-    Models and `drive` call this once for each law and its parameter values, except for contact laws and laws of this
-    package. A law in UFL must
+    Models and `drive` call this once for each law and its parameter values. Contact laws and laws of this package are
+    not checked. A law in UFL must
 
-    - return a stress (3, 3), and internal variables and energies of the declared shapes; tensors must be symmetric;
-    - return the same values when symbols replace its parameters for compilation: no Python condition may depend on
-      them;
-    - have the same tangent at all strains if it declares `linear`;
-    - have a symmetric tangent unless it declares `symmetric = False`;
-    - return the derivative of its energy as stress, if it is symmetric and has neither internal variables nor a rate.
+    - return a stress (3, 3), and internal variables and energies of the declared shapes; all tensors must be symmetric;
+    - return the same values whether its parameters are numbers or the symbols used for compilation, so that no Python
+      condition may depend on parameters;
+    - have the same tangent at all strains if its class declares `linear`;
+    - have a symmetric tangent unless its class declares `symmetric = False`;
+    - return the derivative of its energy as stress, if its tangent is symmetric and it has neither internal variables
+      nor a rate.
 
     A user-defined `KernelLaw` is checked when it is compiled.
 
     Args:
         law: the law.
-        d: number of components (2 or 3) of the layer's unit normal `step.n` that the law gets; None if it gets no
-            normal, as in a body. Laws with internal variables or a rate always get 3.
+        d: number of components, 2 or 3, of the layer's unit normal that the law gets as `step.n`; None if it gets no
+            normal, as in a body. Laws with internal variables or a rate always get 3 components.
 
     Example:
         >>> from forms import LinearElastic, check
@@ -64,11 +65,17 @@ def check(law: Law, d: int | None = 3) -> None:
 
 
 def require_computed(law: BulkLaw, d: int | None = 3) -> None:
-    """Check a law as `check` does, also if it has passed before.
+    """Check a law as `check` does, even if the same law has passed the check before.
+
+    Nothing is checked if the law is not written in UFL.
 
     Args:
         law: the law.
-        d: number of components (2 or 3) of the layer's unit normal that the law gets; None: it gets no normal.
+        d: number of components, 2 or 3, of the layer's unit normal that the law gets as `step.n`; None: it gets no
+            normal.
+
+    Raises:
+        InputError: the law does not agree with the declarations of its class.
     """
     if not law.traits.in_ufl:
         return
@@ -113,7 +120,9 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
 
 
 def _method_expressions(law: BulkLaw, step: Step) -> dict[str, Expr]:
-    """UFL expressions of a law's stress, new internal variables and energies in a step, by name of the method.
+    """Return the UFL expressions of a law's stress, new internal variables and energies in a step.
+
+    The keys are the names of the law's methods, such as "stress"; an internal variable has a key like "advance['p']".
 
     Raises:
         InputError: a method fails, or returns a wrong shape or the wrong internal variables.
@@ -136,10 +145,11 @@ def _method_expressions(law: BulkLaw, step: Step) -> dict[str, Expr]:
 
 
 def _sample(law: BulkLaw, size: float, d: int) -> tuple[Array, Array]:
-    """Random strain (6,) of magnitude `size`, and a vector of random inputs of the law that starts with this strain.
+    """Return a random strain, a Mandel vector (6,), and a random vector of all inputs of `law` with this strain.
 
-    Its components are those of `SymbolicLaw.numbers`: e, e_old, internal variables, unit normal n, dt = 0.1, theta = 1,
-    parameters. d is the number of components of n that are not zero.
+    The vector contains, in this order: strain, strain at the beginning of the step, internal variables, unit normal
+    (3,), dt = 0.1, theta = 1, parameters. `SymbolicLaw.numbers` has the same order. The strain components are normally
+    distributed with standard deviation `size`. Only the first `d` components of the normal are not zero.
     """
     rng = np.random.default_rng(3)
     e, n = size * rng.normal(size=6), np.pad(rng.normal(size=d), (0, 3 - d))
@@ -148,13 +158,16 @@ def _sample(law: BulkLaw, size: float, d: int) -> tuple[Array, Array]:
 
 
 def _require_no_branches(law: BulkLaw, d: int | None, sample: Array, values: Callable[..., Array | None]) -> None:
-    """Raise InputError if a law computes other values with numbers than with symbols for its parameters.
+    """Raise InputError if a law gives other values for numeric parameters than for symbols in their place.
+
+    This happens if a Python condition in the law depends on a parameter.
 
     Args:
         law: the law.
-        d: number of components of the layer's unit normal; None: no normal.
-        sample: inputs of the law, as `_sample` returns them.
-        values: name of a method and inputs -> values of the law with symbols; None if they cannot be evaluated.
+        d: number of components of the layer's unit normal; None: the law gets no normal.
+        sample: vector of all inputs of the law, in the order of `SymbolicLaw.numbers`.
+        values: function of a method's name and a vector of inputs. It evaluates the method of the law with symbols, and
+            returns None where this is impossible.
     """
     n_start, stress = 12 + law.memory, values(law.methods[0], sample)
     work = 0.0 if stress is None else float(np.abs(stress).max() * np.abs(sample[:6]).max())
@@ -175,13 +188,21 @@ def _require_no_branches(law: BulkLaw, d: int | None, sample: Array, values: Cal
 
 
 def _relative_difference(a: Array, b: Array, scale: float = 0.0) -> float:
-    """Largest difference of two arrays over the largest of their entries and `scale`; 0 if it is only rounding."""
+    """Return the largest difference of `a` and `b` relative to their size; 0 if it is only rounding.
+
+    The difference is divided by the largest of all |a|, |b| and `scale`.
+    """
     difference, largest = np.abs(a - b).max(), max(np.abs(a).max(), np.abs(b).max(), scale, MIN_NORMAL_NUMBER)
     return float(difference / largest) if difference > RELATIVE_TOLERANCE * largest else 0.0
 
 
 def _evaluated(expression: Expr, values: dict[Expr, Array] | None = None) -> Array | None:
-    """Numbers of an expression with arrays for its symbols (`values`); None if there are none, or not finite ones."""
+    """Return the numerical values of a UFL expression; None if a part has no value or a value is not finite.
+
+    Args:
+        expression: the expression.
+        values: symbol in the expression -> array of its numbers.
+    """
     try:
         with warnings.catch_warnings(action="ignore"):  # UFL warns of parts without a value
             numbers = evaluate(expand_derivatives(expression), values)
@@ -191,7 +212,11 @@ def _evaluated(expression: Expr, values: dict[Expr, Array] | None = None) -> Arr
 
 
 def _number(value: ParameterValue, _power: float = 0.0, field_value: float = 1.0) -> ParameterValue:
-    """Float or array of a number or a Constant; `field_value` for a function of the place; other values unchanged."""
+    """Return a parameter's value as a float or an array, for example that of a DOLFINx Constant.
+
+    A function of the place, or a NaN, is replaced by `field_value`. A UFL expression is returned unchanged. `_power`,
+    the power of eps, is not used: `Law.mapped` gives it.
+    """
     if isinstance(value, (ParameterField, Indexed)):  # a function of the place, or values at quadrature points
         return field_value
     try:

@@ -1,4 +1,4 @@
-"""Contact laws at the nodes of S: normal compliance with Coulomb or Tresca friction; not for meshed layers."""
+"""Contact laws at the nodes of S: normal compliance with Coulomb or Tresca friction. They are not for meshed layers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from forms.temperature import checked_values
 
 
 class Status(IntEnum):
-    """Contact status of a node of S: separated (no pressure), sticking or sliding."""
+    """Contact status of a node of S: separated (without pressure), sticking or sliding."""
 
     SEPARATED = 0
     STICK = 1
@@ -29,22 +29,23 @@ class Status(IntEnum):
 class ContactLaw(Law):
     """A law between the jump and the traction at a node of S, without an underlying bulk law.
 
-    Jumps w (n, d) and tractions t (n, d) of n nodes in d dimensions have components in the frame of S. The first d - 1
-    components are tangential. The last is the normal component, which is positive where S opens, and for tension. The
-    normal jump includes the initial gap: it is zero at first contact. The penetration is u_N = -w_N, and the pressure p
-    = -t_N >= 0:
+    Jumps w (n, d) and tractions t (n, d) are those at n nodes in d dimensions, with components in the frame of S. The
+    first d - 1 components are tangential, the last one is normal. A positive normal jump opens S, and a positive normal
+    traction is tension. The normal jump includes the initial gap, so that it is zero at first contact. The penetration
+    is u_N = -w_N, the contact pressure p = -t_N >= 0:
 
         p = K_N max(u_N, 0),   t_T = K_T (w_T - slip), shortened to the length threshold(p) where it is longer.
 
-    In three dimensions the threshold is the radius of a disc. A user-defined contact law defines `threshold` and
-    `threshold_rate`, functions of arrays; Newton's method solves it.
+    A user-defined contact law defines `threshold` and `threshold_rate`, functions of an array of pressures. Its
+    equilibria are computed by Newton's method.
 
     Attributes:
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.
-        gap: by keyword, initial gap along n between the two sides, a length. It is a number, or a numpy function of
-            places x (d, n) that returns n numbers. A gap < 0 is an interference, which presses the undisplaced sides
-            together.
-        memory: whether the slip, d - 1 components at a node, is stored from step to step; otherwise it is always zero.
+        gap: by keyword, initial gap along n between the two sides, a length. It is a number, or a numpy function of the
+            coordinates (d, n) of n places that returns n numbers. A gap < 0 is an interference, which presses the
+            undisplaced sides together.
+        memory: whether the slip, d - 1 components at a node, is stored from step to step; otherwise the slip is always
+            zero.
     """
 
     K_N: float
@@ -63,7 +64,7 @@ class ContactLaw(Law):
         return super().parameters() | ({"gap": np.nan} if callable(self.gap) else {})
 
     def gaps(self, x: Array) -> Array:
-        """Initial gaps (n,), lengths, at places x (d, n).
+        """Return the initial gaps (n,), lengths, at n places with the coordinates `x` (d, n).
 
         Raises:
             InputError: the function `gap` fails, or does not return n finite numbers.
@@ -87,7 +88,8 @@ class ContactLaw(Law):
     def check_threshold(self) -> None:
         """Raise InputError unless `threshold` and `threshold_rate` return finite arrays (n,) for pressures (n,).
 
-        The threshold must also be >= 0, and agree with the parameters in `numbers`.
+        The threshold must also be >= 0. If `numbers` is not None, the threshold must be friction coefficient times
+        pressure plus cohesion, with the values in `numbers`.
         """
         p = np.concatenate([[0.0], self.K_N * np.logspace(-9, 0, 10)])
         for name, least in {"threshold": 0.0, "threshold_rate": -np.inf}.items():
@@ -118,7 +120,11 @@ class ContactLaw(Law):
         return self.K_N * np.maximum(-w[:, -1], 0.0)
 
     def _trial(self, w: Array, slip: Array | None) -> tuple[Array, Array, Array, Array]:
-        """Pressure (n,), threshold (n,), tangential traction (n, d - 1) before further slip, its magnitude (n,)."""
+        """Return pressure, threshold, trial traction and its norm at the jumps `w` (n, d).
+
+        The trial traction (n, d - 1) is the tangential traction if the slip stays at its value `slip` (n, d - 1) before
+        the step; None: zero. The other arrays have the shape (n,).
+        """
         p = self.pressure(w)
         trial_t = self.K_T * (w[:, :-1] if slip is None else w[:, :-1] - slip)
         return p, self.threshold(p), trial_t, np.linalg.norm(trial_t, axis=1)
@@ -156,13 +162,18 @@ class ContactLaw(Law):
         return tangents
 
     def bonded(self, n: int, d: int) -> Array:
-        """Tangents (n, d, d) of n nodes that neither open nor slide: diag(K_T, ..., K_N) at each."""
+        """Return the tangents (n, d, d), stress per length, of `n` nodes whose sides are joined elastically.
+
+        The tangent at each node is diag(K_T, ..., K_N), with the tangential components first.
+        """
         return np.tile(np.diag([self.K_T] * (d - 1) + [self.K_N]), (n, 1, 1))
 
     def status(self, w: Array, slip: Array | None = None) -> npt.NDArray[np.int8]:
-        """`Status` (n,) of each node: separated without pressure, else stick up to the threshold, else sliding.
+        """Return the `Status` (n,) of each node: separated, sticking or sliding.
 
-        A separated node may carry a tangential traction up to the cohesion, or up to Tresca's bound.
+        A node without pressure is separated. One with pressure sticks if its tangential traction is at most the
+        threshold, else it slides. A separated node may carry a tangential traction up to the cohesion, or up to
+        Tresca's bound.
 
         Args:
             w: jumps (n, d) at the end of the step, tangential components first.
@@ -172,36 +183,44 @@ class ContactLaw(Law):
         return np.where(p <= 0, Status.SEPARATED, np.where(norm <= bound, Status.STICK, Status.SLIDING)).astype(np.int8)
 
     def slip_after(self, w: Array, slip: Array) -> Array:
-        """Slip (n, d - 1) at the end of a step with the jumps w (n, d), from the slip (n, d - 1) at its beginning."""
+        """Return the slip (n, d - 1), a length, at the end of a step.
+
+        Args:
+            w: jumps (n, d) at the end of the step, tangential components first.
+            slip: slip (n, d - 1) at the beginning of the step.
+        """
         return w[:, :-1] - self.traction(w, slip)[:, :-1] / self.K_T if self.memory else slip
 
     def energies(self, w: Array, slip: Array) -> tuple[Array, Array]:
-        """Energies (n,) per area of S: stored at the end of a step, and dissipated in it.
+        """Return the energy (n,) per area of S that is stored at the end of a step, and the one dissipated in the step.
 
         Args:
-            w: jumps (n, d) at the end of the step.
-            slip: slip (n, d - 1) at its beginning.
+            w: jumps (n, d) at the end of the step, tangential components first.
+            slip: slip (n, d - 1) at the beginning of the step.
         """
         t = self.traction(w, slip)
         stored = (t[:, -1] ** 2 / self.K_N + (t[:, :-1] ** 2).sum(axis=1) / self.K_T) / 2
         return stored, (t[:, :-1] * (self.slip_after(w, slip) - slip)).sum(axis=1)
 
     def homotopy(self, share: float) -> ContactHomotopy:
-        """Homotopy law for continuation: a weighted mean of this law and of springs that neither open nor slide.
+        """Return a law for continuation: the weighted mean of this law and of elastic springs.
 
         Args:
-            share: weight of the springs, from 0 (this law) to 1 (bonded sides).
+            share: weight of the springs, from 0 (this law alone) to 1 (springs alone).
         """
         return ContactHomotopy(self, share)
 
     @property
     def numbers(self) -> tuple[float, float, float, float] | None:
-        """K_N, K_T, friction coefficient and cohesion, for compiled Gauss-Seidel sweeps; None: no such sweeps."""
+        """K_N, K_T, friction coefficient and cohesion, for a compiled Gauss-Seidel solver of contact.
+
+        None: four numbers do not describe the law, and only Newton's method can solve it.
+        """
         return None
 
     @classmethod
     def of_layer(cls, lmbda: float, mu: float, **others: Parameter) -> Self:
-        """The law with the stiffness of an isotropic layer in plane strain or 3D: K_N = lmbda + 2 mu, K_T = mu.
+        """Return the law with the stiffness of an isotropic layer in plane strain or 3D: K_N = lmbda + 2 mu, K_T = mu.
 
         Args:
             lmbda, mu: Lame moduli of the layer divided by its thickness, stress per length.
@@ -218,33 +237,39 @@ class ContactLaw(Law):
 class ContactHomotopy:
     """Weighted mean of a contact law and of elastic springs: t = (1 - share) t_law + share K (w - slip).
 
-    K = diag(K_T, ..., K_N) has the stiffnesses of the law. The springs resist every jump, so that an equilibrium exists
-    under all loads.
+    t is the traction, w the jump. The springs have the stiffnesses of the law, K = diag(K_T, ..., K_N). They resist
+    jumps in all directions, so that an equilibrium exists under all loads.
 
     Attributes:
         law: the contact law.
-        share: weight of the springs; 0: the law itself, 1: bonded sides.
+        share: weight of the springs, from 0 (the contact law alone) to 1 (springs alone).
     """
 
     law: ContactLaw
     share: float
 
     def bonded(self, n: int, d: int) -> Array:
-        """Tangents (n, d, d) of n nodes that neither open nor slide."""
+        """Return the tangents (n, d, d) of the springs alone at `n` nodes, diag(K_T, ..., K_N) at each."""
         return self.law.bonded(n, d)
 
     def traction(self, w: Array, slip: Array | None = None) -> Array:
-        """Traction (n, d) at jumps w (n, d), for a slip (n, d - 1) before the step; None: no slip."""
+        """Return the traction (n, d) at jumps `w` (n, d), with the slip (n, d - 1) before the step; None: no slip."""
         elastic_slip = w[:, :-1] if slip is None else w[:, :-1] - slip
         elastic = np.column_stack([self.law.K_T * elastic_slip, self.law.K_N * w[:, -1]])
         return (1 - self.share) * self.law.traction(w, slip) + self.share * elastic
 
     def tangent(self, w: Array, slip: Array | None = None) -> Array:
-        """Derivative (n, d, d) of the traction by the jumps w (n, d), for a slip (n, d - 1) before the step."""
+        """Return the derivative (n, d, d) of the traction by the jumps `w` (n, d).
+
+        `slip` (n, d - 1) is the slip before the step; None: no slip.
+        """
         return (1 - self.share) * self.law.tangent(w, slip) + self.share * self.bonded(*w.shape)
 
     def status(self, w: Array, slip: Array | None = None) -> npt.NDArray[np.int8]:
-        """`Status` (n,) of each node by the contact law alone, at jumps w (n, d), for a slip before the step."""
+        """Return the `Status` (n,) that the contact law alone has at the jumps `w` (n, d).
+
+        `slip` (n, d - 1) is the slip before the step; None: no slip.
+        """
         return self.law.status(w, slip)
 
 
@@ -270,22 +295,25 @@ class _Coulomb(ContactLaw):
 
 @dataclass(frozen=True)
 class HolonomicCoulomb(_Coulomb):
-    """The unilateral law of section 8 of the paper: normal compliance, and friction without memory of the slip.
+    """Normal compliance and friction without memory of the slip: the unilateral law of section 8 of the paper.
 
-    |t_T| = min(K_T |w_T|, friction p + cohesion), opposing w_T, with the tangential jump w_T and the pressure p.
-    Unloading therefore returns along the loading curve. Section 8 identifies this law with the law of sections 5.3 and
-    7.3, but that law is incremental and does not open. The two agree where p only grows and slip does not reverse. This
-    law is not the limit of a bulk law of a layer.
+    The tangential traction t_T opposes the tangential jump w_T: |t_T| = min(K_T |w_T|, friction p + cohesion) with the
+    contact pressure p. The traction depends on the present jump only, so that unloading returns along the loading
+    curve.
 
-    The cohesion is a strength in shear that does not depend on the opening: a separated node carries no pressure, but
-    tangential traction up to the cohesion.
+    Section 8 of the paper treats this law as that of sections 5.3 and 7.3. That one stores a slip, and its surface S
+    cannot open (`IncrementalCoulomb` is the law that can). The two agree where p only grows and the slip does not
+    reverse. This law is not the limit of a bulk law of a layer.
+
+    The cohesion does not depend on the opening. A separated node has no pressure, but it may carry a tangential
+    traction up to the cohesion.
 
     Attributes:
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.
         friction: Coulomb's friction coefficient; >= 0.
         cohesion: largest |t_T| without pressure, stress; >= 0.
-        gap: by keyword, initial gap along n, a length; a number, or a numpy function of places (d, n) that returns n
-            numbers.
+        gap: by keyword, initial gap along n, a length. It is a number, or a numpy function of the coordinates (d, n) of
+            n places that returns n numbers.
 
     Raises:
         InputError: a parameter out of range.
@@ -294,19 +322,20 @@ class HolonomicCoulomb(_Coulomb):
 
 @dataclass(frozen=True)
 class IncrementalCoulomb(_Coulomb):
-    """Normal compliance and Coulomb friction with slip memory: t_T = K_T (w_T - slip), |t_T| <= friction p + cohesion.
+    """Normal compliance, and Coulomb friction with memory of the slip.
 
-    w_T is the tangential jump, p the contact pressure. The slip grows along t_T where the threshold is reached
-    (backward Euler, like the return mapping of elastoplasticity). Without cohesion slip equals w_T where S is open, so
-    that a node that closes again starts without tangential traction. This is the law of sections 5.3 and 7.3 of the
-    paper, but S can open. It needs time steps (`march`).
+    The tangential traction is t_T = K_T (w_T - slip) with |t_T| <= friction p + cohesion. w_T is the tangential jump, p
+    the contact pressure. Where |t_T| reaches its bound the slip grows along t_T (backward Euler, like the return
+    mapping of elastoplasticity). Without cohesion the slip equals w_T where S is open. A node that closes again
+    therefore starts without tangential traction. This is the law of sections 5.3 and 7.3 of the paper, except that S
+    can open. It needs time steps (`march`).
 
     Attributes:
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.
         friction: Coulomb's friction coefficient; >= 0.
         cohesion: largest |t_T| without pressure, stress; >= 0.
-        gap: by keyword, initial gap along n, a length; a number, or a numpy function of places (d, n) that returns n
-            numbers.
+        gap: by keyword, initial gap along n, a length. It is a number, or a numpy function of the coordinates (d, n) of
+            n places that returns n numbers.
 
     Raises:
         InputError: a parameter out of range.
@@ -330,16 +359,16 @@ class IncrementalCoulomb(_Coulomb):
 
 @dataclass(frozen=True)
 class Tresca(ContactLaw):
-    """Normal compliance and a prescribed bound of the tangential traction, which also applies at open nodes.
+    """Normal compliance, and a tangential traction with a fixed bound that also applies where S is open.
 
-    It is the subproblem of the fixed-point iteration of section 8 of the paper. Its energy is convex (psi in the
-    paper).
+    The fixed-point iteration of section 8 of the paper solves a problem with this law in each step. The energy of the
+    law (psi in the paper) is convex.
 
     Attributes:
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.
         bound: largest magnitude of the tangential traction, stress; >= 0.
-        gap: by keyword, initial gap along n, a length; a number, or a numpy function of places (d, n) that returns n
-            numbers.
+        gap: by keyword, initial gap along n, a length. It is a number, or a numpy function of the coordinates (d, n) of
+            n places that returns n numbers.
 
     Raises:
         InputError: a parameter out of range.

@@ -40,7 +40,11 @@ def lame_stress(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
 
 
 def __getattr__(name: str) -> Callable[[Expr, Expr, Expr], Expr]:
-    """Return `lame_stress` for its name of version 1.0, "lame", with a DeprecationWarning."""
+    """Return `lame_stress`, with a DeprecationWarning, if `name` is "lame", as version 1.0 called this function.
+
+    Raises:
+        AttributeError: the module has no attribute `name`.
+    """
     if name != "lame":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     warn_outside(DeprecationWarning(f"{__name__}.lame is deprecated since thinlayer 1.1; use {__name__}.lame_stress"))
@@ -49,7 +53,11 @@ def __getattr__(name: str) -> Callable[[Expr, Expr, Expr], Expr]:
 
 @dataclass(frozen=True, eq=False)
 class IsotropicLaw(BulkLaw):
-    """Base of laws whose elastic response is isotropic, with the Lame moduli lmbda > -2 mu/3 and mu > 0, stresses."""
+    """Base of laws whose elastic response is isotropic.
+
+    Attributes:
+        lmbda, mu: Lame moduli, stresses; lmbda > -2 mu/3, mu > 0.
+    """
 
     lmbda: float
     mu: float
@@ -83,10 +91,10 @@ class LinearLaw(BulkLaw):
 
 @dataclass(frozen=True)
 class LinearElastic(LinearLaw, IsotropicLaw):
-    """Isotropic elasticity, stress = lmbda tr(e) I + 2 mu e.
+    """Isotropic elasticity, stress = lmbda tr(e) I + 2 mu e with the strain e.
 
-    As a layer's law: t_T = mu/eps w_T, t_N = (lmbda + 2 mu)/eps w_N with the jump w, the elastic part of Eq. (16) of
-    the paper.
+    As a layer's law with the jump w: t_T = mu/eps w_T and t_N = (lmbda + 2 mu)/eps w_N. This is the elastic part of Eq.
+    (16) of the paper.
 
     Attributes:
         lmbda: first Lame modulus, stress; lmbda + 2 mu/3 > 0.
@@ -110,9 +118,9 @@ class LinearElastic(LinearLaw, IsotropicLaw):
 
     @classmethod
     def young(cls, E: Parameter, nu: Parameter) -> LinearElastic:
-        """The law with Young's modulus E > 0 (stress) and Poisson's ratio -1 < nu < 1/2.
+        """Return the law with Young's modulus E > 0 (stress) and Poisson's ratio -1 < nu < 1/2.
 
-        Both may be numpy functions of places (d, n) in the joint that give n values.
+        Each is a number, or a numpy function of the coordinates (d, n) of n places in the joint that returns n values.
         """
         E, nu = as_parameter_field(E), as_parameter_field(nu)
         if isinstance(E, ParameterField) or isinstance(nu, ParameterField):
@@ -122,9 +130,9 @@ class LinearElastic(LinearLaw, IsotropicLaw):
 
     @classmethod
     def shear(cls, mu: Parameter, nu: Parameter) -> LinearElastic:
-        """The law with shear modulus mu > 0 (stress) and Poisson's ratio -1 < nu < 1/2.
+        """Return the law with shear modulus mu > 0 (stress) and Poisson's ratio -1 < nu < 1/2.
 
-        Both may be numpy functions of places (d, n) in the joint that give n values.
+        Each is a number, or a numpy function of the coordinates (d, n) of n places in the joint that returns n values.
         """
         for name, value in (("mu", mu), ("nu", nu)):
             require(callable(value) or is_finite(value), f"LinearElastic.shear: {name}", value, "it must be a number")
@@ -138,10 +146,11 @@ class LinearElastic(LinearLaw, IsotropicLaw):
         return super().elastic_moduli() if self.traits.compiled else (self.lmbda, self.mu)  # compiled: its moduli vary
 
     def stations(self) -> list[AnyStation]:
-        """Two Gauss stations through the thickness, for displacements that are parabolic from face to face.
+        """Return two stations at the Gauss points through the thickness, for displacements quadratic in the height.
 
-        The change of the strain from face to face causes no traction: its stress times n is zero. Displacements linear
-        through the thickness would lock in a nearly incompressible layer.
+        The strain changes linearly from the lower to the upper face. The quadratic part of the displacements is chosen
+        so that the stress of this change has no traction on planes parallel to S. With displacements linear in the
+        height a nearly incompressible layer would lock.
         """
         return gauss_stations(self, self._strain_change)
 
@@ -152,15 +161,15 @@ class LinearElastic(LinearLaw, IsotropicLaw):
 
     @property
     def _thinning_ratio(self) -> float:
-        """The ratio lmbda/(lmbda + 2 mu): thinning of a layer with free faces per stretch along it."""
+        """Ratio lmbda/(lmbda + 2 mu): thinning of a layer with free faces over the sum of its in-plane strains."""
         return self.lmbda / (self.lmbda + 2 * self.mu)
 
     def end_strips(self) -> EndStrips | None:
-        """Strips along a free end in which the interface law of order 1 is made less stiff.
+        """Return the strips along free ends in which the interface law of order 1 is less stiff than elsewhere.
 
-        None if Poisson's ratio is outside the range from 0 to `MAX_FREE_END_NU`, or if parameters vary along the layer.
-        Beyond this maximum the layer's pressure decays over more than the strip. In plane stress the law has the moduli
-        of `plane_stress`, and the ratio here is nu/(1 + nu) of the material.
+        None if Poisson's ratio is not from 0 to `MAX_FREE_END_NU`, or if parameters vary along the layer. Above this
+        maximum the layer's pressure decays over a length greater than the strips. In plane stress the ratio that counts
+        is nu/(1 + nu) of the material.
         """
         if self.fields:
             return None
@@ -168,9 +177,10 @@ class LinearElastic(LinearLaw, IsotropicLaw):
         return EndStrips.of(free_end(nu)) if 0 <= nu <= MAX_FREE_END_NU * (1 + MODULUS_RATIO_TOLERANCE) else None
 
     def stations_at_ends(self, weights: EndWeights) -> list[AnyStation]:
-        """Three stations of the law near free ends: two for the mean strain, one for its change from face to face.
+        """Return three stations near free ends: two for the mean strain, one for its change between the faces.
 
-        The energies at the first two add up to that of a layer with free ends, W in the module `forms.ends.weights`.
+        The energies at the first two stations add up to the energy of the mean strain near a free end. This energy is W
+        in the docstring of the module `forms.ends.weights`.
 
         Args:
             weights: reductions of the stiffness near free ends, UFL on S.
@@ -196,11 +206,13 @@ def _mu_of_young(E: float, nu: float) -> float:
 
 
 def _require_young(E: float, nu: float) -> None:
-    """Check Young's modulus and Poisson's ratio, numbers or arrays of values at several places.
+    """Raise an error unless Young's modulus E > 0 and Poisson's ratio -1 < nu < 1/2.
+
+    E and nu are numbers, or arrays of values at several places.
 
     Raises:
-        ParameterRangeError: E <= 0, or nu outside -1 < nu < 1/2, at a place.
-        InputError: one of them is not a number.
+        ParameterRangeError: E or nu is out of range, with the index of the first such place.
+        InputError: E or nu is not a number.
     """
     for name, values, least, most, allowed in (("E", E, 0.0, math.inf, "> 0"), ("nu", nu, -1.0, 0.5, "-1 < nu < 0.5")):
         require(np.asarray(values).dtype.kind in "iuf", f"LinearElastic: {name}", values, f"allowed: {allowed}")
@@ -212,16 +224,17 @@ def _require_young(E: float, nu: float) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Anisotropic(LinearLaw):
-    """General linear elasticity, stress = C : e.
+    """General linear elasticity, stress = C : e with the strain e.
 
-    As a layer's law: t_i = C_ijkl n_j n_l w_k/eps with the jump w, the acoustic tensor n.C.n over the thickness.
+    As a layer's law with the jump w: t_i = C_ijkl n_j n_l w_k/eps. The stiffness is the acoustic tensor n.C.n divided
+    by the thickness eps.
 
     Attributes:
-        C: (6, 6) symmetric stiffness in Voigt order 11, 22, 33, 23, 13, 12 (engineering shear strains), stress,
-            positive semidefinite. A layer needs a positive definite acoustic tensor, and a body a positive definite C,
-            unless supports constrain the motions that it does not resist.
-        frame: axes of C. "global": those of the coordinates; "layer": axis 2 is the normal n of the layer, axes 1 and 3
-            lie in the layer (`forms.tensors.layer_frame`).
+        C: (6, 6) symmetric stiffness, stress, positive semidefinite, in Voigt order 11, 22, 33, 23, 13, 12 (engineering
+            shear strains). A layer needs a positive definite acoustic tensor, a body a positive definite C. Otherwise
+            supports must prevent the deformations that cause no stress.
+        frame: axes of C. "global" are those of the coordinates. With "layer", axis 2 is the normal n of the layer, and
+            axes 1 and 3 lie in it (`forms.tensors.layer_frame`).
 
     Raises:
         InputError: C of the wrong shape, not symmetric or indefinite; unknown frame.
@@ -243,10 +256,11 @@ class Anisotropic(LinearLaw):
 
     @classmethod
     def springs(cls, K_N: float, K_T: float) -> Anisotropic:
-        """A layer that only has springs: t_N = K_N w_N/eps, t_T = K_T w_T/eps with the jump w and the thickness eps.
+        """Return the law of a layer of independent springs: t_N = K_N w_N/eps and t_T = K_T w_T/eps.
 
-        K_N > 0 and K_T >= 0 are moduli, stresses, or stiffnesses, stress per length, if the thickness is 1. K_T = 0 is
-        a bearing without friction: supports must constrain bodies that may slide.
+        w is the jump and eps the thickness of the layer. K_N > 0 and K_T >= 0 are moduli, in units of stress. In a
+        layer of thickness 1 they are its stiffnesses, stress per length. With K_T = 0 the layer is a bearing without
+        friction: supports must prevent the bodies from sliding.
         """
         require(is_finite(K_N) and K_N > 0, "Anisotropic.springs: K_N", K_N, "allowed: > 0")
         require(is_finite(K_T) and K_T >= 0, "Anisotropic.springs: K_T", K_T, "allowed: >= 0")

@@ -22,23 +22,30 @@ BOUND_TOLERANCE = 1e-12  # relative tolerance for parameters that equal a bound 
 def mohr_coulomb_fixed_opening(
     lmbda: float, mu: float, cohesion: float, friction_angle: float, w_N: float, w_T: Array
 ) -> Array:
-    """Tractions (..., 2), t_T and t_N, of a Mohr-Coulomb layer as its slip w_T grows at a fixed opening w_N.
+    """Return the tractions t_T and t_N of a Mohr-Coulomb layer that is sheared at a fixed normal jump.
 
-    The law is `MohrCoulomb` with psi = 0 in plane strain, and the result is exact in time. Let p = (lmbda + mu) w_N be
-    the mean in-plane stress, and s the in-plane deviator. The response is elastic until |s| = R = C cos(Omega) - p
-    sin(Omega). Let s_y be the shear stress at first yield, at w_y. After it, with a = mu (w_T - w_y)/R + artanh(s_y/R),
-    t_T = R tanh(a) and t_N = p +- R sech(a). The sign equals the sign of s_N = mu w_N. The normal part of the deviator
-    fades, and t_T tends to R, not to the C - t_N tan(Omega) of Eqs. (34)-(37) of the paper.
+    The law is `MohrCoulomb` with the dilatancy angle 0, in plane strain; time is not discretised. p = (lmbda + mu) w_N
+    is the mean in-plane stress, and R = C cos(Omega) - p sin(Omega) bounds the norm of the in-plane deviator. The layer
+    first yields at the tangential jump w_y, where t_T is s_y = mu w_y. After that
+
+        t_T = R tanh(a),   t_N = p +- R sech(a),   a = mu (w_T - w_y)/R + artanh(s_y/R),
+
+    with the sign of w_N in place of +-. The normal part of the deviator vanishes as w_T grows, and t_T tends to R. It
+    does not tend to the C - t_N tan(Omega) of Eqs. (34)-(37) of the paper.
 
     Args:
-        lmbda, mu: Lame moduli over the thickness, stress per length.
+        lmbda, mu: Lame moduli of the layer divided by its thickness, stress per length.
         cohesion: C in the formulas, stress.
         friction_angle: Omega in the formulas, degrees.
-        w_N: fixed normal jump, a length; the shear starts after elastic compression.
-        w_T: tangential jumps (...), lengths since the start, of one sign and monotone.
+        w_N: normal jump, a length; it is applied elastically before the shear, then fixed.
+        w_T: tangential jumps of any shape, lengths, all of one sign. The jump has grown from zero to each of them
+            without reversal.
+
+    Returns:
+        Tractions t_T and t_N, stress, with the shape of `w_T` and 2 components on a last axis.
 
     Raises:
-        InputError: the start is beyond the yield surface.
+        InputError: the layer would yield before it is sheared.
     """
     angle, p, s_N, x = np.radians(friction_angle), (lmbda + mu) * w_N, mu * w_N, np.asarray(w_T, float)
     R = cohesion * np.cos(angle) - p * np.sin(angle)
@@ -55,10 +62,10 @@ def mohr_coulomb_fixed_opening(
 
 
 def first_yield_ratio(nu: float, friction_angle: float) -> float:
-    """Ratio t_T/|t_N| at which a Mohr-Coulomb layer without cohesion yields in shear, after elastic compression.
+    """Return the ratio t_T/|t_N| of the tractions at which a Mohr-Coulomb layer without cohesion starts to yield in shear.
 
-    It is sqrt(sin^2(Omega) - (1 - 2 nu)^2)/(2 (1 - nu)). It is 0 for nu <= (1 - sin(Omega))/2, where compression alone
-    makes the layer yield.
+    The layer is first compressed elastically. The ratio is sqrt(sin^2(Omega) - (1 - 2 nu)^2)/(2 (1 - nu)). It is 0 for
+    nu <= (1 - sin(Omega))/2, where compression alone makes the layer yield.
 
     Args:
         nu: Poisson's ratio of the layer.
@@ -68,10 +75,11 @@ def first_yield_ratio(nu: float, friction_angle: float) -> float:
 
 
 def apparent_friction(friction_angle: float, dilatancy_angle: float) -> float:
-    """Ratio t_T/|t_N| to which a Mohr-Coulomb layer without cohesion tends under lasting shear.
+    """Return the ratio t_T/|t_N| of the tractions to which a Mohr-Coulomb layer without cohesion tends under lasting
+    shear.
 
-    It is Davis' friction coefficient sin(Omega) cos(psi)/(1 - sin(Omega) sin(psi)). It equals sin(Omega) for psi = 0.
-    Only for psi = Omega it equals the tan(Omega) of Eq. (37) of the paper.
+    This is Davis' friction coefficient sin(Omega) cos(psi)/(1 - sin(Omega) sin(psi)). For psi = 0 it is sin(Omega). The
+    tan(Omega) of Eq. (37) of the paper is right for psi = Omega only.
 
     Args:
         friction_angle: Omega in the formula, degrees.
@@ -125,16 +133,15 @@ def rubber_disc(lmbda: float, mu: float, eps: float, radius: float) -> float:
 
 
 def retained_pressure_share(lmbda: float, mu: float, slenderness: float, k: float) -> float:
-    """Modulus, stress, with which the pressure of a rubber layer resists an opening in spite of the flow to free ends.
+    """Return the modulus, a stress, with which the pressure in a rubber layer with free ends resists an opening.
 
-    It is lmbda times the fraction 1 - 2 k I_k(x)/(x I_(k-1)(x)), with modified Bessel functions I and x =
-    slenderness/sqrt(lmbda/(12 mu)). The fraction is computed as I_(k+1)(x)/I_(k-1)(x), which loses no digits for any x.
+    low towards the free ends makes it smaller than lmbda, its value in an infinite layer. It is lmbda (1 - 2 k I_k(x)/(x I_(k-1)(x))) with modified Bessel functions I and x = slenderness/sqrt(lmbda/(12 mu)). It is computed as lmbda I_(k+1)(x)/I_(k-1)(x), which loses no digits for any x.
 
     Args:
         lmbda: first Lame modulus, stress; > 0 or math.inf.
         mu: shear modulus, stress; > 0.
-        slenderness: half the width, or the radius, over the thickness; > 0.
-        k: index of the functions: 1/2 for an opened strip, 3/2 for a tilted strip, 1 for a disc.
+        slenderness: half the width of a strip, or the radius of a disc, divided by the thickness; > 0.
+        k: index of the Bessel functions: 1/2 for an opened strip, 3/2 for a tilted strip, 1 for an opened disc.
 
     Raises:
         InputError: an argument out of range.
@@ -149,20 +156,24 @@ def retained_pressure_share(lmbda: float, mu: float, slenderness: float, k: floa
 
 # ---------------------------------------------------------------- von Mises' plasticity
 def prandtl_pressure(k: float) -> float:
-    """Mean pressure (2 + pi) k under which a strip footing sinks into a half space with the yield stress in shear k."""
+    """Return the mean pressure (2 + pi) k under which a strip footing sinks into a half space.
+
+    `k` is the yield stress in shear of the half space, which is rigid and ideally plastic.
+    """
     return (2 + math.pi) * k
 
 
 class PlasticCylinder(NamedTuple):
-    """A thick-walled cylinder in plane strain under internal pressure, incompressible and ideally plastic.
+    """A thick-walled cylinder under internal pressure in plane strain, elastically incompressible and ideally plastic.
 
-    Von Mises' and Tresca's conditions are the same here, with the yield stress in shear k, because s_zz is the mean of
-    s_rr and s_tt. The plastic zone is a <= r <= c with the radius r. At first yield c = a, at the limit load c = b.
+    Here s_zz is the mean of s_rr and s_tt. Von Mises' and Tresca's conditions with the same yield stress in shear k
+    therefore agree. The plastic zone is a <= r <= c with the distance r from the axis. At first yield c = a, at the
+    limit load c = b.
 
     Attributes:
         a, b: inner and outer radius, 0 < a < b, lengths.
         mu: shear modulus, stress.
-        k: yield stress in shear, > 0; the yield stress in tension over sqrt(3) for von Mises.
+        k: yield stress in shear, > 0; for von Mises it is the yield stress in tension divided by sqrt(3).
     """
 
     a: float
@@ -171,11 +182,11 @@ class PlasticCylinder(NamedTuple):
     k: float
 
     def pressure(self, c: float) -> float:
-        """Pressure at which the plastic zone reaches the radius c: k (2 ln(c/a) + 1 - c^2/b^2)."""
+        """Return the internal pressure at which the plastic zone reaches the radius c: k (2 ln(c/a) + 1 - c^2/b^2)."""
         return self.k * (2 * math.log(c / self.a) + 1 - (c / self.b) ** 2)
 
     def zone(self, pressure: float) -> float:
-        """Outer radius c of the plastic zone under an internal pressure; the inner radius a if there is no zone.
+        """Return the outer radius c of the plastic zone under an internal pressure; a if there is no plastic zone.
 
         Raises:
             InputError: the pressure is above the limit load.
@@ -189,63 +200,68 @@ class PlasticCylinder(NamedTuple):
         return float(brentq(lambda c: self.pressure(c) - pressure, self.a, self.b, xtol=1e-14 * self.b))
 
     def displacement(self, pressure: float, r: Array) -> Array:
-        """Radial displacements (...) at radii r (...) under an internal pressure p.
+        """Return the radial displacements at the radii `r`, an array of any shape, under an internal pressure p.
 
-        They are k c^2/(2 mu r) with a plastic zone up to c, and p a^2/(2 mu r (1 - a^2/b^2)) without one.
+        They are k c^2/(2 mu r) with a plastic zone up to the radius c, and p a^2/(2 mu r (1 - a^2/b^2)) without one.
         """
         return np.asarray(self._size(pressure) / (2 * self.mu * np.asarray(r, float)))
 
     def radial_stress(self, pressure: float, r: Array) -> Array:
-        """Radial stresses (...) at radii r (...) under an internal pressure p.
+        """Return the radial stresses at the radii `r`, an array of any shape, under an internal pressure p.
 
-        They are -p + 2 k ln(r/a) in the plastic zone, and -k c^2 (1/r^2 - 1/b^2) outside it, if it reaches the radius
-        c.
+        In a plastic zone up to the radius c they are -p + 2 k ln(r/a), outside it -k c^2 (1/r^2 - 1/b^2). Without a
+        plastic zone p a^2/(1 - a^2/b^2) replaces k c^2.
         """
         r = np.asarray(r, float)
         plastic = -pressure + 2 * self.k * np.log(r / self.a)
         return np.where(r < self.zone(pressure), plastic, -self._size(pressure) * (1 / r**2 - 1 / self.b**2))
 
     def _size(self, pressure: float) -> float:
-        """Coefficient A, force per depth, of the elastic stress s_rr = -A (1/r^2 - 1/b^2) at an internal pressure."""
+        """Return A, stress times length squared, of the elastic stress s_rr = -A (1/r^2 - 1/b^2) at an internal pressure."""
         c = self.zone(pressure)
         return self.k * c**2 if c > self.a else pressure * self.a**2 / (1 - (self.a / self.b) ** 2)
 
 
 # ---------------------------------------------------------------- the bar of section 6.2 of the paper, of Eq. (44)
 def fraction(x: Array, cost: float, g: float) -> Array:
-    """Signed fraction of a material in phase 1 or -1 that minimises its energy; negative: phase -1.
+    """Return the fractions of a material in phase 1, with a minus those in phase -1, that minimise its energy.
+
+    The phases are 0, 1 and -1. Phase 0 has no transformation energy and no driving force.
 
     Args:
-        x: driving force of phase 1, energy per volume, any shape.
-        cost: energy per volume of a phase 1 or -1 without strain.
-        g: energy gain per volume of mixing; 0: phases do not mix.
+        x: driving forces of phase 1, energy per volume, an array of any shape.
+        cost: transformation energy per volume of the phases 1 and -1.
+        g: energy that mixing phases gains, per volume; 0: phases do not mix.
     """
     excess = np.abs(x) - cost
     return np.asarray(np.sign(x) * (np.clip(0.5 + excess / g, 0, 1) if g else excess > 0))
 
 
 def phase_energy(x: Array, cost: float, g: float, phase: Array | float) -> Array:
-    """Energy per volume that phases 1 or -1 add to the elastic energy; arguments may have any shape.
+    """Return the energy per volume that the phases 1 or -1 add to the elastic energy of a material.
+
+    The result has the common shape of `x` and `phase`.
 
     Args:
-        x: driving force of phase 1, energy per volume.
-        cost: energy per volume of a phase 1 or -1 without strain.
-        g: energy gain per volume of mixing.
-        phase: fraction in phase 1, or minus the fraction in phase -1.
+        x: driving forces of phase 1, energy per volume.
+        cost: transformation energy per volume of the phases 1 and -1.
+        g: energy that mixing phases gains, per volume.
+        phase: fractions in phase 1, or minus the fractions in phase -1.
     """
     share = np.abs(phase)
     return np.asarray(cost * share - x * phase - share * (1 - share) * g / 2)
 
 
 class BarResponse(NamedTuple):
-    """Response of a bar whose layer has prescribed phases; all arrays have one shape.
+    """Responses of a bar to elongations of its ends, with prescribed phases in its layer; all arrays have one shape.
 
     Attributes:
         phase: fraction of the layer in phase 1, or minus the fraction in phase -1.
         sigma: stress.
         U: elongation of the layer, a length.
-        energy: energy of the whole bar, per area of its section.
-        local: whether all strains are admissible for their phases, so that the response is a local minimiser.
+        energy: energy of the whole bar, divided by the area of its section.
+        local: whether the strain in each phase is one at which this phase is stable; the response is then a local
+            minimiser of the energy.
     """
 
     phase: Array
@@ -255,9 +271,10 @@ class BarResponse(NamedTuple):
     local: npt.NDArray[np.bool_]
 
     def least(self) -> BarResponse:
-        """Response of least energy along the last axis; of several with the same energy the first.
+        """Return the response of least energy along the last axis of the arrays; of several with equal energy the first.
 
-        In `Bar.layouts` this is the one with the smallest transformed part.
+        Among the responses of `Bar.layouts` with equal energy this is the one with the fewest elements in phase 1 or
+        -1.
         """
         indices = np.argmin(self.energy, axis=-1)[..., None]
         return BarResponse._make(np.take_along_axis(array, indices, -1)[..., 0] for array in self)
@@ -268,22 +285,22 @@ class Bar:
     """The bar of section 6.2 of the paper: a layer of three phases -1, 0 and 1 in series with an elastic body.
 
     The layer ]0, eps l[ has the rigidity k = eps kbar, the body ]eps l, l[ the rigidity K. The displacements of the
-    ends are u(0) = 0 and u(l) = delta. The layer corresponds to `NonMonotone` with lmbda = 0, chi = n (x) n and the
-    thickness eps l. Divided by its thickness the moduli are 2 mu = kbar/l; the transformation energy times the
-    thickness is l cbar. All thresholds are linear in eps.
+    ends are u(0) = 0 and u(l) = delta. The layer is one of thickness eps l with the law `NonMonotone`, lmbda = 0 and
+    chi = n (x) n. Divided by this thickness the modulus 2 mu is kbar/l; the transformation energy times the thickness
+    is l cbar. All elongations at which phases change are linear in eps.
 
-    eps = 0 is the limit, Eq. (48), with these corrections. Phase 0 has sigma = (kbar/l) U in place of kbar [u]; phase 1
-    likewise, minus alpha. Between the two branches the law is sigma = sigma_m; the paper prints the body's balance
-    there, with l/K in place of K/l. Finally delta_1 - delta_0 = l alpha/kbar.
+    The limit eps = 0 is Eq. (48) of the paper, which needs three corrections. In phase 0 sigma is (kbar/l) U, not kbar
+    [u], and in phase 1 alpha less than that. While the phases mix sigma is sigma_m; the paper prints the equilibrium of
+    the body there, with l/K in place of K/l. Finally delta_1 - delta_0 is l alpha/kbar.
 
     Attributes:
-        l: length, layer included.
+        l: length of the bar with its layer.
         K: rigidity of the body, stress.
-        kbar: rigidity of the layer over eps, stress.
+        kbar: rigidity of the layer divided by eps, stress.
         alpha: transformation stress.
-        cbar: c eps with the transformation energy c of Eq. (44), stress; cbar >= alpha^2/(2 kbar), below which phases 1
+        cbar: eps times the transformation energy c of Eq. (44), stress; cbar >= alpha^2/(2 kbar), as otherwise phases 1
             and -1 would mix.
-        eps: length of the layer over the length of the bar, 0 <= eps < 1.
+        eps: length of the layer divided by the length of the bar, 0 <= eps < 1.
 
     Raises:
         InputError: a parameter out of range.
@@ -313,30 +330,30 @@ class Bar:
 
     @property
     def R(self) -> float:
-        """Compliance of the bar over its length, (1 - eps)/K + 1/kbar, 1/stress."""
+        """Compliance of the bar divided by its length, 1/stress: (1 - eps)/K + 1/kbar."""
         return (1 - self.eps) / self.K + 1 / self.kbar
 
     @property
     def free_elongation(self) -> float:
-        """Elongation of the layer in phase 1 without stress, l alpha/kbar."""
+        """Elongation l alpha/kbar that the layer has in phase 1 without stress."""
         return self.l * self.alpha / self.kbar
 
     @property
     def delta_0(self) -> float:
-        """Elongation of the bar at which phase 1 begins in the global minimiser, sigma_m l R."""
+        """Elongation of the bar at which phase 1 begins to grow in the global minimiser of the energy: sigma_m l R."""
         return self.sigma_m * self.l * self.R
 
     @property
     def delta_1(self) -> float:
-        """Elongation of the bar at which phase 0 ends in the global minimiser, delta_0 + l alpha/kbar.
+        """Elongation of the bar at which all of the layer is in phase 1 in the global minimiser: delta_0 + l alpha/kbar.
 
-        Equation (47) of the paper prints l alpha alpha/k for the second term, which is eps l alpha/k.
+        or the second term Eq. (47) of the paper prints l alpha alpha/k; correct is eps l alpha/k.
         """
         return self.delta_0 + self.free_elongation
 
     @property
     def up(self) -> float:
-        """Elongation of the bar at which a layer all in phase 0 snaps to phase 1, l R kbar cbar/alpha.
+        """Elongation of the bar at which a layer all in phase 0 snaps to phase 1: l R kbar cbar/alpha.
 
         The paper has no snaps.
         """
@@ -344,12 +361,12 @@ class Bar:
 
     @property
     def down(self) -> float:
-        """Elongation of the bar at which a layer all in phase 1 snaps back to phase 0, up - l alpha (1 - eps)/K."""
+        """Elongation of the bar at which a layer all in phase 1 snaps back to phase 0: up - l alpha (1 - eps)/K."""
         return self.up - self.l * self.alpha * (1 - self.eps) / self.K
 
     @property
     def loop_area(self) -> float:
-        """Energy per area of the section that is lost in a cycle over both snaps of a layer whose phases do not mix.
+        """Energy, divided by the area of the section, that a cycle over both snaps dissipates if phases do not mix.
 
         It is alpha/(kbar R) times l alpha (1 - eps)/K.
         """
@@ -357,52 +374,54 @@ class Bar:
 
     # ------------------------------------------------------------ the global minimiser; delta has any shape
     def phase(self, delta: Array | float) -> Array:
-        """Signed fraction of the layer in phase 1 or -1, in the global minimiser at elongations delta of the bar.
+        """Return the fractions of the layer in phase 1, with a minus those in phase -1, in the global minimiser.
 
-        Equation (46) of the paper: (|delta| - delta_0)/(delta_1 - delta_0), cut off at 0 and 1, with the sign of delta.
-        The arrays of this and of the next methods have the shape of delta.
+        They are (|delta| - delta_0)/(delta_1 - delta_0), cut off at 0 and 1, with the sign of delta: Eq. (46) of the
+        paper. `delta` are elongations of the bar; the result has their shape.
         """
         delta = np.asarray(delta, float)
         return np.asarray(np.sign(delta) * np.clip((np.abs(delta) - self.delta_0) / self.free_elongation, 0, 1))
 
     def sigma(self, delta: Array | float) -> Array:
-        """Stress of the global minimiser at elongations delta of the bar.
+        """Return the stresses in the global minimiser at the elongations `delta` of the bar, in the shape of `delta`.
 
-        For delta > 0 it is delta/(l R) before phase 1 grows, sigma_m while it grows, and (delta - l alpha/kbar)/(l R)
-        after that. Equation (47) of the paper prints (k/(eps l)) K/K_eps, without delta, in the first case and likewise
-        in the third.
+        or delta > 0 the stress is delta/(l R) before phase 1 grows. It is sigma_m while phase 1 grows, and (delta - l alpha/kbar)/(l R) after that. In the first and third case Eq. (47) of the paper prints the factor (k/(eps l)) K/K_eps without delta; K_eps is K kbar R.
         """
         return self.branch(delta, self.phase(delta)).sigma
 
     def U(self, delta: Array | float) -> Array:
-        """Elongation of the layer in the global minimiser at elongations delta of the bar.
+        """Return the elongations of the layer in the global minimiser at the elongations `delta` of the bar.
 
-        For delta > 0 it is l sigma/kbar before phase 1 grows. It is delta - sigma_m l (1 - eps)/K while phase 1 grows,
-        and l (sigma + alpha)/kbar after that. The first and third cases before Eq. (47) of the paper print K
-        delta/(K_eps (1
-        - eps)), which exceeds delta.
+        The result has the shape of `delta`. For delta > 0 it is l sigma/kbar before phase 1 grows. It is delta -
+        sigma_m l (1 - eps)/K while phase 1 grows, and l (sigma + alpha)/kbar after that. For the first and third case
+        the paper prints, before Eq. (47), K delta/(K_eps (1 - eps)), which exceeds delta.
         """
         return self.branch(delta, self.phase(delta)).U
 
     def energy(self, delta: Array | float) -> Array:
-        """Least energy of the bar per area of its section at elongations delta, right side of Eq. (45) of the paper."""
+        """Return the least energies of the bar, divided by the area of its section, at the elongations `delta`.
+
+        They are the right side of Eq. (45) of the paper, in the shape of `delta`.
+        """
         return self.branch(delta, self.phase(delta)).energy
 
     def boundary(self, delta: Array | float) -> Array:
-        """Length of the part of the layer in phase 0, in the global minimiser at elongations delta of the bar.
+        """Return the lengths of the part of the layer in phase 0, in the global minimiser at the elongations `delta` of
+        the bar.
 
-        While phases mix it is eps l - eps (kbar/alpha)(|delta| - delta_0). Equation (47) of the paper prints sigma k
-        l/(alpha K) without the factor 1 - eps, with a minus, and inside the brackets.
+        The result has the shape of `delta`. While phases mix it is eps l - eps (kbar/alpha)(|delta| - delta_0). If
+        delta_0 is inserted, this contains the term sigma_m k l (1 - eps)/(alpha K). Equation (47) of the paper prints
+        this term without the factor 1 - eps, with a minus, and inside the brackets.
         """
         return self.eps * self.l * (1 - np.abs(self.phase(delta)))
 
     # ------------------------------------------------------------ local minimisers
     def branch(self, delta: Array | float, phase: Array | float) -> BarResponse:
-        """Response of the bar if the layer has prescribed phases, whether or not its strains are admissible for them.
+        """Return the responses of the bar with prescribed phases in its layer, whether these are stable or not.
 
         Args:
-            delta: elongations of the bar.
-            phase: fraction of the layer in phase 1, or minus the fraction in phase -1.
+            delta: elongations of the bar, of any shape.
+            phase: fractions of the layer in phase 1, or minus the fractions in phase -1; shape that fits `delta`.
         """
         delta, phase = np.broadcast_arrays(np.asarray(delta, float), np.asarray(phase, float))
         share = np.abs(phase)
@@ -414,25 +433,30 @@ class Bar:
         return BarResponse(phase, sigma, U, energy, old_stable & new_stable)
 
     def layouts(self, delta: Array | float, n: int) -> BarResponse:
-        """Responses of a bar whose layer has n equal elements, with m = 0, ..., n of them in phase 1 (delta < 0: -1).
+        """Return the responses of a bar whose layer has n equal elements, with 0, 1, ..., n of them in phase 1.
 
-        Each array has the axes of delta, then one axis for m. Which elements are in phase 1 does not matter. No layout
-        with both 1 and -1, or with -1 in place of 1, has less energy. `BarResponse.least` is the global minimiser of n
-        elements; its energy tends to `energy` from above like n^-2.
+        If delta < 0, they are in phase -1 instead. Each array of the result has the axes of `delta`, then an axis of
+        length n + 1 for the number of these elements. Their places in the layer do not matter. Layouts with elements in
+        both phases 1 and -1 have no less energy. The global minimiser is `BarResponse.least`; its energy tends to
+        `Bar.energy` from above like n^-2.
+
+        Args:
+            delta: elongations of the bar, of any shape.
+            n: number of elements.
         """
         delta = np.asarray(delta, float)[..., None]
         return self.branch(delta, np.where(delta < 0, -1, 1) * (np.arange(n + 1) / n))
 
     # ------------------------------------------------------------ a uniform layer that softens
     def layer(self, U: Array | float, mixing: float = 1.0) -> tuple[Array, Array, Array]:
-        """Stress, energy per area of the section, and signed phase fraction of a layer alone at elongations U.
+        """Return stress, energy per area of the section, and fraction in phase 1 of a uniform layer without the body.
 
-        The last is the fraction of the layer in phase 1, or minus the fraction in phase -1.
+        A fraction in phase -1 has a minus. The three arrays have the shape of `U`.
 
         Args:
             U: elongations of the layer, of any shape.
-            mixing: fraction of the energy gain of mixing. 1: the convex envelope of Eq. (45) of the paper and its
-                derivative; 0: W_min of Eq. (44), of pure phases.
+            mixing: share, from 0 to 1, of the energy that mixing phases gains. With 1 the energy is the convex envelope
+                in Eq. (45) of the paper. With 0 it is W_min in Eq. (44), and phases do not mix.
         """
         x, g = self.alpha * np.asarray(U, float), mixing * self.alpha * self.free_elongation
         C, stiffness = self.l * self.cbar, self.kbar / self.l
@@ -441,14 +465,18 @@ class Bar:
         return stiffness * np.asarray(U) - self.alpha * phase, elastic / 2 + phase_energy(x, C, g, phase), phase
 
     def path(self, mixing: float, end: float | None = None) -> Array:
-        """Vertices (delta, sigma), (4, 2), of the piecewise linear equilibrium path of a bar with a uniform layer.
+        """Return the four vertices of the piecewise linear equilibrium path of a bar with a uniform layer.
 
-        The phases start to mix at the second vertex, and all of the layer is in phase 1 at the third. Between them the
-        elongation delta decreases if mixing < (1 - eps)/(K R), and grows otherwise.
+        The path starts without load at the first vertex. Phases start to mix at the second one, and all of the layer is
+        in phase 1 at the third. Between these two the elongation decreases if mixing < (1 - eps)/(K R), and grows
+        otherwise.
 
         Args:
-            mixing: fraction of the energy gain of mixing, from 0 to 1.
-            end: elongation of the bar at the last vertex, beyond the others; None: twice the largest of these.
+            mixing: share, from 0 to 1, of the energy that mixing phases gains.
+            end: elongation of the bar at the fourth vertex, larger than the others; None: twice the largest of these.
+
+        Returns:
+            Elongation of the bar and stress at each vertex, (4, 2).
         """
         half_drop = mixing * self.alpha / 2
         sigma = np.array([0, self.sigma_up - half_drop, self.sigma_up - self.alpha + half_drop])

@@ -17,23 +17,25 @@ TABLE_FILE = Path(__file__).parent / "table.csv"
 
 
 class FreeEnd(NamedTuple):
-    """Constants of a free end, at a right angle to the faces, of an isotropic layer between much stiffer bodies.
+    """Constants of an end of an isotropic layer between much stiffer bodies, free and at a right angle to the faces.
 
-    The constants hold in plane strain, and in plane stress with nu/(1 + nu) of the material for nu. Lengths are over
-    the thickness, stresses over mu, and M = lmbda + 2 mu. w_N is the opening of the layer, w_T its slip. At nu = 0.5
-    c_N, m_N and rho_N are infinite. Source: `studies/half_strip.py`.
+    The constants hold in plane strain. For plane stress take them at nu/(1 + nu) of the material in place of nu. All
+    quantities are dimensionless: lengths are divided by the thickness of the layer, stresses by mu. M is lmbda + 2 mu,
+    w_N the opening of the layer, w_T its slip. "Missing tractions" are the tractions of an infinite layer minus those
+    of the layer with the end. At nu = 0.5 c_N, m_N and rho_N are infinite. Source: `studies/half_strip.py`.
 
     Attributes:
         nu: Poisson's ratio of the layer.
-        c_N: with one such end, a layer of length L under an opening w_N carries the force M w_N (L - c_N).
-        m_N: first moment, about the end, of the normal tractions that are missing near it, over M w_N.
-        rho_N: mean distance from the end of the tractions along S that balance lmbda w_N.
-        c_T: with one such end, a layer of length L under a slip w_T carries the force mu w_T (L - c_T). It is also the
-            mean distance from the end of the tractions across S that balance the moment of mu w_T. The mean
+        c_N: shortening of the layer by the end under an opening: a layer of length L carries the force M w_N (L - c_N).
+        m_N: first moment, about the end, of the missing normal tractions, divided by M w_N.
+        rho_N: mean distance from the end of the tractions along S that balance the stress lmbda w_N.
+        c_T: shortening of the layer by the end under a slip: a layer of length L carries the force mu w_T (L - c_T). It
+            is also the mean distance from the end of the tractions across S that balance the moment of mu w_T. The mean
             displacement of the end across S is c_T w_T, away from the face that moves outwards.
-        m_T: first moment, about the end, of the shear tractions that are missing near it, over mu w_T.
+        m_T: first moment, about the end, of the missing shear tractions, divided by mu w_T.
         kappa: factor on the pressure-driven flow along S within one thickness of the end, in laws with a pressure on S
-            (`forms.rubber`). With this factor the pressure alone gives c_N.
+            (`forms.rubber`). With this factor the law with a pressure loses the force of c_N without further
+            corrections.
     """
 
     nu: float
@@ -46,17 +48,17 @@ class FreeEnd(NamedTuple):
 
     @property
     def drawn_in(self) -> float:
-        """Mean inward displacement of the end as the layer opens, over w_N.
+        """Mean displacement of the end into the layer as the layer opens, divided by the opening w_N.
 
-        The end does not bear the stress lmbda w_N/eps along S that an infinite layer has. The end lowers the energy by
-        c_N M w_N^2/2, which is half the work of this stress on the end's displacement.
+        An infinite layer has the stress lmbda w_N/eps along S, which a free end cannot bear. The end therefore lowers
+        the energy by c_N M w_N^2/2, half the work of this stress on the displacement of the end.
         """
         lmbda = lame_over_mu(self.nu)
         return self.c_N * (lmbda + 2) / lmbda if lmbda else 0.0
 
 
 def lame_over_mu(nu: float) -> float:
-    """The first Lame modulus over mu, 2 nu/(1 - 2 nu); math.inf for nu = 0.5.
+    """Return the first Lame modulus divided by mu, 2 nu/(1 - 2 nu); math.inf for nu = 0.5.
 
     Raises:
         InputError: nu is not in [0, 0.5].
@@ -66,13 +68,14 @@ def lame_over_mu(nu: float) -> float:
 
 
 def free_end(nu: float) -> FreeEnd:
-    """Constants of a free end of a layer for Poisson's ratio nu from 0 to 0.5, to nine digits, from a table.
+    """Return the constants of a free end of a layer for Poisson's ratio nu from 0 to 0.5, to nine digits.
 
-    The table is interpolated by polynomials of s = sqrt(1 - 2 nu), from 0 to 1. The numbers c_N M mu/(lmbda^2 s), m_N M
-    s^2/lmbda, rho_N s, c_T and m_T are analytic in s; the first is sqrt(1/12) at s = 0.
+    They are interpolated in a table, by polynomials of s = sqrt(1 - 2 nu). Some constants are infinite at s = 0.
+    Therefore the functions c_N M mu/(lmbda^2 s), m_N M s^2/lmbda, rho_N s, c_T and m_T are interpolated, which are
+    analytic in s. The first of them is sqrt(1/12) at s = 0.
 
     Raises:
-        InputError: nu out of range.
+        InputError: nu is not in [0, 0.5].
     """
     lmbda, s = lame_over_mu(nu), math.sqrt(1 - 2 * nu)
     fitted: Array = np.asarray(chebyshev.chebval(2 * s - 1, _coefficients()), float)
@@ -87,9 +90,9 @@ def free_end(nu: float) -> FreeEnd:
 
 
 def chebyshev_ratios(n: int) -> Array:
-    """Poisson's ratios (n,) for a table of n rows, from the largest to the smallest.
+    """Return the Poisson's ratios (n,) of the `n` rows of a table, from the largest to the smallest.
 
-    They are Chebyshev points in s = sqrt(1 - 2 nu).
+    In terms of s = sqrt(1 - 2 nu) they are Chebyshev points.
     """
     s = (1 - np.cos(np.pi * (np.arange(n) + 0.5) / n)) / 2
     return np.asarray((1 - s**2) / 2)
@@ -97,15 +100,19 @@ def chebyshev_ratios(n: int) -> Array:
 
 @cache
 def shipped_table() -> dict[str, Array]:
-    """Table of the constants in this package: name of a column -> values, in the order of `chebyshev_ratios`."""
+    """Return the table of constants in the file `TABLE_FILE`: column name -> values, one for each Poisson's ratio.
+
+    The rows have the order of `chebyshev_ratios`.
+    """
     return dict(zip(TABLE_COLUMNS, np.loadtxt(TABLE_FILE, delimiter=",", skiprows=1).T, strict=True))
 
 
 @cache
 def _coefficients() -> Array:
-    """Chebyshev coefficients (n, 5) of the five analytic numbers in `free_end`, from the table's n rows.
+    """Return Chebyshev coefficients (n, 5), from the n rows of the table, for the functions that `free_end` interpolates.
 
-    The variable of the polynomials is 2 s - 1 with s = sqrt(1 - 2 nu).
+    The columns belong to the five functions in `free_end`; in place of the first, y, the column has (y^2 - 1/12)/s. The
+    variable of the polynomials is 2 s - 1 with s = sqrt(1 - 2 nu).
     """
     table = shipped_table()
     nu = table["nu"]
@@ -117,15 +124,15 @@ def _coefficients() -> Array:
 
 
 def flow_factor(delta: float, excess: float) -> float:
-    """Factor f on the flow within 0 < x < 1 with which the integral of 1 - p over x > 0 is delta + excess.
+    """Return the factor f on the pressure-driven flow near a free end that gives a prescribed loss of pressure.
 
-    The pressure p over the pressure far from the end solves delta^2 (f p')' = p - 1 with p(0) = 0; f = 1 for x > 1. x
-    is the distance from the end over the thickness. With r = sqrt(f) and t = tanh(1/(r delta)) the integral is r delta
-    (1 + r t)/(t + r).
+    x is the distance from the end, and all lengths are divided by the thickness. p(x) is the pressure divided by that
+    far from the end. The factor is f for 0 < x < 1, and 1 beyond. p solves delta^2 (f p')' = p - 1 with p(0) = 0. The
+    loss, the integral of 1 - p over x > 0, is r delta (1 + r t)/(t + r) with r = sqrt(f) and t = tanh(1/(r delta)).
 
     Args:
-        delta: length over which the pressure evens out, over the thickness; the integral for f = 1.
-        excess: difference of the integral from delta.
+        delta: length over which the pressure evens out; the loss for f = 1.
+        excess: prescribed loss minus delta.
     """
 
     def residual(r: float) -> float:

@@ -25,9 +25,9 @@ ARC_GAUSS_POINTS = 24  # number of Gauss points on an arc around the corner
 
 @dataclass(frozen=True)
 class CornerField:
-    """Singular field at the corner between a layer's free side and a rigid face, in plane strain; stresses are over mu.
+    """Singular elastic field at the corner between the free side of a layer and a rigid face, in plane strain.
 
-    For plane stress give nu/(1 + nu) of the layer as nu. The polar angle is measured from the face into the layer.
+    or plane stress give nu/(1 + nu) of the layer as nu. Stresses are divided by the layer's shear modulus mu. The polar angle is measured from the face into the layer.
 
     Attributes:
         nu: Poisson's ratio of the layer, in [0, 0.5].
@@ -55,12 +55,18 @@ class CornerField:
         return float(brentq(residual, 0.0, 1.0, xtol=1e-15, rtol=1e-14)) if residual(1.0) > 0 else 1.0
 
     def _values(self, power: float, coefficients: Array, r: Array, angle: Array) -> tuple[Array, Array]:
-        """Displacements (..., 2), for mu = 1, and stresses 11, 22, 12, (..., 3), of a field r^power.
+        """Return the displacements and stresses of a field whose displacements are proportional to r^power.
+
+        The shear modulus is 1.
 
         Args:
             power: exponent of the displacements.
-            coefficients: (4,), real and imaginary part of a, then of b, in the potentials a z^power and b z^power.
-            r, angle: polar coordinates (...) of the points.
+            coefficients: (4,) real and imaginary part of a, then of b, in the potentials a z^power and b z^power.
+            r, angle: polar coordinates of the points, two arrays of one shape.
+
+        Returns:
+            Displacements along and normal to the face, with 2 components on a last axis, and stresses s_xx, s_yy, s_xy,
+                with 3.
         """
         a, b = coefficients[0] + 1j * coefficients[1], coefficients[2] + 1j * coefficients[3]
         z = r * np.exp(1j * angle)
@@ -71,10 +77,9 @@ class CornerField:
         return np.stack([u.real, u.imag], axis=-1), stress
 
     def _mode(self, power: float) -> Array:
-        """Coefficients (4,) of a field without displacement on the face and without traction on the free side.
+        """Return coefficients (4,) with which displacements on the face and tractions on the free side are zero.
 
-        Args:
-            power: exponent of the displacements.
+        The coefficients are those of `_values`, up to a common factor. `power` is the exponent of the displacements.
         """
         conditions = np.empty((4, 4))
         for k, unit in enumerate(np.eye(4)):
@@ -93,19 +98,25 @@ class CornerField:
         return self._mode(-self.exponent)
 
     def field(self, r: Array, angle: Array) -> tuple[Array, Array]:
-        """The singular field with the intensity H = 1, whose normal traction on the face is r^(lambda - 1).
+        """Return displacements and stresses of the singular field whose normal traction on the face is r^(lambda - 1).
+
+        Its intensity H is 1, and the shear modulus is 1. Axis 1 points along the face, axis 2 into the layer.
 
         Args:
-            r, angle: polar coordinates (...) of points, from the corner and from the face.
+            r: distances of points from the corner.
+            angle: angles of the points from the face, radians, an array of the shape of `r`.
 
         Returns:
-            Displacements (..., 2), for mu = 1, and stresses 11, 22, 12, (..., 3), with axis 1 along the face.
+            Displacements, with 2 components on a last axis, and stresses s_11, s_22, s_12, with 3 components on it.
         """
         return self._values(self.exponent, self._coefficients, np.asarray(r), np.asarray(angle))
 
     @property
     def shear(self) -> float:
-        """Ratio of the tangential to the normal traction on the face; axis 1 points away from the corner."""
+        """Ratio of the tangential to the normal traction on the face.
+
+        A positive tangential traction points away from the corner.
+        """
         return float(self.field(np.array(1.0), np.array(0.0))[1][2])
 
     @cached_property
@@ -114,21 +125,23 @@ class CornerField:
         return (points + 1) * np.pi / 4, weights * np.pi / 4
 
     def arc(self, r: float) -> Array:
-        """Points (n, 2) on an arc of radius r around the corner, where `strength` takes displacements and stresses."""
+        """Return points (n, 2) on an arc of radius `r` around the corner; `strength` needs the fields there.
+
+        The first coordinate is the distance from the corner along the face, the second the distance from the face.
+        """
         angles = self._arc[0]
         return r * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
     def strength(self, r: float, u: Array, stress: Array) -> float:
-        """Intensity H of the singular field, from displacements and stresses on an arc around the corner.
+        """Return the intensity H of the singular field in a solution, from values on an arc around the corner.
 
-        H follows from Betti's reciprocity with the dual field, whose displacements are ~ r^(-lambda).
-
-        The result does not depend on the radius if the face is fixed and the side is traction-free.
+        H follows from Betti's reciprocity with the dual field, whose displacements are proportional to r^(-lambda). It
+        does not depend on the radius if the face is fixed and the free side has no traction.
 
         Args:
             r: radius of the arc.
-            u: displacements (n, 2) at the points of `arc` relative to the face, times mu.
-            stress: stresses 11, 22, 12, (n, 3), at the points of `arc`.
+            u: displacements (n, 2) at the points of `arc`, minus those of the face, times mu.
+            stress: stresses s_11, s_22, s_12, (n, 3), at the points of `arc`.
 
         Returns:
             H, in units of stress times length^(1 - lambda).
@@ -136,12 +149,15 @@ class CornerField:
         return self._reciprocal(r, u, stress) / self._reciprocal(1.0, *self.field(np.array(1.0), self._arc[0]))
 
     def _reciprocal(self, r: float, u: Array, stress: Array) -> float:
-        """Work of stresses in the dual field's displacements minus work of the dual field's stresses in u, on an arc.
+        """Return the integral over an arc of traction times dual displacement minus dual traction times displacement.
+
+        "Dual" are the values of the field with displacements proportional to r^(-lambda). The tractions are those on
+        the arc.
 
         Args:
             r: radius of the arc.
-            u: displacements (n, 2) at its points, times mu.
-            stress: stresses 11, 22, 12, (n, 3), at its points.
+            u: displacements (n, 2) at the points of `arc`, times mu.
+            stress: stresses s_11, s_22, s_12, (n, 3), at the points of `arc`.
         """
         angles, weights = self._arc
         dual_u, dual_stress = self._values(-self.exponent, self._dual_coefficients, np.array(r), angles)
@@ -149,12 +165,12 @@ class CornerField:
 
 
 def _work(stress: Array, angles: Array, u: Array) -> Array:
-    """Work (n,), per length of arc, of the tractions on an arc around the corner in displacements u (n, 2).
+    """Return the work (n,) per length of an arc around the corner that the tractions on it do in given displacements.
 
     Args:
-        stress: stresses 11, 22, 12, (n, 3), at the points.
-        angles: polar angles (n,) of the points.
-        u: displacements at the points.
+        stress: stresses s_11, s_22, s_12, (n, 3), at n points of the arc.
+        angles: polar angles (n,) of the points, radians.
+        u: displacements (n, 2) at the points.
     """
     c, s = np.cos(angles), np.sin(angles)
     t_x, t_y = stress[:, 0] * c + stress[:, 2] * s, stress[:, 2] * c + stress[:, 1] * s

@@ -2,36 +2,39 @@
 
 With them the errors far from the ends are O(eps^2) instead of O(eps).
 
-Near a free end a layer is less stiff than an infinite layer. Let its faces move apart by w_N across S and by w_T along
-S. Then the forces c_N M w_N and c_T mu w_T per unit of edge are missing (`FreeEnd`), with M = lmbda + 2 mu. In
-addition, the stresses lmbda w_N along S and mu w_T across S cannot reach the end, as they would in a layer without
-thickness. They are transferred to the faces over lengths of about the thickness.
+Near a free end a layer is less stiff than an infinite layer. Let the faces move apart by w_N across S and by w_T along
+S. Then the forces c_N M w_N and c_T mu w_T per unit of edge are missing (`FreeEnd`). Here M is lmbda + 2 mu. Moreover,
+the stresses lmbda w_N along S and mu w_T across S vanish at the end. They are transferred to the faces over lengths of
+about the thickness.
 
 Let d be the distance to the end, m the end's normal in S, and tau the direction along the end in S. Let e_N and g be
-the strains of the jump across S and along it. Let e_S be the strain of the mean displacements <u> of the faces in S,
-and h the gradient of <u_N> along S. Indices m and tau are components. The mean strain has the energy per volume
+the strains of the jump across S and along S. Let e_S be the strain, in S, of the mean displacement <u> of the faces,
+and h the gradient of <u_N> along S. The indices m and tau denote components. The mean strain has the energy W per
+volume:
 
     2 W = M (1 - a_N) e_N^2 + 2 lmbda f_N e_N tr e_S + [lmbda (tr e_S)^2 + 2 mu e_S : e_S]/(1 - a_N)
           + mu [(1 - a_T) g_m^2 + 2 f_T g_m h_m + h_m^2/(1 - a_T)] + mu (g_tau + h_tau)^2.
 
-Here a_N = c_N eps/l_N within l_N of an end, and a_T = c_T eps/l_T within l_T; elsewhere both are zero. The others are
-f_N = min(1, d/(2 rho_N eps)) and f_T = min(1, d/(2 c_T eps)). The lengths l_N = 2 m_N eps/c_N and l_T = 2 m_T eps/c_T
-of the strips reproduce the first moments of the missing tractions; but l_N <= 3 eps. On facets in which a strip ends,
-a_N and a_T have their mean over the facet. The integral of a_N across an end is therefore c_N eps on any mesh, that of
-a_T is c_T eps. W is convex because a_N, a_T < 1 and f_N, f_T <= 1.
+The losses of stiffness in strips along the ends are a_N and a_T. a_N = c_N eps/l_N within the length l_N of an end, and
+a_T = c_T eps/l_T within l_T; elsewhere both are zero. f_N = min(1, d/(2 rho_N eps)) and f_T = min(1, d/(2 c_T eps)) are
+the fractions of the stresses that have not yet been transferred to the faces.
 
-W is the sum of the energies of the isotropic law at two strains. With q = 1 - a, and without the tau components, they
-are
+The strips have the lengths l_N = 2 m_N eps/c_N, but at most 3 eps, and l_T = 2 m_T eps/c_T. With these lengths the
+missing tractions have the right first moments. On a facet in which a strip ends, a_N and a_T are their means over the
+facet. The integral of a_N across an end is therefore c_N eps on any mesh, that of a_T is c_T eps. W is convex because
+a_N, a_T < 1 and f_N, f_T <= 1.
+
+W is the sum of the energies of the isotropic law at two strains, marked by ' and ''. With q = 1 - a, and without the
+tau components, these strains are
 
     e_N' = sqrt(q_N) e_N - (1 - f_N) lmbda/M tr e_S/sqrt(q_N);    e_N'' = lmbda/M sqrt((1 - f_N^2)/q_N) tr e_S;
     e_S' = e_S/sqrt(q_N);                                         e_S'' = 0;
     g' = sqrt(q_T) g_m + f_T h_m/sqrt(q_T);                       g'' = sqrt((1 - f_T^2)/q_T) h_m.
 
-A law with a pressure on S (`forms.rubber`) needs the shear part only. Its pressure is zero at free ends, which makes it
-less stiff against openings. This gives c_N if the flow along S within one thickness of an end is kappa times the flow
-in an infinite layer (`FreeEnd.kappa`). Resistances to the flow add up across an end. On facets in which the strip ends,
-the flow factor is therefore the harmonic mean. With the fraction s of the facet in the strip it is 1/(1 + (1/kappa - 1)
-s).
+A law with a pressure on S (`forms.rubber`) needs only the terms of shear. Its pressure is zero at free ends, which
+makes it less stiff against openings. The loss of force is that of c_N if the flow along S within one thickness of an
+end is multiplied by kappa (`FreeEnd.kappa`). On a facet of which only the fraction s is in this strip, the resistances
+to the flow add up. The factor on the flow is then 1/(1 + (1/kappa - 1) s).
 """
 
 from __future__ import annotations
@@ -53,12 +56,12 @@ MIN_SPREAD = 10.0  # spreading length, over the thickness, from which a pressure
 
 
 class EndStrip(NamedTuple):
-    """A strip of S along a free end with the uniform weight c/length; lengths are over the thickness.
+    """A strip of S along a free end with a constant loss of stiffness, or a constant gain of resistance to flow.
 
-    The weight is a relative loss of stiffness, or a relative increase of the resistance to a flow along S.
+    Lengths are divided by the thickness. The relative loss or gain is c/length in the strip.
 
     Attributes:
-        c: integral of the weight across the end; 0: no strip.
+        c: integral of the relative loss or gain across the strip; 0: no strip.
         length: length of the strip from the end, > 0.
     """
 
@@ -67,13 +70,17 @@ class EndStrip(NamedTuple):
 
 
 class EndStrips(NamedTuple):
-    """Strips of S along a free end of an isotropic layer in which its law changes; all lengths are over the thickness.
+    """Strips of S along a free end of an isotropic layer in which the interface law of order 1 is modified.
+
+    All lengths are divided by the thickness of the layer.
 
     Attributes:
-        opening, shear: strips in which the layer is less stiff against openings, and against shear.
-        resistance: strip in which the pressure-driven flow along S meets more resistance; less if its c < 0.
-        r_N, r_T: lengths over which the stress is transferred to the faces if the layer opens, and if it is sheared; 0:
-            at once.
+        opening: strip in which the layer is less stiff against openings.
+        shear: strip in which the layer is less stiff against shear.
+        resistance: strip in which the pressure-driven flow along S meets more resistance, or less if its `c` is
+            negative.
+        r_N, r_T: lengths from the end over which the layer's stresses are transferred to the faces, in an opening (r_N)
+            and in shear (r_T). 0: the transfer is not modelled.
     """
 
     opening: EndStrip
@@ -84,30 +91,31 @@ class EndStrips(NamedTuple):
 
     @property
     def longest(self) -> float:
-        """Length over the thickness of the longest strip that is not empty."""
+        """Length of the longest strip that has any effect, divided by the thickness."""
         return max(strip.length for strip in (self.opening, self.shear, self.resistance) if strip.c)
 
     @classmethod
     def of(cls, end: FreeEnd) -> EndStrips:
-        """Strips that reproduce the missing forces of a free end, and as far as possible their first moments."""
+        """Return the strips that reproduce the missing forces near a free end, and their first moments.
+
+        The strip for openings is at most `OPENING_STRIP_LENGTH` long; the first moment is too small if this bound is
+        active.
+        """
         l_N = min(2 * end.m_N / end.c_N, OPENING_STRIP_LENGTH) if end.c_N else OPENING_STRIP_LENGTH
         return cls(EndStrip(end.c_N, l_N), _of_shear(end), EndStrip(), 2 * end.rho_N, 2 * end.c_T)
 
     @classmethod
     def with_pressure(cls, end: FreeEnd) -> EndStrips:
-        """Strips of a law whose pressure on S is zero at the free end.
+        """Return the strips for a law with a pressure on S, which is zero at the free end.
 
-        The pressure makes this law less stiff against openings, without a strip for openings.
+        This pressure makes the law less stiff against openings near the end, so that no strip for openings is needed.
         """
         return cls(EndStrip(), _of_shear(end), EndStrip(1 / end.kappa - 1), 0.0, 2 * end.c_T)
 
     def of_spread(self, length: float) -> EndStrips:
-        """Strips for a layer whose pressure spreads over at most `length`, a length over the thickness.
+        """Return the strips for a layer in which a pressure evens out over at most `length` thicknesses along S.
 
-        For nu > 0.49 the flow at an end has less resistance than in an infinite layer (kappa > 1). This holds if the
-        pressure grows linearly over many thicknesses. Narrow S or soft bodies can prevent this. If `length` is below
-        `MIN_SPREAD`, the flow near the end is closer to that in an infinite layer. The strip `resistance` is then left
-        out.
+        or nu > 0.49 the flow at an end has less resistance than in an infinite layer (kappa > 1). This only holds if the pressure grows linearly over many thicknesses, which a narrow S or soft bodies can prevent. If `length` is below `MIN_SPREAD`, the strip `resistance` of such a layer is therefore left out.
         """
         return self if self.resistance.c >= 0 or length >= MIN_SPREAD else self._replace(resistance=EndStrip())
 
@@ -117,12 +125,15 @@ def _of_shear(end: FreeEnd) -> EndStrip:
 
 
 class EndWeights(NamedTuple):
-    """Changes of a layer's law of order 1 near its free ends, at a place of S, UFL; the module has their formulas.
+    """Changes of a layer's interface law of order 1 near its free ends, UFL expressions at a place of S.
+
+    Their formulas are in the docstring of this module.
 
     Attributes:
-        m: unit normal of the nearest end, in S; (d,) in d dimensions.
-        a_N, a_T: relative loss of stiffness against openings and shear; 0 <= a < 1.
-        f_N, f_T: fraction of the stress that has not been transferred to the faces; 0 <= f <= 1.
+        m: unit normal of the nearest end, tangential to S; (d,) in d dimensions.
+        a_N, a_T: relative loss of stiffness against openings (a_N) and against shear (a_T); >= 0 and < 1.
+        f_N, f_T: fraction of the stress in an opening (f_N) and in shear (f_T) not yet transferred to the faces; from 0
+            to 1.
         flow: factor on the pressure-driven flow along S; > 0.
     """
 
@@ -134,10 +145,10 @@ class EndWeights(NamedTuple):
     flow: Expr
 
     def sheared(self, faces: Faces) -> tuple[Expr, Expr]:
-        """Two strains (3, 3) by which a free end changes the layer's energy in shear.
+        """Return two strains (3, 3), UFL, by which a free end changes the layer's energy in shear.
 
-        The first is added to the mean strain of an infinite layer; the second has an energy of its own (g'' in the
-        module).
+        The first has to be added to the mean strain of an infinite layer. The second is the strain g'' in the docstring
+        of this module; its energy has to be added to the layer's.
 
         Args:
             faces: displacements of the faces of the layer.
@@ -148,13 +159,13 @@ class EndWeights(NamedTuple):
         return ((root - 1) * g + (self.f_T / root - 1) * h) * shear, ufl.sqrt(1 - self.f_T**2) / root * h * shear
 
     def strains(self, faces: Faces, share: Expr) -> tuple[Expr, Expr]:
-        """Two strains (3, 3) whose energies in the isotropic law add up to the layer's energy near a free end.
+        """Return two strains (3, 3), UFL, whose energies sum to that of the layer's mean strain near a free end.
 
-        This energy is W in the module.
+        The energies are those of the isotropic law. Their sum is W in the docstring of this module.
 
         Args:
             faces: displacements of the faces of the layer.
-            share: lmbda/(lmbda + 2 mu) of the law.
+            share: the ratio lmbda/(lmbda + 2 mu) of the law.
         """
         n, across, mean, (e_1, e_2) = three_dimensional(faces.n), faces.across(), faces.mean, self.sheared(faces)
         e_N, e_S, root = ufl.dot(n, across * n), faces.in_s(mean), ufl.sqrt(1 - self.a_N)
@@ -165,14 +176,14 @@ class EndWeights(NamedTuple):
 
 
 def pressure_stations_at_ends(law: PressureLaw, weights: EndWeights) -> list[AnyStation]:
-    """Three stations of a law with a pressure field on S, near free ends of the layer.
+    """Return three stations, near free ends, of the interface law of order 1 of a law with a pressure field on S.
 
-    They are the stations of `forms.stations.pressure_stations`, changed by the weights, and one for the second shear
-    strain.
+    Two are those of `forms.stations.pressure_stations`; of these the first has the changed shear strain and flow. The
+    third one has the second strain of `EndWeights.sheared`.
 
     Args:
         law: the law.
-        weights: changes of the law near free ends, UFL on S.
+        weights: changes of the interface law near free ends, UFL on S.
     """
     mean_station, in_plane = pressure_stations(law)
     sheared = replace(
