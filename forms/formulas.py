@@ -62,7 +62,7 @@ def mohr_coulomb_fixed_opening(
 
 
 def first_yield_ratio(nu: float, friction_angle: float) -> float:
-    """Return the ratio t_T/|t_N| of the tractions at which a Mohr-Coulomb layer without cohesion starts to yield in shear.
+    """Return the ratio t_T/|t_N| of tractions at which a Mohr-Coulomb layer without cohesion first yields in shear.
 
     The layer is first compressed elastically. The ratio is sqrt(sin^2(Omega) - (1 - 2 nu)^2)/(2 (1 - nu)). It is 0 for
     nu <= (1 - sin(Omega))/2, where compression alone makes the layer yield.
@@ -75,8 +75,7 @@ def first_yield_ratio(nu: float, friction_angle: float) -> float:
 
 
 def apparent_friction(friction_angle: float, dilatancy_angle: float) -> float:
-    """Return the ratio t_T/|t_N| of the tractions to which a Mohr-Coulomb layer without cohesion tends under lasting
-    shear.
+    """Return the ratio t_T/|t_N| of tractions to which a Mohr-Coulomb layer without cohesion tends in lasting shear.
 
     This is Davis' friction coefficient sin(Omega) cos(psi)/(1 - sin(Omega) sin(psi)). For psi = 0 it is sin(Omega). The
     tan(Omega) of Eq. (37) of the paper is right for psi = Omega only.
@@ -217,7 +216,7 @@ class PlasticCylinder(NamedTuple):
         return np.where(r < self.zone(pressure), plastic, -self._size(pressure) * (1 / r**2 - 1 / self.b**2))
 
     def _size(self, pressure: float) -> float:
-        """Return A, stress times length squared, of the elastic stress s_rr = -A (1/r^2 - 1/b^2) at an internal pressure."""
+        """Return A, stress times length squared, in the elastic stress s_rr = -A (1/r^2 - 1/b^2) at a pressure."""
         c = self.zone(pressure)
         return self.k * c**2 if c > self.a else pressure * self.a**2 / (1 - (self.a / self.b) ** 2)
 
@@ -271,7 +270,7 @@ class BarResponse(NamedTuple):
     local: npt.NDArray[np.bool_]
 
     def least(self) -> BarResponse:
-        """Return the response of least energy along the last axis of the arrays; of several with equal energy the first.
+        """Return the response of least energy along the last axis of the arrays; of several equal ones, the first.
 
         Among the responses of `Bar.layouts` with equal energy this is the one with the fewest elements in phase 1 or
         -1.
@@ -345,7 +344,7 @@ class Bar:
 
     @property
     def delta_1(self) -> float:
-        """Elongation of the bar at which all of the layer is in phase 1 in the global minimiser: delta_0 + l alpha/kbar.
+        """Elongation of the bar at which phase 1 fills the layer in the global minimiser: delta_0 + l alpha/kbar.
 
         or the second term Eq. (47) of the paper prints l alpha alpha/k; correct is eps l alpha/k.
         """
@@ -406,8 +405,7 @@ class Bar:
         return self.branch(delta, self.phase(delta)).energy
 
     def boundary(self, delta: Array | float) -> Array:
-        """Return the lengths of the part of the layer in phase 0, in the global minimiser at the elongations `delta` of
-        the bar.
+        """Return the lengths of the layer's part in phase 0, in the global minimiser at elongations `delta` of the bar.
 
         The result has the shape of `delta`. While phases mix it is eps l - eps (kbar/alpha)(|delta| - delta_0). If
         delta_0 is inserted, this contains the term sigma_m k l (1 - eps)/(alpha K). Equation (47) of the paper prints

@@ -1,4 +1,4 @@
-"""KernelLaw: a law written as a C function of one quadrature point."""
+"""KernelLaw: a law that is written as a C function of one quadrature point."""
 
 from __future__ import annotations
 
@@ -10,31 +10,38 @@ from forms.law import BulkLaw
 
 
 class KernelLaw(BulkLaw):
-    """A law that UFL cannot express, such as an implicit update or a return mapping, written in C.
+    """A law that is written in C, because UFL cannot express its implicit update or return mapping.
 
     Subclasses are frozen dataclasses like other laws, with their parameters as fields. Their `source` is a C file with
-    a function of one quadrature point:
+    a function that is called at each quadrature point:
 
         int kernel(double *out, const void *, const double *in)
 
-    `in` contains, one after the other: the strain e (6,) at the end of the step and e_old (6,) at its beginning; the
-    internal variables (memory,), which start from zero; the unit normal n (3,) of the layer; dt, theta and the
-    parameters. The step leads from t to t + dt, and theta dt is the time in it after which forces balance (`Step`).
+    The second argument and the return value are not used. The step leads from time t to t + dt, and forces balance at t
+    + theta dt (`Step`). `in` contains, one after the other:
 
-    `out` is zero before the call. It receives, one after the other: the stress (6,) at t + theta dt; the new internal
-    variables (memory,); the tangent d stress/d e (36, row by row); three energies per unit volume. The energies are:
-    stored at the end of the step; dissipated in the step; the remainder of stress : (e - e_old).
+    - the strain at the end of the step (6), and that at its beginning (6);
+    - the internal variables at the beginning, `memory` numbers, which start from zero;
+    - the unit normal of the layer (3), dt, theta, and the parameters.
 
-    Strains, stress and tangent are in Mandel's order 11, 22, 33, sqrt2 12, sqrt2 13, sqrt2 23. If a point fails, the
-    function sets stress[0] to NaN, and the solver takes a smaller step. The return value is ignored. Other functions of
-    the file must be static.
+    `out` is zero before the call. The function writes into it, one after the other:
+
+    - the stress at t + theta dt (6);
+    - the internal variables at the end of the step (`memory` numbers);
+    - the derivative of the stress by the strain at the end of the step (36, row by row);
+    - three energies per unit volume: stored at the end of the step, dissipated in the step, and a remainder.
+
+    The remainder is stress : (change of the strain) minus the increase of the stored energy, minus the dissipated
+    energy. Strains, stress and tangent are in Mandel's order 11, 22, 33, sqrt2 12, sqrt2 13, sqrt2 23. If a point
+    fails, the function sets stress[0] to NaN, and the solver takes a smaller step. Other functions of the file must be
+    static.
 
     Attributes:
-        memory: number of scalar internal variables.
-        energetic: whether the kernel computes the three energies.
+        memory: number of scalar internal variables at a point.
+        energetic: whether the function computes the three energies.
         source: path of the C file.
-        isotropic: whether the kernel does not read the normal n, so that the law can also be used in a body.
-        relaxes: whether stress or internal variables depend on dt although the law declares no `rate`.
+        isotropic: whether the function does not read the normal, so that the law can also be used in a body.
+        relaxes: whether stress or internal variables depend on dt although the law does not declare `rate`.
     """
 
     ignored: ClassVar = ("stress", "advance", "energy", "dissipation", "dissipated")

@@ -1,4 +1,4 @@
-"""Kinematics: three-dimensional strains of displacements on plane, axisymmetric and three-dimensional meshes."""
+"""Kinematics: strains (3, 3) of displacements on plane, axisymmetric and three-dimensional meshes."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from forms.tensors import MANDEL_PAIRS, Expr, strain, three_dimensional
 
 @dataclass(frozen=True)
 class Kinematics:
-    """Strains (3, 3) of displacements on a mesh, the factor of its measures, and the laws of these strains.
+    """Relation of displacements on a mesh to strains (3, 3), the factor of integrals, and the laws of these strains.
 
-    This class covers plane strain in 2D, and three dimensions; the other kinematics derive from it. d is the number of
-    dimensions of the mesh.
+    The factor multiplies all measures dx, ds and dS of the mesh, such as 2 pi r in axisymmetry. This class covers plane
+    strain on 2D meshes, and 3D meshes; the other kinematics derive from it. The number of dimensions of the mesh is d.
 
     Attributes:
-        x: coordinates on the mesh, (d,) UFL; None as long as there is no mesh (`on` returns a copy with one).
-        name: name in `Structure(plane=...)`.
-        rotations: whether rotations are rigid motions.
-        degree: polynomial degree of the factor of measures.
+        x: coordinates on the mesh, UFL (d,); None if no mesh is set (`on` returns a copy with a mesh).
+        name: value of `plane` in `Structure(plane=...)` that selects these kinematics.
+        rotations: whether rigid rotations cause no strain.
+        degree: polynomial degree of the factor of measures in the coordinates.
     """
 
     x: Expr | None = None
@@ -33,59 +33,65 @@ class Kinematics:
     degree: ClassVar[int] = 0
 
     def on(self, mesh: ufl.Mesh) -> Self:
-        """The same kinematics with the coordinates of a mesh."""
+        """Return a copy of these kinematics that uses the coordinates of `mesh`."""
         return replace(self, x=ufl.SpatialCoordinate(mesh))
 
     def at(self, x: Expr) -> Self:
-        """A copy with other coordinates (d,) UFL, such as those of points on S away from the facets of the mesh."""
+        """Return a copy with other coordinates `x`, UFL (d,), such as those of points on S off the facets of the mesh."""
         return replace(self, x=x)
 
     def slots(self, d: int) -> tuple[int, ...]:
-        """Indices of the Mandel components of strain that may be nonzero, for displacements with d components."""
+        """Return the indices, from 0 to 5, of the Mandel components of strain that may be nonzero.
+
+        `d` is the number of dimensions of the mesh.
+        """
         return tuple(k for k, (_, j) in enumerate(MANDEL_PAIRS) if j < d)
 
     def translations(self, d: int) -> tuple[int, ...]:
-        """Indices of the coordinate axes along which translations are rigid motions, on a mesh of dimension d."""
+        """Return the indices of the coordinate axes along which rigid translations cause no strain.
+
+        `d` is the number of dimensions of the mesh.
+        """
         return tuple(range(d))
 
     def radius(self, x: Array) -> Array:
-        """Distances (n,) of places (n, d) from the axis of revolution; infinite if there is no such axis."""
+        """Return the distances (n,) of places (n, d) from the axis of revolution; infinite if there is no such axis."""
         return np.full(len(x), np.inf)
 
     def stress_slots(self, d: int) -> tuple[int, ...]:
-        """Indices of the Mandel components of stress that may be nonzero on a mesh of dimension d.
+        """Return the indices, from 0 to 5, of the Mandel components of stress that may be nonzero.
 
-        The others are set to zero, whatever the law returns.
+        The other components are set to zero, whatever the law returns. `d` is the number of dimensions of the mesh.
         """
         return tuple(range(len(MANDEL_PAIRS)))
 
     @property
     def factor(self) -> Expr:
-        """Factor of all measures dx, ds and dS of the mesh, UFL: 1, for integrals per unit thickness in 2D."""
+        """actor, UFL, of all integrals over the mesh; here 1, so that integrals in 2D are per unit depth."""
         return 1
 
     def factor_at(self, x: Array) -> Array:
-        """Values (...) of the factor of measures at places (..., d)."""
+        """Return the values (...) of `factor` at places with the coordinates `x` (..., d)."""
         return np.ones(x.shape[:-1])
 
     def node_areas(self, corners: Array, lengths: Array) -> Array:
-        """Areas (n, k) of S that belong to the k corners of n facets, with the factor of measures.
+        """Return the areas (n, k) of S that belong to each of the k corners of n facets.
 
-        They are the integrals of the shape functions of degree 1 times this factor.
+        They are the integrals of the corners' shape functions of degree 1, times `factor`.
 
         Args:
             corners: coordinates (n, k, d) of the corners.
-            lengths: the same areas without the factor, (n, k); lengths in 2D.
+            lengths: integrals (n, k) of the same shape functions without the factor: areas in 3D, lengths in 2D.
         """
         factors = self.factor_at(corners)
         return np.asarray(lengths * ((factors + factors.sum(axis=1, keepdims=True)) / (factors.shape[1] + 1)))
 
     def strain(self, u: Expr) -> Expr:
-        """Strain (3, 3) of displacements u in a body or in a meshed layer."""
+        """Return the strain (3, 3), UFL, of the displacements `u` in a body or in a meshed layer."""
         return strain(u)
 
     def along(self, gradient: Expr, u: Expr) -> Expr:
-        """Strain (3, 3) along S of displacements on S.
+        """Return the strain (3, 3), UFL, that displacements of points on S cause along S.
 
         Args:
             gradient: gradient (d, d) of the displacements along S.
@@ -94,11 +100,14 @@ class Kinematics:
         return three_dimensional(ufl.sym(gradient))
 
     def restricted(self, a: Expr) -> Expr:
-        """Part (3, 3) of a stress, or of a prescribed strain, that these kinematics allow: here all of it."""
+        """Return a stress or a prescribed strain (3, 3) without the components that the kinematics exclude.
+
+        These kinematics exclude none.
+        """
         return a
 
     def law(self, law: BulkLaw) -> BulkLaw:
-        """Law for strains of these kinematics, in the volume, along S and across it, from a three-dimensional law."""
+        """Return the form of a three-dimensional law that fits the strains of these kinematics, in bodies and layers."""
         return law
 
 
@@ -114,7 +123,7 @@ class PlaneStress(Kinematics):
         return self.slots(d)
 
     def restricted(self, a: Expr) -> Expr:
-        """In-plane part (3, 3): out-of-plane stresses are zero, and out-of-plane strains are not prescribed."""
+        """Return a stress or a prescribed strain (3, 3) with zeros in place of its out-of-plane components."""
         return ufl.as_tensor([[a[0, 0], a[0, 1], 0], [a[1, 0], a[1, 1], 0], [0, 0, 0]])
 
     def law(self, law: BulkLaw) -> BulkLaw:
@@ -122,7 +131,7 @@ class PlaneStress(Kinematics):
 
 
 class Axisymmetric(Kinematics):
-    """Bodies of revolution without twist: x is the distance r >= 0 from the axis, y the coordinate along it.
+    """Bodies of revolution without twist: x is the distance r >= 0 from the axis, y the coordinate along the axis.
 
     The third normal strain is the hoop strain u_r/r. Integrals are over the whole revolution, with the factor 2 pi r.
     """
@@ -142,7 +151,7 @@ class Axisymmetric(Kinematics):
 
     @property
     def factor(self) -> Expr:
-        """The circumference 2 pi r, UFL."""
+        """Circumference 2 pi r, UFL, by which all integrals over the mesh are multiplied."""
         return 2 * ufl.pi * self._r
 
     def factor_at(self, x: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Base classes of constitutive laws, which give stresses for strains. They know no thickness, mesh or time loop."""
+"""Base classes of constitutive laws: stresses for strains, independent of the thickness, the mesh and the time loop."""
 
 from __future__ import annotations
 
@@ -47,15 +47,15 @@ ChangeParameter = Callable[[ParameterValue, float], ParameterValue]  # of a para
 class Step(NamedTuple):
     """Input of a law at one point, over a time step from t to t + dt.
 
-    Forces balance at t + theta dt, and the law's stress is that at this time.
+    orces balance at t + theta dt, and the law returns the stress at this time.
 
     Attributes:
-        e: strain at the end of the step, (3, 3). For the stress of laws without rate and internal variables it is the
-            strain at t + theta dt. This applies in a body, in a meshed layer, on S and in a `Stack`.
-        n: director of the layer: unit vector from the lower to the upper body; None inside a body. Compiled laws
-            (`Traits.compiled`) get (3,), in 2D with a zero; laws whose stress is part of a form get (d,) in d
-            dimensions. `forms.tensors.three_dimensional(n)` is (3,) in both cases.
-        e_old: strain at the beginning, (3, 3); None in problems without time, and for laws without rate and internal
+        e: strain at the end of the step, (3, 3). A law without rate and internal variables gets the strain at t + theta
+            dt instead, when its stress is computed.
+        n: unit normal of the layer, from the lower to the upper body; None inside a body. Compiled laws
+            (`Traits.compiled`) get 3 components, of which the last is zero in 2D. Laws whose stress is part of a UFL
+            form get as many as there are dimensions. `forms.tensors.three_dimensional(n)` has 3 in both cases.
+        e_old: strain at the beginning, (3, 3). None in problems without time, and for laws without rate and internal
             variables.
         q: internal variables at the beginning, by name.
         dt: length of the step; 0 at a sudden load; None in problems without time.
@@ -73,7 +73,7 @@ class Step(NamedTuple):
 
     @property
     def mid(self) -> Expr:
-        """Strain (3, 3) at t + theta dt, the time of the stress."""
+        """Strain (3, 3) at t + theta dt, the time at which forces balance."""
         return self.e if self.e_old is None else self.theta * self.e + (1 - self.theta) * self.e_old
 
     @property
@@ -81,43 +81,45 @@ class Step(NamedTuple):
         """Strain rate (3, 3) of the step, (e - e_old)/dt.
 
         Raises:
-            InputError: the law does not declare `rate`, or the step has no length.
+            InputError: the law does not declare `rate`, or the problem has no time.
         """
         if self.dt is None or not self.rates:
             raise InputError("a law that uses step.rate must declare rate = True")
         return (self.e - self.e_old) / self.dt
 
     def between(self, old: Expr, new: Expr) -> Expr:
-        """Value at t + theta dt of a quantity that is `old` at the beginning and `new` at the end of the step."""
+        """Return the value at t + theta dt of a quantity that is `old` at the beginning and `new` at the end."""
         return self.theta * new + (1 - self.theta) * old
 
 
 def choice(default: ChoiceType) -> ChoiceType:
-    """Declare a field of a law that selects between equations and is not a parameter.
+    """Declare a dataclass field of a law whose value selects among equations, in place of being a material parameter.
 
     The law is compiled separately for each value of the field.
 
     Args:
-        default: value of the field if none is given.
+        default: value of the field if the user gives none.
     """
     return field(default=default, metadata={"choice": True})
 
 
 @dataclass(frozen=True, eq=False)  # compared by identity, unless a law defines ==
 class Law(LayerResults):
-    """Base of the three kinds of laws: a frozen dataclass whose fields are its parameters.
+    """Base of all laws: frozen dataclasses whose fields are the parameters.
 
-    Laws derive from `BulkLaw` (of strains), `TractionLaw` (of jumps) or `ContactLaw` (of nodes). A class declares its
-    traits (`Traits`) as attributes, such as `linear = True`.
+    A law derives from one of three classes: `BulkLaw` (stress for strain), `TractionLaw` (traction for jump) or
+    `ContactLaw` (contact at nodes). Its class declares traits (`Traits`) as attributes, such as `linear = True`.
 
     Attributes:
-        powers: name of a parameter -> power of the thickness eps to which it is proportional in a family of layers;
-            only a `BulkLaw` has powers.
-        internal: internal variables, name -> shape: (), (3,) or (3, 3), symmetric. They start from zero.
-        functions: names of parameters that may be functions other than those of `takes_fields`, such as functions of a
-            temperature. `parameters` gives NaN for such a function, `at` gives its values.
-        ignored: names of methods that are never called, because other methods replace them.
-        takes_fields: whether scalar parameters may be numpy functions of places (d, n) in the joint that return (n,).
+        powers: name of a parameter -> power of the thickness eps to which this parameter is proportional in a family of
+            layers; only a `BulkLaw` has powers.
+        internal: name of an internal variable -> its shape: (), (3,), or (3, 3) if it is a symmetric tensor. Internal
+            variables start from zero.
+        functions: names of parameters that may be functions of other quantities than the place, such as a temperature.
+            `parameter_values` gives NaN for such a function, `at` gives its values.
+        ignored: names of inherited methods that are not called for this law, so that a subclass must not define them.
+        takes_fields: whether a parameter that is a single number may instead be a function of the place. This is a
+            numpy function of the coordinates (d, n) of n places in the joint that returns n values.
     """
 
     takes_fields: ClassVar[bool] = False
@@ -165,75 +167,79 @@ class Law(LayerResults):
         """Raise InputError if a parameter is out of its range."""
 
     def require(self, condition: bool, name: str, allowed: str, value: object = MISSING_VALUE) -> None:
-        """Raise InputError "Law: name is value; allowed: ..." unless a condition is true.
+        """Raise InputError unless `condition` is true.
+
+        The message is "{class}: {name} is {value}; allowed: {allowed}".
 
         Args:
-            condition: the condition.
-            name: name of the parameter, or of what is wrong.
-            allowed: text of the allowed values.
-            value: value to report; default: the law's attribute `name`.
+            condition: result of a check.
+            name: name of the parameter, or of another checked quantity.
+            allowed: text that says which values are allowed.
+            value: value that the message shows; by default the law's attribute `name`.
         """
         if not condition:
             value = getattr(self, name) if value is MISSING_VALUE else value
             raise InputError(f"{type(self).__name__}: {name} is {value}; allowed: {allowed}")
 
     def check_dimension(self, d: int) -> None:
-        """Raise InputError if the law cannot be used in a model of d dimensions, 2 or 3."""
+        """Raise InputError if the law cannot be used in a model of `d` dimensions, 2 or 3."""
 
     @cached_property
     def traits(self) -> Traits:
         """Properties of the law by which models and solvers choose their methods.
 
-        They are computed from the original parameters. Copies in which other numbers or symbols replace these keep the
-        traits.
+        They are computed when a law is made from its parameters. A copy of the law in which other numbers or symbols
+        replace parameters has the same traits.
         """
         traits = Traits.of(self, **self._traits_of_methods())
         return replace(traits, varies=True) if self.fields and traits.compiled else traits
 
     def for_points(self) -> Self:
-        """A copy of the law that is compiled and evaluated at quadrature points.
+        """Return a copy of the law that is compiled and evaluated at quadrature points, not made part of a UFL form.
 
-        Its parameters may then be functions of the place, which they may not be in a law whose stress is part of a UFL
-        form.
+        The parameters of such a copy may be functions of the place.
         """
         law = self.with_parameters({})
         object.__setattr__(law, "traits", replace(self.traits, compiled=True, varies=bool(self.fields)))
         return law
 
     def _traits_of_methods(self) -> dict[str, bool]:
-        """Traits, by name, that follow from the methods and internal variables of the class."""
+        """Return the traits that follow from the methods and internal variables of the class, name -> value."""
         return {"remembers": bool(self.internal)}
 
     def as_bulk_law(self) -> BulkLaw:
-        """The same law as a function of strains, as terms of the weak form and compiled code need it.
+        """Return the same law as a function of strains, which weak forms and compiled code need.
 
         Raises:
-            InputError: the law acts at nodes.
+            InputError: the law acts at nodes, and has no such form.
         """
         raise InputError(f"{type(self).__name__} has neither strains nor jumps; derive it from BulkLaw or TractionLaw")
 
     @property
     def own_times(self) -> tuple[float, ...]:
-        """Creep or relaxation times of a law whose parameters are numbers; () if there are none or they are unknown."""
+        """Creep and relaxation times of the law; () if it has none, or if they are not known.
+
+        The parameters of the law must be numbers.
+        """
         return ()
 
     @property
     def sublayers(self) -> tuple[tuple[float, Any], ...]:
-        """Fraction of the thickness and law of each sublayer, from the lower to the upper face.
+        """Sublayers of a layer with this law, from the lower to the upper face: pairs of thickness fraction and law.
 
-        A law other than a `Stack` has one sublayer, itself.
+        Only a `Stack` has several; any other law is its own single sublayer.
         """
         return ((1.0, self),)
 
     def at(self, x: Array, t: float) -> dict[str, Array]:
-        """Values (n,), by name, of the parameters that vary, at n places and one time.
+        """Return the values (n,) at n places and one time, by name, of the parameters that depend on place or time.
 
-        The parameters of `self` are already scaled to the thickness of its layer, so the values must be multiples of
-        them.
+        A law that overrides this method must return multiples of its parameters: these have been scaled to the
+        thickness of the layer.
 
         Args:
-            x: places (d, n) in the joint as drawn, before S is opened to the layer's thickness.
-            t: time. For the stress of a step it is the time at which forces balance, for the stored energy the end of
+            x: coordinates (d, n) of the places in the joint as drawn, before S is opened to the layer's thickness.
+            t: time. For the stress of a step this is the time at which forces balance, for the stored energy the end of
                 the step.
         """
         return {}
@@ -244,27 +250,27 @@ class Law(LayerResults):
         return set().union(*(getattr(getattr(self, name), "times", ()) for name in self.functions))
 
     def parameters(self) -> dict[str, ParameterValue]:
-        """Values (numbers, arrays, functions or UFL) of all parameters, by name; a `choice` is not a parameter."""
+        """Return all parameters by name, as numbers, arrays, functions or UFL. A `choice` is not a parameter."""
         return {f.name: getattr(self, f.name) for f in fields(self) if "choice" not in f.metadata}
 
     def choices(self) -> tuple[tuple[str, object], ...]:
-        """Name and value of every field that is not a parameter."""
+        """Return name and value of each field that is not a parameter."""
         parameters = self.parameters()
         return tuple((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in parameters)
 
     def parameter_values(self) -> Array:
-        """All numbers of all parameters, one after the other, (k,); NaN for functions."""
+        """Return the numbers of all parameters, one after the other, as a flat array; NaN stands for a function."""
         values = [np.ravel(parameter_numbers(value)) for value in self.parameters().values()]
         return np.concatenate([np.empty(0), *values])
 
     def with_parameters(self, values: Mapping[str, object]) -> Self:
-        """A copy with other values of some parameters, numbers or UFL by name; their ranges are not checked."""
+        """Return a copy in which `values`, numbers or UFL by name, replace parameters; ranges are not checked."""
         law = copy.copy(self)
         vars(law).update({"traits": self.traits, **values})
         return law
 
     def mapped(self, change: ChangeParameter) -> Self:
-        """A copy in which each parameter is replaced by change(value, power); the new values are not checked.
+        """Return a copy in which change(value, power) replaces each parameter; the new values are not checked.
 
         Args:
             change: function of a parameter's value and of its power of eps in `powers`, 0 if it has none.
@@ -279,10 +285,10 @@ class Law(LayerResults):
         return {name: value for name, value in vars(self).items() if isinstance(value, ParameterField)}
 
     def fields_at(self, x: Array) -> dict[str, Array]:
-        """Values (n,), by name, of the parameters that are functions of the place.
+        """Return the values (n,) at n places, by name, of the parameters that are functions of the place.
 
         Args:
-            x: places (d, n) in the joint as drawn, before S is opened to the layer's thickness.
+            x: coordinates (d, n) of the places in the joint as drawn, before S is opened to the layer's thickness.
 
         Raises:
             InputError: a function fails, does not return n finite real numbers, or is out of range at a place.
@@ -300,16 +306,19 @@ class Law(LayerResults):
             raise InputError(f"{failure_text(what, x, error)}; {wanted} in the joint that gives n numbers") from error
 
     def at_places(self, x: Array) -> Iterator[Self]:
-        """Yield the law with the numbers that its parameters have at each of the places x (d, n), without checks."""
+        """Yield, for each of n places with the coordinates `x` (d, n), the law with the parameters that it has there.
+
+        The parameters are numbers, whose ranges are not checked.
+        """
         values = self.fields_at(x)
         for k in range(x.shape[1]):
             yield self.with_parameters({name: float(value[k]) for name, value in values.items()})
 
     def check_at(self, x: Array) -> None:
-        """Raise InputError if a parameter is out of its range at one of the places x (d, n).
+        """Raise InputError if a parameter that is a function is out of its range at one of n places `x` (d, n).
 
-        Of many places only some are checked. These are the places where a parameter, or a difference or ratio of two,
-        is smallest or largest, and one to two thousand others.
+        If there are many places, not all are checked. Checked are those where a parameter is smallest or largest, or
+        the difference or ratio of two parameters. One to two thousand others are checked, too.
         """
         if not self.fields:
             return
@@ -322,13 +331,13 @@ class Law(LayerResults):
                 raise InputError(f"{error}, at {place_text(x, k)}") from None
 
     def samples(self, x: Array) -> list[Self]:
-        """Laws with numbers for parameters, as they are at the extreme ones of the places x (d, n).
+        """Return the law with the numbers that its parameters have at extreme ones of n places `x` (d, n).
 
-        These are the places where a parameter, or the ratio of two, is smallest or largest. Without parameters that are
-        functions of the place the result is the law itself.
+        A place is extreme if a parameter, or the ratio of two, is smallest or largest there. The result has one law for
+        each. A law without parameters that are functions of the place is itself the only sample.
 
         Raises:
-            InputError: a parameter is out of its range at one of these places.
+            InputError: a parameter is out of its range at an extreme place.
         """
         if not self.fields:
             return [self]
@@ -338,21 +347,24 @@ class Law(LayerResults):
 
 
 class BulkLaw(Law):
-    """A law of strains, for the material of a layer or of a body.
+    """A law that gives stresses for strains, for the material of a layer or of a body.
 
-    Its parameters are material parameters. A `ThinLayer` may be one of a family of layers, whose parameters depend on
-    the thickness eps. Then a parameter is value * (eps/at)**power: `at` is the thickness for which the value is given
-    (`ThinLayer.at`), and the power is declared here (0 by default).
+    A `ThinLayer` may be one of a family of layers with different thicknesses eps. In such a family a parameter is value
+    * (eps/at)**power. `at` is the thickness to which the value belongs (`ThinLayer.at`). The power is declared in
+    `powers`, and is otherwise 0.
 
     A law must define `stress(step)`, and `advance(step)` if it has internal variables; all other methods are optional.
-    Strains, stresses and tensors are (3, 3), UFL, in a body, in the meshed layer, on S and in a `Stack`.
+    Strains, stresses and tensors are (3, 3), UFL, in 2D as well as in 3D.
 
     Attributes:
-        powers: name of a parameter -> power of eps with which the interface law stays finite and not zero as eps -> 0.
-        volume_compliance: tr e/p of a law with a pressure p (trait `constrained`); 0: incompressible.
-        methods: names of the methods that compute the stress and the new internal variables, for messages.
-        switching_variables: for laws that switch between phases, names of the internal variables that are the arguments
-            of `excess` and `switched`. The phase is the first.
+        powers: name of a parameter -> power of eps with which the interface law has a finite limit other than zero for
+            eps -> 0.
+        volume_compliance: for a law with a separate pressure field p (trait `constrained`), the volumetric strain
+            divided by p; 0: incompressible.
+        methods: names of the method that computes the stress and of the one that computes the new internal variables,
+            for messages.
+        switching_variables: for laws whose phase switches, names of three internal variables: phase, driving force and
+            transformation energy. They are the arguments of the law's methods `excess` and `switched`.
     """
 
     takes_fields: ClassVar = True
@@ -375,47 +387,53 @@ class BulkLaw(Law):
 
     # ---------------------------------------------------------------- equations, UFL
     def stress(self, step: Step) -> Expr:
-        """Stress at t + theta dt, (3, 3), symmetric, UFL."""
+        """Return the stress (3, 3), symmetric, UFL, at t + theta dt, the time in the step at which forces balance."""
         raise InputError(f"{type(self).__name__} has no stress; a law needs a method stress(step)")
 
     def advance(self, step: Step) -> dict[str, Expr]:
-        """Internal variables at the end of the step, UFL by name; {} if there are none."""
+        """Return the internal variables at the end of the step, UFL by name; {} if there are none."""
         return {}
 
     def energy(self, step: Step) -> Expr:
-        """Stored energy per unit volume of the strain step.e and the internal variables step.q, UFL."""
+        """Return the stored energy per unit volume, UFL, at the strain step.e and the internal variables step.q."""
         raise InputError(f"{type(self).__name__} declares no energy; a law needs a method energy(step) for it")
 
     def dissipation(self, step: Step) -> Expr:
-        """Dissipated power per unit volume, UFL, whose product with dt is the energy dissipated in the step."""
+        """Return the mean dissipated power per unit volume over the step, UFL: the dissipated energy divided by dt."""
         return ufl.as_ufl(0.0)
 
     def dissipated(self, step: Step) -> Expr:
-        """Dissipated energy per unit volume in the step, UFL; laws without rate define it in place of `dissipation`."""
+        """Return the energy per unit volume that is dissipated in the step, UFL.
+
+        A law without rate defines this method in place of `dissipation`.
+        """
         return step.dt * self.dissipation(step)
 
     def end_strips(self) -> EndStrips | None:
-        """Strips along a free end in which the interface law of order 1 is less stiff than elsewhere.
+        """Return the strips along free ends in which the interface law of order 1 is less stiff than elsewhere.
 
-        None: they are not known for this law.
+        None: for this law the strips are not known.
         """
         return None
 
     def stations_at_ends(self, weights: EndWeights) -> list[AnyStation]:
-        """Stations of the interface law of order 1 near free ends of the layer; only for laws with `end_strips`.
+        """Return the stations that the interface law of order 1 has near free ends of the layer.
+
+        Only laws with `end_strips` define them.
 
         Args:
             weights: reductions of the stiffness near free ends, UFL on S.
 
         Raises:
-            InputError: the law does not define them.
+            InputError: the law does not define stations near free ends.
         """
         raise InputError(f"{type(self).__name__} has no stations at free ends")
 
     def stations(self) -> list[AnyStation]:
-        """Stations of the interface law of order 1: heights through the layer, and the strains of the law there.
+        """Return the stations of the interface law of order 1: heights in the layer at which this law is evaluated.
 
-        The default is two Gauss points through the thickness, with displacements linear from face to face.
+        Each station also has its weight and the strain there. By default there are two, at the Gauss points through the
+        thickness, for displacements linear from face to face.
 
         Raises:
             InputError: the law has no interface law of order 1.
@@ -429,7 +447,7 @@ class BulkLaw(Law):
         return gauss_stations(self)
 
     def elastic_moduli(self) -> tuple[float, float]:
-        """Lame's moduli lmbda and mu of an isotropic linear elastic law.
+        """Return Lame's moduli lmbda and mu, stresses, of an isotropic linear elastic law.
 
         Raises:
             InputError: the law is not isotropic linear elastic.
@@ -438,18 +456,20 @@ class BulkLaw(Law):
         raise InputError(f"{what}: all must be isotropic elastic (LinearElastic); {ORDER_0_REMEDY}")
 
     def own_step(self, step: Step) -> Step:
-        """Step that the law's methods get, from the step of a point.
+        """Return the step with which the law's methods are called, from the full `step` of a point.
 
-        Laws without rate and internal variables get only the strain at t + theta dt and n.
+        A law without rate and internal variables gets a step that only has a strain, that at t + theta dt, and the
+        normal.
         """
         return step if self.traits.rate or self.internal else Step(step.mid, step.n)
 
     def remainder(self, step: Step) -> Expr:
-        """Error of the time scheme in the energy balance of a step, UFL, per volume.
+        """Return the error of the time scheme in the energy balance of a step, UFL, per unit volume.
 
-        It is stress : (e - e_old) minus the increase of the stored energy, minus the dissipated energy. For a quadratic
-        energy E it is (2 theta - 1) E(increments), which is >= 0, and zero for the midpoint rule. Where parameters
-        vary, the model computes the difference without this method.
+        It is stress : (e - e_old) minus the increase of the stored energy, minus the dissipated energy. If the energy E
+        is quadratic, it is (2 theta - 1) E, with the increments of strain and internal variables in E. This is >= 0,
+        and zero for the midpoint rule. Where parameters depend on time, the model computes the error without this
+        method.
         """
         new = self.advance(step)
         if self.traits.quadratic:
@@ -465,27 +485,27 @@ class BulkLaw(Law):
         return sum(VARIABLE_SIZES[shape] for shape in self.internal.values())
 
     def stiffness(self, n: Array) -> Array | None:
-        """Tangent d stress/d strain (6, 6) at rest, in Mandel's order, for a unit normal n (d,) of the layer.
+        """Return the tangent d stress/d strain (6, 6) for small strains from the unstrained state, in Mandel's order.
 
-        The law's parameters are numbers. None: the class does not define it, and `forms.law_tangents` differentiates
-        the stress.
+        The parameters of the law must be numbers. `n` (d,) is the unit normal of the layer. None: the class does not
+        define the tangent; `forms.law_tangents` computes it from the stress.
         """
         return None
 
     # ---------------------------------------------------------------- other laws of the same kind
     def homotopy(self, parameter: float) -> BulkLaw:
-        """Homotopy law for continuation: this law, or one whose equilibrium is easier to compute.
+        """Return a law for homotopy continuation: this law, or one whose equilibrium is easier to compute.
 
         Args:
-            parameter: 0: this law; up to 1: the law with the easiest equilibrium.
+            parameter: from 0 (this law) to 1 (the law whose equilibrium is easiest to compute).
         """
         return self
 
     def plane_stress(self) -> BulkLaw:
-        """The law of in-plane strains with zero out-of-plane stresses; by default `PlaneStressLaw`.
+        """Return the law of plane stress: in-plane stresses for in-plane strains; by default a `PlaneStressLaw`.
 
         Raises:
-            InputError: the law has a pressure field or phases that switch, and does not override plane_stress.
+            InputError: the law has a pressure field or phases that switch, and its class does not override this method.
         """
         if self.traits.constrained or self.traits.switches:
             lack = "its pressure needs" if self.traits.constrained else "its phases need"
@@ -495,15 +515,15 @@ class BulkLaw(Law):
 
     @property
     def in_space(self) -> BulkLaw:
-        """The three-dimensional law from which this law was made, as for plane stress; by default the law itself."""
+        """Three-dimensional law from which this law was made, for example for plane stress; by default itself."""
         return self
 
     def condensed(self, C: Array) -> Array:
-        """Tangent (6, 6) of this law from the tangent C (6, 6) of the three-dimensional law `in_space`."""
+        """Return the tangent (6, 6) of this law, given that of the three-dimensional law `in_space`, `C` (6, 6)."""
         return C
 
     def scaled(self, ratio: float) -> Self:
-        """The law that gives the same interface law in a layer `ratio` times as thick.
+        """Return the law with which a layer `ratio` times as thick has the same interface law as this one.
 
         Each parameter is multiplied by ratio**power, with its power of eps in `powers`.
         """
@@ -511,22 +531,22 @@ class BulkLaw(Law):
 
 
 def _delegated(name: str) -> Any:
-    """Property of a `WrappedLaw` that returns the attribute or method `name` of the wrapped law."""
+    """Return a property, for the class `WrappedLaw`, that reads the attribute or method `name` of the wrapped law."""
     return property(attrgetter(f"law.{name}"))
 
 
 @dataclass(frozen=True, eq=False)
 class WrappedLaw(BulkLaw):
-    """Base of laws that rewrite another law, with the parameters and internal variables of the wrapped law.
+    """Base of laws that change the equations of another law, and keep its parameters and internal variables.
 
     Attributes:
-        law: the wrapped law.
+        law: the other law.
     """
 
     law: Any  # BulkLaw or TractionLaw, as subclasses say
 
     def __post_init__(self) -> None:
-        """Check nothing: the wrapped law has been checked."""
+        """Check nothing, since the wrapped law has been checked when it was made."""
 
     powers, internal, break_times, fields = map(_delegated, ("powers", "internal", "break_times", "fields"))
     fields_at, at, parameters = map(_delegated, ("fields_at", "at", "parameters"))
@@ -544,7 +564,7 @@ class WrappedLaw(BulkLaw):
         return self._of(self.law.mapped(change))
 
     def _of(self, law: Law) -> Self:
-        """The same wrapper around another law, such as the wrapped law with other parameters; not checked."""
+        """Return a copy that wraps `law`, for example the wrapped law with other parameters; nothing is checked."""
         return super().with_parameters({"law": law})
 
     def plane_stress(self) -> Self:
@@ -556,15 +576,16 @@ IN_PLANE_MANDEL, OUT_OF_PLANE_MANDEL = [0, 1, 3], [2, 4, 5]  # indices of Mandel
 
 
 class PlaneStressLaw(WrappedLaw):
-    """Plane-stress form of a 3D law: its out-of-plane strains make the out-of-plane stresses zero at t + theta dt.
+    """Plane-stress form of a three-dimensional law: its out-of-plane strains make the out-of-plane stresses zero.
 
-    Forces balance at this time of a step from t to t + dt. Compiled code (`thinlayer/pointwise/response.c`) solves for
-    the out-of-plane strains at each point by Newton's method. They are stored after the internal variables of the 3D
-    law, which gets all strains, old and new. The tangent is condensed (Schur complement); the energies are the 3D
-    law's. If no such strains are found at a point, the point fails, and the solver takes a smaller step.
+    These stresses vanish at t + theta dt, the time of the step at which forces balance. At each point compiled code
+    (`thinlayer/pointwise/response.c`) computes the out-of-plane strains by Newton's method. They are stored after the
+    internal variables of the three-dimensional law, which gets all strains, old and new. The tangent is condensed by a
+    Schur complement. The energies are those of the three-dimensional law. If no such strains are found at a point, the
+    point fails, and the solver takes a smaller step.
 
     Attributes:
-        law: the law in three dimensions.
+        law: the three-dimensional law.
     """
 
     ignored: ClassVar = ("stress", "advance", "energy", "dissipation", "dissipated")
@@ -590,10 +611,10 @@ class PlaneStressLaw(WrappedLaw):
         return self._of(self.law.homotopy(parameter))
 
     def condensed(self, C: Array) -> Array:
-        """Tangent (6, 6) of plane stress from the tangent C (6, 6) of the 3D law, by a Schur complement.
+        """Return the tangent (6, 6) of plane stress, given the tangent `C` (6, 6) of the three-dimensional law.
 
-        The rows and columns of out-of-plane strains are those of the isotropic tensor nearest to C, with lmbda of plane
-        stress.
+        The in-plane components are a Schur complement of C. The others are those of the isotropic tensor nearest to C,
+        with the modulus lmbda of plane stress.
         """
         lmbda, mu = average_lame(C)
         lmbda *= 2 * mu / (lmbda + 2 * mu) if lmbda + 2 * mu > 0 else 0.0
@@ -603,10 +624,10 @@ class PlaneStressLaw(WrappedLaw):
 
 
 def scalar_fields(cls: type[Law]) -> set[str]:
-    """Names of the dataclass fields of a law class whose values are single numbers.
+    """Return the names of those dataclass fields of a law class whose values are single numbers.
 
-    These are fields annotated as float or int, or as a union of these with None or functions. The annotation is matched
-    as text.
+    Such a field is annotated as float or int, or as a union of these with None or functions. The text of the annotation
+    decides.
     """
     annotations = {f.name: str(f.type) for f in fields(cls)}
     number_fields = {name for name, text in annotations.items() if NUMBER_ANNOTATION.search(text)}
@@ -615,7 +636,12 @@ def scalar_fields(cls: type[Law]) -> set[str]:
 
 @contextmanager
 def explained_errors(law: Law, method: str) -> Iterator[None]:
-    """Context that turns errors of a law's method into InputError with the law's name and rules for writing laws."""
+    """Context in which errors of a law's method become InputErrors with the law's name and the rules for writing laws.
+
+    Args:
+        law: the law.
+        method: name of the method that is called in the context.
+    """
     try:
         yield
     except InputError:
@@ -629,12 +655,12 @@ def explained_errors(law: Law, method: str) -> Iterator[None]:
 
 
 def require_shape(law: Law, output: str, value: Expr, shape: tuple[int, ...]) -> Expr:
-    """Return the value of a law's method as UFL, or raise InputError if it is no UFL or number of the given shape.
+    """Return a value that a law's method has computed as UFL, and raise InputError unless it has a given shape.
 
     Args:
         law: the law, for messages.
         output: name of the value, for messages.
-        value: the value.
+        value: the value, UFL or a number.
         shape: the shape that it must have.
     """
     try:
@@ -647,22 +673,22 @@ def require_shape(law: Law, output: str, value: Expr, shape: tuple[int, ...]) ->
 
 
 def checked_stress(law: BulkLaw, step: Step) -> Expr:
-    """Stress (3, 3) of a law in a step.
+    """Return the stress (3, 3), UFL, that a law computes for a step.
 
     Raises:
-        InputError: the law's method fails or returns another shape.
+        InputError: the law's method fails, or its result has another shape.
     """
     with explained_errors(law, law.methods[0]):
         return require_shape(law, law.methods[0], law.stress(step), (3, 3))
 
 
 def require_positive(law: Law, *names: str) -> None:
-    """Raise InputError unless the parameters of the law with these names are finite and > 0."""
+    """Raise InputError unless the parameters `names` of the law are finite and > 0."""
     for name in names:
         law.require(0 < getattr(law, name) < math.inf, name, "> 0")
 
 
 def require_nonnegative(law: Law, *names: str) -> None:
-    """Raise InputError unless the parameters of the law with these names are finite and >= 0."""
+    """Raise InputError unless the parameters `names` of the law are finite and >= 0."""
     for name in names:
         law.require(0 <= getattr(law, name) < math.inf, name, ">= 0, finite")

@@ -1,9 +1,9 @@
-"""Laws at one point with symbols for all their numbers: their tangents, their values, and what they depend on.
+"""Laws at one point, with symbols for all their numbers: their tangents, their values, and the inputs they depend on.
 
-Tangents at rest, and after a time step, classify layers as soft, stiff or nearly incompressible.
+Tangents at rest, and after a time step, show whether a layer is soft, stiff or nearly incompressible.
 
-`evaluate` computes each part of an expression once. UFL's own evaluation repeats this at each occurrence and component,
-which takes seconds for rotated tensors.
+`evaluate` computes the numbers of a UFL expression, each part of it once. UFL's own evaluation computes a part anew
+wherever it occurs, and for each component. That takes seconds for rotated tensors.
 """
 
 from __future__ import annotations
@@ -53,14 +53,14 @@ _SYMBOL_MESH = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,))
 
 
 class SymbolicLaw(NamedTuple):
-    """A law and a time step at one point, with symbols for all parameters and inputs.
+    """A law and a time step at one point, with symbols in place of all parameters and inputs.
 
     Attributes:
         law: the law, with symbols for its parameters.
         step: the step, with symbols for its values.
         strain: strain (6,) at the end of the step, a UFL variable for differentiation.
-        numbers: vector of all inputs: e (6), e_old (6), internal variables, n (3), dt, theta, parameters. Tensors are
-            in Mandel's order.
+        numbers: vector of all symbols, in this order: strain at the end (6) and at the beginning of the step (6),
+            internal variables, unit normal (3), dt, theta, parameters. Symmetric tensors are Mandel vectors.
     """
 
     law: BulkLaw
@@ -70,9 +70,9 @@ class SymbolicLaw(NamedTuple):
 
 
 def variable(e: Expr) -> Expr:
-    """Wrap an expression like `ufl.variable`, but with a label that is the same in every process.
+    """Return `e` as a UFL variable, as `ufl.variable` does, but with a label that is the same in every process.
 
-    UFL counts labels in each process, and FFCx would recompile a law at another count.
+    UFL counts labels anew in each process. With another label the compiler FFCx would compile the same law again.
     """
     return Variable(e, Label(-1))
 
@@ -83,11 +83,11 @@ def _symbols(length: int) -> Expr:
 
 
 def symbolic(law: BulkLaw, values: Array | None = None, d: int | None = 3) -> SymbolicLaw:
-    """Symbols for all numbers of a law and of a time step at one point.
+    """Return a law and a time step at one point with symbols in place of all their numbers.
 
     Args:
         law: the law.
-        values: numbers, in the order of `SymbolicLaw.numbers`, that replace the symbols; None: symbols.
+        values: numbers, in the order of `SymbolicLaw.numbers`, to use instead of symbols; None: symbols.
         d: number of components, 2 or 3, of the layer's unit normal that the law gets; None: no normal.
     """
     shapes = {name: _shape(value) for name, value in law.parameters().items()}
@@ -107,14 +107,15 @@ def symbolic(law: BulkLaw, values: Array | None = None, d: int | None = 3) -> Sy
 
 
 def _shape(value: ParameterValue) -> tuple[int, ...]:
-    """Shape of a parameter that is a number, an array or a Constant."""
+    """Return the shape of a parameter, which is a number, an array or a DOLFINx Constant."""
     return tuple(value.ufl_shape) if isinstance(value, Expr) else np.asarray(value).shape
 
 
 def law_identity(law: BulkLaw) -> tuple[object, ...] | None:
-    """Key that is equal for laws of this package with the same equations, whatever the values of their parameters.
+    """Return a key that is equal for two laws of this package if their equations are the same; parameter values may
+    differ.
 
-    None for user-defined laws, whose methods may read other data.
+    None for user-defined laws, whose methods may depend on other data than parameters.
     """
     if not all(kind.__module__.partition(".")[0] in ("forms", "builtins") for kind in type(law).__mro__):
         return None
@@ -122,11 +123,11 @@ def law_identity(law: BulkLaw) -> tuple[object, ...] | None:
 
 
 def reads_input(law: BulkLaw, name: str) -> bool:
-    """Whether the stress or the new internal variables of a law depend on one input of the step.
+    """Return whether the stress or the new internal variables of a law depend on the normal, or on the step length.
 
     Args:
         law: a law in UFL.
-        name: "n", the unit normal of the layer, or "dt", the length of the step.
+        name: the input in question: "n", the unit normal of the layer, or "dt", the length of the step.
     """
     point = symbolic(law)
     symbol = ufl.Constant(_SYMBOL_MESH, shape=getattr(point.step, name).ufl_shape)
@@ -136,11 +137,13 @@ def reads_input(law: BulkLaw, name: str) -> bool:
 
 
 def require_numbers_alone(law: BulkLaw, numbers: Expr, expressions: Iterable[Expr]) -> None:
-    """Raise InputError if the equations of a law contain anything but numbers and the law's inputs.
+    """Raise InputError if the equations of a law contain other symbols than those of its parameters and of the step.
+
+    Compiled code has no values for anything else, such as a coordinate or a function on the mesh.
 
     Args:
         law: the law, for messages.
-        numbers: symbol of all inputs (`SymbolicLaw.numbers`).
+        numbers: vector of all allowed symbols (`SymbolicLaw.numbers`).
         expressions: the equations, UFL.
     """
     for node in (node for expression in expressions for node in traverse_unique_terminals(expression)):
@@ -156,11 +159,11 @@ NUMPY_FUNCTIONS = ARITHMETIC | LOGIC | {Conditional: np.where}
 
 
 def evaluate(expression: Expr, values: Mapping[Expr, Values] | None = None) -> Values:
-    """Numerical values of a UFL expression without derivatives; NaN or infinite where a function is undefined.
+    """Return the numerical values of a UFL expression as an array; NaN or infinite where a function is undefined.
 
     Args:
-        expression: the expression, after `expand_derivatives`.
-        values: symbol -> its numbers; None: there are no symbols.
+        expression: the expression, without derivatives (after `expand_derivatives`).
+        values: symbol in the expression -> array of its numbers; None: there are no symbols.
 
     Raises:
         Exception: of any type, from UFL: a part of the expression, such as a coefficient, has no numerical value.
@@ -174,10 +177,10 @@ def evaluate(expression: Expr, values: Mapping[Expr, Values] | None = None) -> V
 
 
 def _evaluate_node(node: Expr, operands: list[Values]) -> Values:
-    """Values of a node of an expression from the values of its operands.
+    """Return the values of one node of a UFL expression, given the values of its `operands`.
 
-    Their axes are the shape of the node, then one axis for each free index. A `MultiIndex` gives its indices, a `Label`
-    nothing.
+    The axes of all these arrays are those of the node's shape, then one for each free index. For a `MultiIndex` the
+    result is the tuple of its indices, for a `Label` an empty array.
     """
     if isinstance(node, (MultiIndex, Label)):
         return node.indices() if isinstance(node, MultiIndex) else np.empty(0)
@@ -200,12 +203,12 @@ def _evaluate_node(node: Expr, operands: list[Values]) -> Values:
 
 
 def _evaluate_indexing(node: Expr, values: Values, indices: Iterable[Expr]) -> Values:
-    """Values of a UFL `Indexed`, `ComponentTensor` or `IndexSum`.
+    """Return the values of a node that picks or sums components: a UFL `Indexed`, `ComponentTensor` or `IndexSum`.
 
     Args:
         node: the node.
-        values: values of its operand: axes of the shape, then of the free indices.
-        indices: its indices.
+        values: values of its operand; the axes are those of the operand's shape, then one for each free index.
+        indices: indices, fixed or free, that the node applies to the operand.
     """
     free, operand_free = [*node.ufl_free_indices], [*node.ufl_operands[0].ufl_free_indices]
     named = [i.count() for i in indices if isinstance(i, Index)]
@@ -219,25 +222,25 @@ def _evaluate_indexing(node: Expr, values: Values, indices: Iterable[Expr]) -> V
 
 
 def _index_sum(values: Values, axes: list[int], kept: list[int]) -> Values:
-    """Sum an array over all axes that are not kept, and order the others.
+    """Return a sum over some axes of an array, as `numpy.einsum` does.
 
     Args:
         values: the array.
-        axes: a number for each axis; axes with equal numbers form a diagonal.
-        kept: numbers of the axes of the result.
+        axes: number that names each axis of the array. Axes with equal numbers are replaced by their diagonal.
+        kept: numbers of the result's axes, in its order; the sum is over all others.
     """
     axis_numbers = {name: k for k, name in enumerate(dict.fromkeys(axes))}
     return np.einsum(values, [axis_numbers[name] for name in axes], [axis_numbers[name] for name in kept])
 
 
 def _broadcast(values: Values, operand: Expr, axes: int, free: list[int]) -> Values:
-    """Reshape an operand's values so that they broadcast with those of other operands.
+    """Return an operand's values, reshaped so that numpy can combine them with those of the node's other operands.
 
     Args:
-        values: the values: axes of the operand's shape, then of its free indices.
-        operand: the operand.
-        axes: number of axes of the shape of the result.
-        free: free indices of the result; those that the operand lacks become axes of length 1.
+        values: the values; the axes are those of the operand's shape, then one for each of its free indices.
+        operand: UFL expression of the operand.
+        axes: number of dimensions that the shape of the node has.
+        free: free indices of the node. An index that the operand does not have becomes an axis of length 1.
     """
     shape = operand.ufl_shape
     sizes = dict(zip(operand.ufl_free_indices, np.shape(values)[len(shape) :], strict=True))
@@ -245,7 +248,7 @@ def _broadcast(values: Values, operand: Expr, axes: int, free: list[int]) -> Val
 
 
 def _scalar_function(node: Expr, values: tuple[float, ...]) -> float:
-    """Value of a function of scalars, or of a comparison, at numbers; NaN where it is undefined.
+    """Return the value of a scalar function or comparison for numeric arguments; NaN where it is undefined.
 
     Args:
         node: UFL node of the function.
@@ -270,18 +273,18 @@ LONG_TIME_STEP = 1e30  # length of a time step in which rates are practically ze
 
 
 def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
-    """Tangent d stress/d strain (6, 6) of a law for small strains from rest, in Mandel's order.
+    """Return the tangent d stress/d strain (6, 6) of a law for small strains from the unstrained state.
 
-    For a law with internal variables it is the instantaneous tangent. For a law with a rate it is the tangent at zero
-    rates. For an incompressible layer the stress excludes the pressure. If the law declares no stiffness, its stress is
-    differentiated, which takes some milliseconds.
+    The tangent is in Mandel's order. For a law with internal variables it is the instantaneous tangent, for a law with
+    a rate that at zero rates. For an incompressible layer the stress excludes the pressure. A law that does not declare
+    its stiffness has its stress differentiated, which takes some milliseconds.
 
     Args:
         law: the law, with numbers for parameters.
         n: unit normal (d,) of the layer in d dimensions.
 
     Returns:
-        The tangent; None if it cannot be evaluated.
+        The tangent, stress; None if it cannot be evaluated.
     """
     if (C := law.in_space.stiffness(n)) is not None:
         return law.condensed(C)
@@ -289,9 +292,9 @@ def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
 
 
 def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
-    """Tangent d stress/d strain (6, 6) of a linear law at the end of one time step from rest, in Mandel's order.
+    """Return the tangent d stress/d strain (6, 6) of a linear law at the end of a first time step of length `dt`.
 
-    It is the effective stiffness of a law that creeps or relaxes, under loads that last for dt.
+    It is the effective stiffness, in Mandel's order, of a law that creeps or relaxes under loads that last for dt.
 
     Args:
         law: a compiled law, with numbers for parameters.
@@ -299,15 +302,16 @@ def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
         dt: length of the step, > 0.
 
     Returns:
-        The tangent; None if the law is not linear or cannot be evaluated.
+        The tangent, stress; None if the law is not linear or the tangent cannot be evaluated.
     """
     return _rest_tangent(law, n, dt) if law.traits.linear else None
 
 
 def _rest_tangent(law: BulkLaw, n: Array, dt: float) -> Array | None:
-    """Tangent (6, 6) at the end of a step of length dt from rest, as the mean over two small opposite strains.
+    """Return the tangent (6, 6) of a law at the end of a first step of length `dt`, for small strains.
 
-    n (d,) is the unit normal of the layer. None if the tangent cannot be evaluated.
+    It is the mean of the tangents at two opposite small strains. `n` (d,) is the unit normal of the layer. None: the
+    tangent cannot be evaluated.
     """
     law_3d = law.in_space
     if not law_3d.traits.in_ufl:
@@ -327,32 +331,36 @@ def _rest_tangent(law: BulkLaw, n: Array, dt: float) -> Array | None:
 
 
 def needs_director(law: BulkLaw) -> bool:
-    """Whether the stress of a law depends on the unit normal n of a layer; a `KernelLaw` declares it (`isotropic`)."""
+    """Return whether the stress of a law depends on the unit normal n of a layer.
+
+    A `KernelLaw` declares this itself (`isotropic`).
+    """
     law_3d = law.in_space
     return not law_3d.isotropic if isinstance(law_3d, KernelLaw) else reads_input(law_3d, "n")
 
 
 def depends_on_step_length(law: BulkLaw) -> bool:
-    """Whether a law creeps or relaxes, so that its response depends on the length of the time step.
+    """Return whether a law creeps or relaxes, so that its response depends on the length of the time step.
 
-    For a `KernelLaw` the class says so (`rate`, `relaxes`).
+    A `KernelLaw` declares this itself (`rate`, `relaxes`).
     """
     law_3d = law.in_space
     return law_3d.traits.rate or (law_3d.relaxes if isinstance(law_3d, KernelLaw) else reads_input(law_3d, "dt"))
 
 
 def is_checked_at_rest(law: BulkLaw) -> bool:
-    """Whether the tangent of a layer's law at rest is computed by `tangent_at_rest` and must not be negative.
+    """Return whether the tangent of a layer's law in the unstrained state can be computed and must be >= 0.
 
-    It may be negative for laws that declare `softens`. It is not computed for laws with both internal variables and
-    rate. For non-linear laws of jumps it is not computed either, because it is unknown which jumps are small.
+    It may be negative for a law that declares `softens`. It is not computed for a law with internal variables and a
+    rate. Nor is it computed for a non-linear law of jumps, for which no jump is known to be small.
     """
     at_jumps = law.traits.of_jumps and not law.traits.linear
     return not (law.traits.softens or (law.traits.rate and law.internal) or at_jumps)
 
 
 def acoustic_tensor(C: Array, n: Array) -> Array:
-    """Acoustic tensor n.C.n (d, d): the derivative of the traction by the jump over the thickness.
+    """Return the acoustic tensor n.C.n (d, d), stress: the derivative of the traction by the jump divided by the
+    thickness.
 
     Args:
         C: tangent (6, 6) in Mandel's order.
@@ -363,10 +371,10 @@ def acoustic_tensor(C: Array, n: Array) -> Array:
 
 
 def declared_or_computed_tangent(law: BulkLaw, n: Array) -> Array | None:
-    """Tangent (6, 6) of a law at rest in Mandel's order; None if it is not known.
+    """Return the tangent (6, 6) of a law for small strains, in Mandel's order; None if it is not known.
 
-    If the law does not declare it (`BulkLaw.stiffness`), it is computed from the stress. This is not done for laws
-    whose tangent at rest may be negative or is not defined (`is_checked_at_rest`).
+    If the law does not declare it (`BulkLaw.stiffness`), it is computed from the stress. It is not computed for laws
+    for which it may be negative or is not defined (`is_checked_at_rest`).
 
     Args:
         law: the law, with numbers for parameters.
@@ -376,16 +384,17 @@ def declared_or_computed_tangent(law: BulkLaw, n: Array) -> Array | None:
 
 
 def require_stable(law: BulkLaw, C: Array | None, n: Array | None = None, slots: Sequence[int] = ()) -> None:
-    """Raise InputError if a tangent at rest has a negative eigenvalue; do nothing if it is unknown.
+    """Raise InputError if the tangent of a law for small strains has a negative eigenvalue.
 
-    The real parts of the eigenvalues of the tangent itself are tested, not those of its symmetric part. This part may
-    be indefinite in a stable law that has no energy.
+    Eigenvalues may be complex; their real parts are tested. Those of the symmetric part of the tangent are not tested,
+    since a stable law without an energy may have negative ones.
 
     Args:
         law: the law, for messages.
-        C: its tangent, (6, 6) in Mandel's order; None: unknown.
-        n: unit normal (d,) of a layer, whose acoustic tensor n.C.n is tested; None: a body, whose C is tested.
-        slots: for a body, indices of the Mandel components that its strains have.
+        C: its tangent (6, 6) in Mandel's order; None: it is not known, and nothing is tested.
+        n: for a layer its unit normal (d,); then the acoustic tensor n.C.n is tested. None: a body, and C is tested.
+        slots: for a body, indices of the Mandel components that strains of the model have; only these components of C
+            are tested.
     """
     if C is None or not np.isfinite(C).all():
         return
@@ -397,19 +406,20 @@ def require_stable(law: BulkLaw, C: Array | None, n: Array | None = None, slots:
 
 
 def symmetric_mandel(a: Array) -> Array:
-    """Mandel vector (6,) of a symmetric numeric tensor, (2, 2) or (3, 3)."""
+    """Return the Mandel vector (6,) of a symmetric numeric tensor, (2, 2) or (3, 3)."""
     return mandel_vectors(np.pad(a, (0, 3 - len(a))))
 
 
 def is_isotropic(C: Array) -> bool:
-    """Whether a tangent (6, 6) in Mandel's order is isotropic, to the relative tolerance `COUPLING_TOLERANCE`."""
+    """Return whether a tangent (6, 6) in Mandel's order is isotropic, to the relative tolerance `COUPLING_TOLERANCE`."""
     return bool(np.abs(C - isotropic_tensor(*average_lame(C))).max() <= COUPLING_TOLERANCE * np.abs(C).max())
 
 
 def in_plane_modulus(C: Array, n: Array) -> float:
-    """Modulus of a sheet against strains in its plane while its faces are free; in 3D the mean over two directions.
+    """Return the stress per strain of a sheet that is stretched in one direction of its plane, with free faces.
 
-    For an isotropic law it is E/(1 - nu^2).
+    Strains in the other direction of the plane are zero. For an isotropic law the modulus is E/(1 - nu^2). In 3D it is
+    the mean over two directions.
 
     Args:
         C: tangent (6, 6) in Mandel's order.

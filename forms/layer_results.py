@@ -1,4 +1,4 @@
-"""Results that tables, pictures and files show of a law in a layer: its status, a word, and fractions of material."""
+"""What results show of a law in a layer: a word for its status at a point, and fractions of changed material."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ ZERO_TRACTION_SHARE = 1e-6
 
 
 class LayerPoints(NamedTuple):
-    """Values at points of a layer on S from which a law computes its status there.
+    """Values at points of a layer on S from which a law determines its status there.
 
     Attributes:
-        internal: internal variables of the law by name, (points, *shape).
-        plastic: (points, 3, 3) plastic strain, of a Stack the mean of its sublayers.
-        traction: (points, 3) traction, stress times n.
-        n: (points, 3) unit normals of S.
-        opening: (points,) normal jump [u] . n.
-        largest_traction: largest traction of the layer.
-        largest_strain: largest jump of the layer over its thickness; without a thickness, the largest jump.
+        internal: name of an internal variable of the law -> values, (points, ...) with the variable's shape.
+        plastic: plastic strains (points, 3, 3); for a Stack their mean over the sublayers.
+        traction: tractions (points, 3), stress times n.
+        n: unit normals (points, 3) of S.
+        opening: normal jumps (points,), lengths; > 0 if S opens.
+        largest_traction: magnitude of the largest traction in the layer.
+        largest_strain: magnitude of the largest jump in the layer, divided by the thickness if the layer has one.
     """
 
     internal: Mapping[str, Array]
@@ -42,7 +42,10 @@ class LayerPoints(NamedTuple):
 
 
 class LayerResults:
-    """Base of laws with the words and numbers that results show of a law; a law may define them otherwise."""
+    """Base of laws that defines what results show of a law in a layer: statuses and fractions of changed material.
+
+    A law may override these methods.
+    """
 
     if TYPE_CHECKING:  # defined by `forms.law.Law`
         internal: ClassVar[Mapping[str, tuple[int, ...]]]
@@ -58,10 +61,14 @@ class LayerResults:
         return YIELD_STATUSES if self.internal.get("plastic") == (3, 3) else (ELASTIC,)
 
     def status_at(self, points: LayerPoints) -> npt.NDArray[np.str_]:
-        """Status (points,), a word, of a layer with this law at points on S.
+        """Return a word for the status of the law at each of several points on S, (points,).
 
-        By default it follows from traction, opening and plastic strain. In a Stack the first sublayer that is not
-        elastic gives the status.
+        By default a point without traction is "open" if the jump opens it. One without plastic strain is "elastic".
+        Otherwise the plastic strain makes it "sliding" (mostly shear), "crushed" (shortening) or "torn" (lengthening
+        along n). In a Stack the first sublayer that is not elastic gives the status.
+
+        Args:
+            points: values at the points.
         """
         flow = np.einsum("pij,pj->pi", points.plastic, points.n)
         t_N, closure = ((vector * points.n).sum(axis=1) for vector in (points.traction, -flow))
@@ -72,46 +79,45 @@ class LayerResults:
         return np.select([*masks.values()], [*masks], TORN)
 
     def plastic_strain(self, internal: Mapping[str, Array]) -> Array | None:
-        """Plastic strain (points, 3, 3), by default the internal variable "plastic" if it has the shape (3, 3).
+        """Return the plastic strains (points, 3, 3) at several points; None: the law has no plastic strain.
 
-        None: the law has no plastic strain.
+        By default they are the internal variable "plastic", if this has the shape (3, 3).
 
         Args:
-            internal: internal variables by name, (points, *shape).
+            internal: name of an internal variable -> values, (points, ...) with the variable's shape.
         """
         return internal.get("plastic") if self.internal.get("plastic") == (3, 3) else None
 
     # ---------------------------------------------------------------- shares of material
     @property
     def share_columns(self) -> tuple[str, ...]:
-        """Names of the numbers that `mean_shares` returns, columns of the table of a march.
+        """Names of the numbers that `mean_shares` returns, which are columns in the table of a march.
 
-        (): the material of the law does not change.
+        (): the law has no phases or damage to show.
         """
         return ("plus", "minus", "boundary") if self.traits.phases and not self.traits.of_jumps else ()
 
     def shares(self, internal: Mapping[str, Array]) -> dict[str, Array]:
-        """Fractions (points,) of the material that have changed, by name.
+        """Return fractions (points,) of the material at several points that are in other phases, or broken, by name.
 
         By default they are "plus" and "minus", the fractions in the phases 1 and -1.
 
         Args:
-            internal: internal variables by name, (points, *shape).
+            internal: name of an internal variable -> values, (points, ...) with the variable's shape.
         """
         return {"plus": np.maximum(internal["phase"], 0), "minus": np.maximum(-internal["phase"], 0)}
 
     def mean_shares(self, totals: Mapping[str, float], whole: float, eps: float, fraction: float) -> dict[str, float]:
-        """Numbers of a whole layer, with the names in `share_columns`.
+        """Return the numbers of a whole layer that a march lists in the columns `share_columns`.
 
-        By default they are the means of `shares` and, for a law with phases, the thickness of the material in phase 0
-        ("boundary").
+        By default they are the means of the fractions in `shares`. For a law with phases "boundary" is added, the mean
+        thickness of the material in phase 0, a length.
 
         Args:
-            totals: integrals of the fractions that `shares` returns over the layer, by name.
-            whole: integral of 1 over the layer.
+            totals: name of a fraction in `shares` -> its integral over the layer, or over some of its sublayers.
+            whole: integral of 1 over the same domain.
             eps: thickness of the layer; 0 if it has none.
-            fraction: fraction of the layer's thickness taken by the sublayers over which `totals` are integrals; 1
-                without sublayers.
+            fraction: part, from 0 to 1, of the thickness that the domain of the integrals takes; 1 for the whole layer.
         """
         means = {name: total / whole for name, total in totals.items()}
         if self.traits.phases:

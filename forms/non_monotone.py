@@ -1,4 +1,4 @@
-"""Laws of non-monotone layers: an elastic material with three phases, which mix or stay pure."""
+"""Laws of non-monotone layers: an elastic material with three phases, which either mix or stay pure."""
 
 from __future__ import annotations
 
@@ -30,19 +30,20 @@ PHASE_PARAMETERS = ("alpha", "transformation_energy")  # parameters that may dep
 
 
 def lamination_gain(lmbda: float, mu: float, chi: Array) -> float:
-    """Energy gain G, 1/stress, of the best laminate of two phases.
+    """Return the factor G, 1/stress, of the energy that the best laminate of two phases saves.
 
-    Two phases whose stresses differ by alpha chi can form laminates with a unit normal k. With a fraction theta of one
-    phase, laminates save the energy alpha^2 (chi k).A(k)^-1 (chi k)/2 theta (1 - theta) per volume against a uniform
-    strain. A(k) = mu I + (lmbda + mu) k (x) k. G is the maximum of (chi k).A(k)^-1 (chi k) over k.
+    The stresses of the two phases differ by alpha chi. A laminate of them with the unit normal k and the fraction theta
+    of one phase is compared with a mixture of uniform strain. Per volume the laminate saves the energy alpha^2 G(k)
+    theta (1 - theta)/2. Here G(k) = (chi k).A(k)^-1 (chi k) with the acoustic tensor A(k) = mu I + (lmbda + mu) k (x)
+    k. G is the maximum of G(k).
 
-    The best k lies in the plane of the extreme principal values c_min and c_max of chi. With s = k.chi k the quantity
-    to maximise is (|chi k|^2 - s^2)/mu + s^2/(lmbda + 2 mu). It is largest at s = (1 - nu)(c_min + c_max), or at the
-    nearer of c_min and c_max if s is outside.
+    The best k lies in the plane of the principal directions of chi with the extreme principal values c_min and c_max.
+    With s = k.chi k, G(k) is (|chi k|^2 - s^2)/mu + s^2/(lmbda + 2 mu). It is largest at s = (1 - nu)(c_min + c_max),
+    or, if this s is outside c_min to c_max, at the nearer of these two.
 
     Args:
         lmbda, mu: Lame moduli, stress.
-        chi: orientation of the transformation, symmetric, (2, 2) or (3, 3); k is in the plane if it is (2, 2).
+        chi: orientation of the transformation, symmetric, (2, 2) or (3, 3). If it is (2, 2), k is in the plane.
     """
     c = np.linalg.eigvalsh(chi)
     low, high = float(c[0]), float(c[-1])
@@ -53,25 +54,26 @@ def lamination_gain(lmbda: float, mu: float, chi: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Phases(IsotropicLaw):
-    """Base of the non-monotone laws: an elastic material with phases z = -1, 0, 1 of equal moduli.
+    """Base of the non-monotone laws: an elastic material with three phases z = -1, 0, 1 of equal elastic moduli.
 
-    A phase has the energy lmbda tr(e)^2/2 + mu e:e - z alpha chi:e + Psi |z| per volume. Its stress is lmbda tr(e) I +
-    2 mu e - z alpha chi; Eq. (39) of the paper, which has C for Psi.
+    At the strain e phase z has the energy lmbda tr(e)^2/2 + mu e:e - z alpha chi:e + Psi |z| per volume. Its stress is
+    lmbda tr(e) I + 2 mu e - z alpha chi. This is Eq. (39) of the paper, where Psi is called C.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
-        alpha: transformation stress, also in a layer (it does not scale with eps), > 0; or a numpy function of the
-            temperature T.
-        transformation_energy: Psi in the formulas, energy per volume, > 0; or a numpy function of T. In a layer it is
-            per area, eps times the energy per volume. Section 6.1 of the paper prints one power of eps for alpha and C.
-        chi: orientation of the transformation, symmetric, in the layer's axes, (2, 2) in plane strain and (3, 3) in 3D.
-            The second axis is n (`forms.tensors.layer_frame`): chi_22 acts across S, chi_12 along it.
-        T: temperature, if alpha or the transformation energy depend on it; None: neither depends on it. It is a number,
-            or a numpy function (x, t) of places (d, n) and the time. The places are those in the joint as drawn, before
-            S is opened to the layer's thickness.
+        alpha: transformation stress, > 0, which in a layer does not scale with the thickness; or a numpy function of
+            the temperature T.
+        transformation_energy: Psi in the formulas, energy per volume, > 0; or a numpy function of T. For a layer it is
+            given per area: eps times the energy per volume. Section 6.1 of the paper prints the same power of eps for
+            alpha and C.
+        chi: orientation of the transformation, symmetric, (2, 2) in plane strain and (3, 3) in 3D. Its axes are those
+            of the layer, the second one along n (`forms.tensors.layer_frame`): chi_22 acts across S, chi_12 along S.
+        T: temperature, if alpha or the transformation energy depends on it, else None. It is a number, or a numpy
+            function T(x, t) of the coordinates x (d, n) of n places and the time t. The places are those in the joint
+            as drawn, before S is opened to the layer's thickness.
 
     Raises:
-        InputError: a parameter out of range, a function without a temperature.
+        InputError: a parameter out of range, or a function of the temperature without T.
     """
 
     alpha: float | TemperatureFunction
@@ -97,7 +99,10 @@ class Phases(IsotropicLaw):
         object.__setattr__(self, "chi", (chi + chi.T) / 2)
 
     def _check_temperature(self) -> None:
-        """Check the parameters in `PHASE_PARAMETERS`; if T is a number, replace functions of T by their values."""
+        """Raise InputError unless T and the parameters `PHASE_PARAMETERS`, alpha and transformation energy, are allowed.
+
+        If T is a number, the values at this temperature replace parameters that are functions of it.
+        """
         functions = [name for name in PHASE_PARAMETERS if callable(getattr(self, name))]
         if functions and self.T is None:
             raise InputError(f"{type(self).__name__}: {functions[0]} needs T; give T, a number or a function (x, t)")
@@ -121,11 +126,11 @@ class Phases(IsotropicLaw):
         self.require(len(self.chi) == d, "shape of chi", f"({d}, {d}) in a model of dimension {d}", self.chi.shape)
 
     def _check_phases(self, parameters: Mapping[str, Array], where: Callable[[int], str]) -> None:
-        """Raise InputError unless parameters of the phases are > 0 and finite.
+        """Raise InputError unless alpha and the transformation energy are positive and finite at all of n places.
 
         Args:
-            parameters: values (n,) of each of `PHASE_PARAMETERS` at n places.
-            where: index of a place -> text of the place, for messages.
+            parameters: name in `PHASE_PARAMETERS` -> values (n,) at the places.
+            where: function from the index of a place to a text that tells the place, for messages.
         """
         for name, values in parameters.items():
             invalid = np.flatnonzero(~((values > 0) & np.isfinite(values)))
@@ -165,18 +170,21 @@ class Phases(IsotropicLaw):
 
     # ---------------------------------------------------------------- quantities of a step, UFL
     def _drive(self, e: Expr, n: Expr) -> Expr:
-        """Driving force of phase 1, alpha chi:e, energy per volume, at the strain e (3, 3) for the layer's normal n."""
+        """Return the driving force alpha chi:e of phase 1, energy per volume, UFL.
+
+        `e` is the strain (3, 3), `n` the unit normal of the layer.
+        """
         return ufl.inner(self._transformation_stress(n), e)
 
     def _transformation_stress(self, n: Expr) -> Expr:
-        """Transformation stress alpha chi (3, 3) in the axes of the joint, for the normal n of the layer."""
+        """Return the tensor alpha chi (3, 3), stress, UFL, in the axes of the joint, for a layer with the unit normal `n`."""
         rotation = layer_frame(n)
         return self.alpha * rotation * three_dimensional(ufl.as_tensor(self.chi)) * rotation.T
 
     def remainder(self, step: Step) -> Expr:
-        """Work of the stress in a step minus the increase of the stored energy, UFL, per volume.
+        """Return the work of the stress in a step minus the increase of the stored energy, UFL, per unit volume.
 
-        It is the error of the time scheme, plus the energy released by changes of temperature or phase.
+        It is the error of the time scheme, plus the energy that changes of temperature or phase release.
         """
         return ufl.inner(self.stress(step), step.e - step.e_old) - (self.advance(step)["stored"] - step.q["stored"])
 
@@ -185,33 +193,33 @@ class Phases(IsotropicLaw):
 class NonMonotone(Phases):
     """The relaxed non-monotone law: phases mix in fine laminates that minimise the energy.
 
-    Let m = alpha chi:e be the driving force, and Psi the transformation energy. Phase sign(m) has the fraction theta =
-    clip(1/2 + (|m| - Psi)/g, 0, 1), and
+    Let m = alpha chi:e be the driving force, and Psi the transformation energy. The material is a mixture of phase 0
+    and phase sign(m). The latter has the fraction theta = clip(1/2 + (|m| - Psi)/g, 0, 1), and
 
         stress = lmbda tr(e) I + 2 mu e - sign(m) theta alpha chi,   g = alpha^2 G.
 
-    G (`lamination_gain`) is the energy gain of laminates with the best normal. This normal is n for chi = sym(a (x) n)
-    with a tangent to S. For chi = n (x) n it is n if lmbda = 0, but not if lmbda > 0.
+    G (`lamination_gain`) belongs to the energy saved by laminates with the best normal. This normal is n for chi =
+    sym(a (x) n) with a vector a tangent to S. For chi = n (x) n it is n if lmbda = 0, but not if lmbda > 0.
 
-    As a layer's law, with the jump w and the strain E = sym(w (x) n)/eps: t = K w - sign(m) theta alpha chi n, m =
-    alpha chi:E. K has the stiffnesses (lmbda + 2 mu)/eps along n and mu/eps along S. It replaces Eqs. (41)-(43) of the
-    paper, which print lmbda + mu for lmbda + 2 mu, [u_1] for [u_2], and one branch only. The stress is continuous. For
-    mixing = 1 t is monotone in w, without snaps: the energy is convex along every sym(a (x) k). It need not be convex
-    along all strains, for example with chi = I.
+    As a layer's law with the jump w: t = K w - sign(m) theta alpha chi n. Here m = alpha chi:E with the strain E =
+    sym(w (x) n)/eps. K has the stiffnesses (lmbda + 2 mu)/eps along n and mu/eps along S. This replaces Eqs. (41)-(43)
+    of the paper, which print lmbda + mu for lmbda + 2 mu, [u_1] for [u_2], and one branch only.
 
-    Where the phases mix the tangent may be singular (chi = n (x) n, lmbda = 0); the stiffness of the bodies remains.
+    The stress is continuous. For mixing = 1 the energy is convex along every strain sym(a (x) k). The traction is then
+    monotone in w, and nothing snaps. Along other strains the energy need not be convex, for example with chi = I. Where
+    phases mix the tangent may be singular (chi = n (x) n, lmbda = 0); the stiffness of the bodies remains.
 
     The moduli lmbda and mu, alpha, transformation_energy (Psi), chi and T are described in the base class `Phases`.
 
     Attributes:
-        mixing: fraction of the laminates' energy gain, 0 < mixing <= 1: g = mixing alpha^2 G. Below 1 the stress falls
-            as the phases change, more steeply for smaller values. The law then acts on S only, and steps of arc length
-            (`thinlayer.ArcLength`) follow its equilibria.
-        G: energy gain from `lamination_gain`, 1/stress; computed from the other parameters.
+        mixing: factor on the energy that laminates save, > 0 and <= 1: g = mixing alpha^2 G. If it is below 1, the
+            stress falls as the phases change, more steeply for smaller values. The law then acts on S only. Its
+            equilibria are followed by steps of arc length (`thinlayer.ArcLength`).
+        G: value of `lamination_gain`, 1/stress; computed from the other parameters.
 
     Raises:
-        InputError: a parameter out of range, a function without a temperature, or Psi < g/2, where phases 1 and -1
-            would mix.
+        InputError: a parameter out of range, a function of the temperature without T, or Psi < g/2, where phases 1 and
+            -1 would mix.
     """
 
     mixing: float = 1.0
@@ -245,11 +253,11 @@ class NonMonotone(Phases):
 
     @property
     def _gain(self) -> Expr:
-        """Energy gain g of mixing, per volume, mixing alpha^2 G."""
+        """actor g = mixing alpha^2 G, energy per volume: mixing phases in equal parts saves g/8."""
         return self.mixing * self.G * self.alpha * self.alpha  # type: ignore[operator]
 
     def _fraction(self, m: Expr) -> Expr:
-        """Fraction, from 0 to 1, of the phase 1 or -1 that the driving force m favours."""
+        """Return the fraction, from 0 to 1, of phase 1 (for a driving force `m` >= 0) or of phase -1 (for `m` < 0), UFL."""
         return ufl.min_value(ufl.max_value((abs(m) - self.transformation_energy) / self._gain + 0.5, 0.0), 1.0)
 
     def _phase(self, m: Expr) -> Expr:
@@ -273,18 +281,19 @@ class NonMonotone(Phases):
 class NonMonotoneUnrelaxed(Phases):
     """The non-monotone law with pure phases: stress = lmbda tr(e) I + 2 mu e - z alpha chi, z = -1, 0 or 1.
 
-    The phase z is an internal variable. Each facet of S has one phase, and so has the column of cells over it in the
-    meshed layer. (If elements through the thickness switched one by one, they would unload each other, which the law on
-    S does not do.)
+    The phase z is an internal variable. Each facet of S has one phase. In the meshed layer each column of cells over a
+    facet has one phase. (If the cells of a column switched one by one, they would unload each other, which cannot
+    happen on S.)
 
-    A phase stays while no other phase has a lower energy, Eq. (39) of the paper. Let m be the mean of the driving force
-    alpha chi:e over the column, and Psi the transformation energy. Then a phase stays while |m| <= Psi for z = 0; m >=
-    Psi for z = 1; m <= -Psi for z = -1. As a layer's law t = K w - z alpha chi n with the jump w.
+    A phase stays while it is the one of lowest energy, or 0 has no lower energy: Eq. (39) of the paper. Let m be the
+    mean of the driving force alpha chi:e over the column, and Psi the transformation energy. Phase 0 stays while |m| <=
+    Psi, phase 1 while m >= Psi, and phase -1 while m <= -Psi. As a layer's law with the jump w: t = K w - z alpha chi
+    n.
 
-    Equilibria are local minima of the energy. Alternate minimisation from the last equilibrium selects one. All columns
-    switch to their phase of lowest energy, then equilibrium is solved with these phases; this is repeated until no
-    phase changes. The energy falls each time. `march` stops where the first column switches, so that the result does
-    not depend on its steps.
+    Equilibria are local minima of the energy. Alternate minimisation, which starts from the last equilibrium, selects
+    one of them. First all columns switch to their phase of lowest energy, then the equilibrium with these phases is
+    computed. Both steps are repeated until no phase changes, and the energy falls each time. `march` stops where the
+    first column switches, so that the result does not depend on its steps.
 
     The moduli lmbda and mu, alpha, transformation_energy (Psi), chi and T are described in the base class `Phases`.
     """
@@ -306,24 +315,25 @@ class NonMonotoneUnrelaxed(Phases):
         return isotropic_energy(self.lmbda, self.mu, step.e) + phase_energy
 
     def excess(self, phase: Array, drive: Array, bound: Array) -> Array:
-        """Energy (n,) by which the phases of columns exceed that of another phase, over Psi; > 0: the column switches.
+        """Return the energy (n,) by which the phase of each column exceeds another phase, divided by Psi.
 
-        For z = 1 and -1 the other phase is 0; for z = 0 it is the phase that the driving force favours.
+        Where it is > 0 the column switches. Phases 1 and -1 are compared with 0, and phase 0 with the one that the
+        driving force favours.
 
         Args:
-            phase: phases z, -1, 0 or 1, of the columns, (n,).
+            phase: phases -1, 0 or 1 of the n columns, (n,).
             drive: means (n,) of the driving force alpha chi:e over the columns, energy per volume.
-            bound: means (n,) of the transformation energy Psi, energy per volume.
+            bound: means (n,) of the transformation energy Psi over the columns, energy per volume.
         """
         return np.where(phase == 0, abs(drive) / bound - 1, 1 - phase * drive / bound)
 
     def switched(self, phase: Array, drive: Array, bound: Array) -> Array:
-        """Phases (n,) after all columns with an excess > 0 have switched to their phase of lowest energy.
+        """Return the phases (n,) after all columns with a positive `excess` have switched to their phase of lowest energy.
 
         Args:
-            phase: phases z, -1, 0 or 1, of the columns before, (n,).
+            phase: phases -1, 0 or 1 of the n columns before the switch, (n,).
             drive: means (n,) of the driving force alpha chi:e over the columns, energy per volume.
-            bound: means (n,) of the transformation energy Psi, energy per volume.
+            bound: means (n,) of the transformation energy Psi over the columns, energy per volume.
         """
         best_phase = np.where(drive > bound, 1.0, np.where(drive < -bound, -1.0, 0.0))
         return np.where(self.excess(phase, drive, bound) > 0, best_phase, phase)

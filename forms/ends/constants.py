@@ -109,7 +109,7 @@ def shipped_table() -> dict[str, Array]:
 
 @cache
 def _coefficients() -> Array:
-    """Return Chebyshev coefficients (n, 5), from the n rows of the table, for the functions that `free_end` interpolates.
+    """Return Chebyshev coefficients (n, 5), from the table's n rows, for the functions that `free_end` interpolates.
 
     The columns belong to the five functions in `free_end`; in place of the first, y, the column has (y^2 - 1/12)/s. The
     variable of the polynomials is 2 s - 1 with s = sqrt(1 - 2 nu).

@@ -79,8 +79,8 @@ class EndStrips(NamedTuple):
         shear: strip in which the layer is less stiff against shear.
         resistance: strip in which the pressure-driven flow along S meets more resistance, or less if its `c` is
             negative.
-        r_N, r_T: lengths from the end over which the layer's stresses are transferred to the faces, in an opening (r_N)
-            and in shear (r_T). 0: the transfer is not modelled.
+        r_N, r_T: lengths from the end over which stresses along S (r_N) and across S (r_T) are transferred to the
+            faces. 0: the transfer is not modelled.
     """
 
     opening: EndStrip
@@ -132,8 +132,8 @@ class EndWeights(NamedTuple):
     Attributes:
         m: unit normal of the nearest end, tangential to S; (d,) in d dimensions.
         a_N, a_T: relative loss of stiffness against openings (a_N) and against shear (a_T); >= 0 and < 1.
-        f_N, f_T: fraction of the stress in an opening (f_N) and in shear (f_T) not yet transferred to the faces; from 0
-            to 1.
+        f_N, f_T: fraction, from 0 to 1, of the stress along S (f_N) and across S (f_T) that is not yet transferred to
+            the faces.
         flow: factor on the pressure-driven flow along S; > 0.
     """
 
