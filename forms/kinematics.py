@@ -37,7 +37,7 @@ class Kinematics:
         return replace(self, x=ufl.SpatialCoordinate(mesh))
 
     def at(self, x: Expr) -> Self:
-        """Return a copy with other coordinates `x`, UFL (d,), such as those of points on S off the facets of the mesh."""
+        """Return a copy with other coordinates `x`, UFL (d,), such as those of points on S off the mesh's facets."""
         return replace(self, x=x)
 
     def slots(self, d: int) -> tuple[int, ...]:
@@ -107,7 +107,7 @@ class Kinematics:
         return a
 
     def law(self, law: BulkLaw) -> BulkLaw:
-        """Return the form of a three-dimensional law that fits the strains of these kinematics, in bodies and layers."""
+        """Return the form of a three-dimensional law that fits these kinematics' strains, in bodies and layers."""
         return law
 
 

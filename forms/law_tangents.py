@@ -59,8 +59,8 @@ class SymbolicLaw(NamedTuple):
         law: the law, with symbols for its parameters.
         step: the step, with symbols for its values.
         strain: strain (6,) at the end of the step, a UFL variable for differentiation.
-        numbers: vector of all symbols, in this order: strain at the end (6) and at the beginning of the step (6),
-            internal variables, unit normal (3), dt, theta, parameters. Symmetric tensors are Mandel vectors.
+        numbers: vector of all symbols: strain at the end (6) and at the beginning (6) of the step, internal variables,
+            normal (3), dt, theta, parameters. Symmetric tensors are Mandel vectors.
     """
 
     law: BulkLaw
@@ -112,10 +112,9 @@ def _shape(value: ParameterValue) -> tuple[int, ...]:
 
 
 def law_identity(law: BulkLaw) -> tuple[object, ...] | None:
-    """Return a key that is equal for two laws of this package if their equations are the same; parameter values may
-    differ.
+    """Return a key that is equal for two laws of this package that have the same equations.
 
-    None for user-defined laws, whose methods may depend on other data than parameters.
+    The values of their parameters may differ. None for user-defined laws, whose methods may depend on other data.
     """
     if not all(kind.__module__.partition(".")[0] in ("forms", "builtins") for kind in type(law).__mro__):
         return None
@@ -359,8 +358,7 @@ def is_checked_at_rest(law: BulkLaw) -> bool:
 
 
 def acoustic_tensor(C: Array, n: Array) -> Array:
-    """Return the acoustic tensor n.C.n (d, d), stress: the derivative of the traction by the jump divided by the
-    thickness.
+    """Return the acoustic tensor n.C.n (d, d), stress: the derivative of the traction by jump over thickness.
 
     Args:
         C: tangent (6, 6) in Mandel's order.
@@ -411,7 +409,7 @@ def symmetric_mandel(a: Array) -> Array:
 
 
 def is_isotropic(C: Array) -> bool:
-    """Return whether a tangent (6, 6) in Mandel's order is isotropic, to the relative tolerance `COUPLING_TOLERANCE`."""
+    """Return whether a tangent (6, 6) in Mandel's order is isotropic, up to the relative error `COUPLING_TOLERANCE`."""
     return bool(np.abs(C - isotropic_tensor(*average_lame(C))).max() <= COUPLING_TOLERANCE * np.abs(C).max())
 
 

@@ -99,7 +99,7 @@ class Phases(IsotropicLaw):
         object.__setattr__(self, "chi", (chi + chi.T) / 2)
 
     def _check_temperature(self) -> None:
-        """Raise InputError unless T and the parameters `PHASE_PARAMETERS`, alpha and transformation energy, are allowed.
+        """Raise InputError unless T and the `PHASE_PARAMETERS`, alpha and transformation energy, are allowed.
 
         If T is a number, the values at this temperature replace parameters that are functions of it.
         """
@@ -177,7 +177,7 @@ class Phases(IsotropicLaw):
         return ufl.inner(self._transformation_stress(n), e)
 
     def _transformation_stress(self, n: Expr) -> Expr:
-        """Return the tensor alpha chi (3, 3), stress, UFL, in the axes of the joint, for a layer with the unit normal `n`."""
+        """Return the tensor alpha chi (3, 3), stress, UFL, in the joint's axes, for a layer with the unit normal `n`."""
         rotation = layer_frame(n)
         return self.alpha * rotation * three_dimensional(ufl.as_tensor(self.chi)) * rotation.T
 
@@ -257,7 +257,7 @@ class NonMonotone(Phases):
         return self.mixing * self.G * self.alpha * self.alpha  # type: ignore[operator]
 
     def _fraction(self, m: Expr) -> Expr:
-        """Return the fraction, from 0 to 1, of phase 1 (for a driving force `m` >= 0) or of phase -1 (for `m` < 0), UFL."""
+        """Return the fraction, from 0 to 1, of phase 1 (driving force `m` >= 0) or of phase -1 (`m` < 0), UFL."""
         return ufl.min_value(ufl.max_value((abs(m) - self.transformation_energy) / self._gain + 0.5, 0.0), 1.0)
 
     def _phase(self, m: Expr) -> Expr:
@@ -285,10 +285,9 @@ class NonMonotoneUnrelaxed(Phases):
     facet has one phase. (If the cells of a column switched one by one, they would unload each other, which cannot
     happen on S.)
 
-    A phase stays while it is the one of lowest energy, or 0 has no lower energy: Eq. (39) of the paper. Let m be the
-    mean of the driving force alpha chi:e over the column, and Psi the transformation energy. Phase 0 stays while |m| <=
-    Psi, phase 1 while m >= Psi, and phase -1 while m <= -Psi. As a layer's law with the jump w: t = K w - z alpha chi
-    n.
+    A phase stays while no other phase has a lower energy: Eq. (39) of the paper. Let m be the mean of the driving force
+    alpha chi:e over the column, and Psi the transformation energy. Phase 0 stays while |m| <= Psi, phase 1 while m >=
+    Psi, and phase -1 while m <= -Psi. As a layer's law with the jump w: t = K w - z alpha chi n.
 
     Equilibria are local minima of the energy. Alternate minimisation, which starts from the last equilibrium, selects
     one of them. First all columns switch to their phase of lowest energy, then the equilibrium with these phases is
@@ -328,7 +327,7 @@ class NonMonotoneUnrelaxed(Phases):
         return np.where(phase == 0, abs(drive) / bound - 1, 1 - phase * drive / bound)
 
     def switched(self, phase: Array, drive: Array, bound: Array) -> Array:
-        """Return the phases (n,) after all columns with a positive `excess` have switched to their phase of lowest energy.
+        """Return the phases (n,) after columns with a positive `excess` have switched to their phase of lowest energy.
 
         Args:
             phase: phases -1, 0 or 1 of the n columns before the switch, (n,).

@@ -1,4 +1,4 @@
-"""Parameters of laws that vary from place to place: numpy functions of coordinates."""
+"""Parameters of laws that vary from place to place: numpy functions of the coordinates."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ FieldOperator = Callable[["ParameterField", object], "ParameterField"]
 
 
 class ParameterRangeError(InputError):
-    """Error for a value of a parameter that is out of range at one of several places.
+    """Error for a parameter whose value is out of range at one of several places.
 
     Attributes:
-        k: index of the place.
+        k: index of this place.
     """
 
     def __init__(self, message: str, k: int) -> None:
@@ -32,21 +32,22 @@ class ParameterRangeError(InputError):
 
 
 def _operators(combine: Combine) -> tuple[FieldOperator, FieldOperator]:
-    """Two operator methods of `ParameterField` that combine it with a number or another field.
+    """Return the methods for an operator and for its reflection, such as `__sub__` and `__rsub__` of `ParameterField`.
 
-    The first has the other operand on the right of the operator, the second on its left.
+    Args:
+        combine: function of the left and the right operand, such as `operator.sub`.
     """
     return lambda self, other: self._with(combine, other), lambda self, other: self._with(combine, other, swapped=True)
 
 
 @dataclass(frozen=True, eq=False)
 class ParameterField:
-    """A parameter as a function of the place, or a value computed from such parameters and numbers.
+    """A parameter that is a function of the place, or that is computed from such parameters and numbers.
 
     Attributes:
-        function: function of coordinates x (d, n) that returns (n,) or one number; with `operands`, function of their
-            values.
-        operands: parameter fields and numbers whose values are the arguments of the function; (): its argument is x.
+        function: without `operands`, a numpy function of the coordinates (d, n) of n places that returns n values, or
+            one number. With `operands`, a function of their values.
+        operands: parameter fields and numbers, whose values are the arguments of the function; (): there are none.
     """
 
     function: Callable[..., npt.ArrayLike]
@@ -54,7 +55,7 @@ class ParameterField:
     __array_ufunc__: ClassVar[None] = None  # numpy scalars leave arithmetic to this class
 
     def __call__(self, x: Array) -> Array:
-        """Values (n,) at places x (d, n).
+        """Return the values (n,) of the parameter at n places with the coordinates `x` (d, n).
 
         Raises:
             ParameterRangeError: a value is not finite, or out of the range of the function.
@@ -93,15 +94,15 @@ ParameterValue: TypeAlias = float | Array | ParameterField | Expr
 
 
 def as_parameter_field(value: Parameter) -> float | ParameterField:
-    """Wrap a function as a `ParameterField`; return other values unchanged."""
+    """Return a function as a `ParameterField`; a number, or a `ParameterField`, is returned unchanged."""
     return ParameterField(value) if callable(value) and not isinstance(value, ParameterField) else value
 
 
 def real_values(values: object) -> Array:
-    """Values as an array of float64.
+    """Return numbers as an array of float64.
 
     Raises:
-        TypeError: values are complex or boolean, which numpy would convert silently.
+        TypeError: a value is complex or boolean, which numpy would convert silently.
     """
     array = np.asarray(values)
     if array.dtype.kind not in "iuf":
@@ -113,32 +114,32 @@ def real_values(values: object) -> Array:
 
 
 def parameter_numbers(value: ParameterValue) -> Array:
-    """A parameter (number, array) as an array; NaN for a `ParameterField`."""
+    """Return a parameter, a number or an array, as an array; NaN for a `ParameterField`."""
     return np.asarray(np.nan if isinstance(value, ParameterField) else value, float)
 
 
 def failure_text(what: str, x: Array, error: Exception) -> str:
-    """Text for messages: a user's function has failed.
+    """Return the text of a message that a user's function has failed.
 
     Args:
         what: name of the function.
-        x: array for which it was called.
+        x: array with which it was called.
         error: error that it raised.
     """
     return f"{what} fails for an array of shape {x.shape}: {type(error).__name__}: {error}"
 
 
 def place_text(x: Array, k: int) -> str:
-    """Text of the k-th of the places x (d, n), for messages."""
+    """Return the coordinates of one place as text for messages: place number `k` of the places `x` (d, n)."""
     return f"x = ({', '.join(f'{c:g}' for c in x[:, k])})"
 
 
 def extreme_places(values: Sequence[Array], *, differences: bool = False) -> list[int]:
-    """Indices of the places where one of several quantities, or the ratio of two, is smallest or largest.
+    """Return the indices of the places where a quantity, or the ratio of two, is smallest or largest.
 
     Args:
         values: values (n,) of each quantity at n places.
-        differences: whether the differences of two quantities count, too.
+        differences: whether to add the places where the difference of two quantities is smallest or largest.
     """
     arrays = list(values)
     with np.errstate(all="ignore"):

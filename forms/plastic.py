@@ -1,4 +1,4 @@
-"""Plasticity with hardening: Mohr-Coulomb, full or only on planes parallel to S, and von Mises."""
+"""Plasticity with hardening: Mohr-Coulomb on all planes or only on those parallel to S, and von Mises."""
 
 from __future__ import annotations
 
@@ -22,13 +22,9 @@ MIN_ELASTIC_FRACTION = 1e-6  # smallest elastic fraction of the stiffness in con
 
 
 def require_hardening(law: Plastic | VonMises, *names: str) -> None:
-    """Raise InputError unless hardening parameters of a law are >= 0.
+    """Raise InputError unless the hardening parameters `names` and the saturation strain of a law are >= 0.
 
-    The saturation strain must be > 0 if there is a saturation.
-
-    Args:
-        law: the law.
-        names: names of the other parameters.
+    With a saturation > 0 the saturation strain must be > 0.
     """
     require_nonnegative(law, *names, "saturation_strain")
     law.require(law.saturation_strain > 0 or law.saturation == 0, "saturation_strain", "> 0 where saturation > 0")
@@ -40,22 +36,21 @@ class Plastic(IsotropicLaw):
 
     A fraction h, `elastic_fraction`, of the stiffness stays elastic: stress = (1 - h) stress_plastic + h (lmbda tr(e) I
     + 2 mu e). With h > 0 a solution exists even where ideal plasticity has none (a layer without cohesion has no
-    strength at its free ends). h is part of the law: the meshed layer and S have the same h. It hides limit loads;
-    `State.elastic_share` tells how much of a load the fraction h carries.
+    strength at its free ends). As a part of the law, h is the same in the meshed layer and on S. With h > 0 there are
+    no limit loads; `State.elastic_share` tells how much of a load the fraction h carries.
 
-    The cohesion grows from its initial value C with the accumulated plastic strain p: c = C + H p + Q p/(p_0 + p). The
-    work of this hardening is dissipated. p is defined such that c dp is the plastic work if the flow is associated;
+    The cohesion c grows from its initial value C with the accumulated plastic strain p: c = C + H p + Q p/(p_0 + p).
+    The work of this hardening is dissipated. p is defined such that c dp is the plastic work if the flow is associated;
     each law says how p grows.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
-        cohesion: initial cohesion, C in the formulas, stress, also in a layer (it and the angles do not scale with its
-            thickness); >= 0.
+        cohesion: initial cohesion, C in the formulas, stress; >= 0. In a layer it does not scale with the thickness.
         friction_angle: Omega in the formulas, in degrees (30, not 0.52), 0 <= Omega < 90; > 0 if C = 0.
         elastic_fraction: h in the formulas, 0 <= elastic_fraction < 1.
         hardening: H in the formulas, increase of the cohesion per plastic strain, stress; >= 0.
-        saturation: Q in the formulas, largest increase of the cohesion in addition to H p, stress, also in a layer; >=
-            0.
+        saturation: Q in the formulas, largest increase of the cohesion in addition to H p, stress; >= 0. In a layer it
+            does not scale with the thickness.
         saturation_strain: p_0 in the formulas, at which half of Q is reached, strain (in a layer: strain times
             thickness, a length); > 0 where Q > 0.
 
@@ -89,7 +84,11 @@ class Plastic(IsotropicLaw):
         require_hardening(self, "hardening", "saturation")
 
     def homotopy(self, parameter: float) -> Plastic:
-        """Homotopy law whose elastic fraction grows from its own value (parameter 0) to 1, an elastic layer (1)."""
+        """Return a law for continuation, whose elastic fraction is larger than this law's.
+
+        Args:
+            parameter: from 0 (this law) to 1 (an elastic layer, elastic fraction 1).
+        """
         h, share = self.elastic_fraction, MIN_ELASTIC_FRACTION ** (1 - parameter) if parameter else 0.0
         return self.with_parameters({"elastic_fraction": h + share * (1 - h)})
 
@@ -99,33 +98,32 @@ class MohrCoulomb(KernelLaw, Plastic):
     """Mohr-Coulomb elasto-plasticity: on every plane |shear stress| <= c - tan(Omega) normal stress.
 
     c is the cohesion after hardening, C its initial value, Omega the friction angle, psi the dilatancy angle. In
-    principal stresses s_1 >= s_2 >= s_3: (s_1 - s_3)/2 <= c cos(Omega) - (s_1 + s_3)/2 sin(Omega). The plastic flow has
-    psi in place of Omega. Where the flow has no trace, the accumulated plastic strain grows by cos(Omega) times the
-    largest plastic shear strain (engineering). Steps are implicit.
+    principal stresses s_1 >= s_2 >= s_3 the condition is (s_1 - s_3)/2 <= c cos(Omega) - (s_1 + s_3)/2 sin(Omega). The
+    plastic flow has psi in place of Omega. Where the flow preserves the volume, the accumulated plastic strain grows by
+    cos(Omega) times the largest plastic shear strain (engineering). Steps are implicit.
 
-    Equation (30) of the paper prints |s_n|, which is right in compression, and a flow on one plane, which is not
-    coaxial with the stress. There are two such planes; the flow here is the mean of both. In Eqs. (31) and (33) the
+    Equation (30) of the paper prints |s_n|, which is right in compression only. Its flow is on one plane, so that it is
+    not coaxial with the stress. There are two such planes; here the flow is the mean of both. In Eqs. (31) and (33) the
     plastic strains lack a factor 2, and the plastic strain has no trace.
 
     As a layer's law it is not Coulomb's law with tan(Omega). In plane strain let s_m = (lmbda + mu) w_N/eps be the mean
-    in-plane stress, and s = (s_N, s_T) the in-plane deviator. s grows by mu/eps dw with the increment dw of the jump as
-    long as |s| <= R = C cos(Omega) - s_m sin(Omega). For psi = 0
+    in-plane stress, and s = (s_N, s_T) the in-plane deviator. While |s| <= R = C cos(Omega) - s_m sin(Omega), an
+    increment dw of the jump increases s by mu/eps dw. For psi = 0
 
         t_N = s_m + s_N, t_T = s_T
 
     and under lasting shear t_T tends to C cos(Omega) - t_N sin(Omega). Equations (34)-(35) of the paper need a plastic
-    strain sym(w^p (x) n)/eps, which the plastic strain of this law is not.
+    strain sym(w^p (x) n)/eps; the plastic strain of this law does not have this form.
 
-    This holds for psi = 0, in plane strain, and for s_33 between the in-plane principal stresses. At yield this means
-    |s_m| (1 - 2 nu) <= R. It fails in tension near the apex, and in compression for small nu and Omega. With C = 0 it
-    fails in compression for nu < (1 - sin(Omega))/2. The law is compiled from a C file: a return mapping to faces,
-    edges and apex of the yield surface in principal stresses. On edges and at the apex the accumulated plastic strain
-    grows by 2 cos(Omega) times the sum of the plastic multipliers of both planes.
+    These formulas hold for psi = 0, in plane strain, and for s_33 between the in-plane principal stresses. At yield
+    this means |s_m| (1 - 2 nu) <= R. They fail in tension near the apex, and in compression for small nu and Omega.
+    With C = 0 they fail in compression for nu < (1 - sin(Omega))/2.
 
-    For psi = 0 the flow does not change the mean stress. Stresses with a mean above C cot(Omega) cannot return to the
-    yield surface. There the stress is cut off to C cot(Omega) times the identity, with a volumetric plastic strain. The
-    material has torn, and closes only when this volume is compressed to zero again. For psi > 0 the flow itself does
-    this.
+    The law is compiled from a C file: a return mapping to faces, edges and apex of the yield surface in principal
+    stresses. On edges and at the apex the accumulated plastic strain grows by 2 cos(Omega) times the sum of the plastic
+    multipliers of both planes.
+
+    or psi = 0 the flow does not change the mean stress, so that stresses with a mean above C cot(Omega) cannot return to the yield surface. There the stress is set to C cot(Omega) times the identity, with a volumetric plastic strain. The material has torn. It closes only when this volume is compressed to zero again. For psi > 0 the flow itself returns such stresses.
 
     The moduli, cohesion, friction_angle, elastic_fraction and the parameters of the hardening are described in the base
     class `Plastic`.
@@ -160,19 +158,19 @@ class MohrCoulomb(KernelLaw, Plastic):
 
 @dataclass(frozen=True)
 class MohrCoulombMonodirectional(Plastic):
-    """Mohr-Coulomb elasto-plasticity with slip only on planes parallel to S: |t_T| <= c - tan(Omega) t_N, t = stress n.
+    """Mohr-Coulomb elasto-plasticity with slip only on planes parallel to S: |t_T| <= c - tan(Omega) t_N.
 
-    c is the cohesion after hardening, C its initial value, Omega the friction angle. The accumulated plastic strain
-    grows by the plastic shear strain across S (engineering). In a layer this is the increment |dw^p| of the plastic
-    jump over the thickness.
+    t is stress times n, c the cohesion after hardening, C its initial value, Omega the friction angle. The accumulated
+    plastic strain grows by the plastic shear strain across S (engineering). In a layer this is the increment |dw^p| of
+    the plastic jump divided by the thickness.
 
-    This is the law of Eqs. (37)-(38) and (54)-(55) of the paper, with the sign of the shear stress in the flow: dw^p/dt
-    = k t_T/|t_T|, k >= 0. As a layer's law, t = K (w - w^p) with the jump w: Coulomb's friction with the elastic
-    stiffnesses (lmbda + 2 mu)/eps along n and mu/eps along S. Where t_N > C cot(Omega) the shear traction vanishes,
-    while the normal traction stays elastic in tension, as in the paper.
+    This is the law of Eqs. (37)-(38) and (54)-(55) of the paper. Here the flow has the sign of the shear stress:
+    dw^p/dt = k t_T/|t_T|, k >= 0. As a layer's law with the jump w it is t = K (w - w^p): Coulomb's friction with the
+    elastic stiffnesses (lmbda + 2 mu)/eps along n and mu/eps along S. Where t_N > C cot(Omega) the shear traction
+    vanishes, while the normal traction stays elastic in tension, as in the paper.
 
     With `unilateral` the layer opens instead of carrying tension: a free strain along n keeps t_N <= 0, and |t_T| <= C
-    remains. With C = 0 its limit is contact with friction tan(Omega), `IncrementalCoulomb.of_layer`.
+    remains where it is open. With C = 0 its limit is contact with friction tan(Omega), `IncrementalCoulomb.of_layer`.
 
     The moduli, cohesion, friction_angle, elastic_fraction and the parameters of the hardening are described in the base
     class `Plastic`.
@@ -192,14 +190,17 @@ class MohrCoulombMonodirectional(Plastic):
         self.require(isinstance(self.unilateral, bool), "unilateral", "True or False", repr(self.unilateral))
 
     def _tension(self, e: Expr, n: Expr) -> Expr:
-        """Normal tension >= 0 that an elastic strain e (3, 3) causes across planes with the normal n.
+        """Return the tension across planes with the normal `n` at an elastic strain `e` (3, 3), UFL; 0 in compression.
 
-        If the law is unilateral, an opening along n removes this tension.
+        A unilateral law removes this tension by a free strain along n.
         """
         return ufl.max_value(self.lmbda * ufl.tr(e) + 2 * self.mu * ufl.dot(n, ufl.dot(e, n)), 0)
 
     def _trial(self, step: Step) -> Expr:
-        """Stress (3, 3) of the plastic part of the law at t + theta dt, as if no plastic strain were added."""
+        """Return the stress (3, 3), UFL, at t + theta dt if the plastic strain did not change in the step.
+
+        It is the stress of the whole stiffness; the elastic fraction is added in `stress`.
+        """
         e, n = step.mid - step.q["plastic"], three_dimensional(step.n)
         stress = lame_stress(self.lmbda, self.mu, e)
         if not self.unilateral:
@@ -216,9 +217,10 @@ class MohrCoulombMonodirectional(Plastic):
         return (1 - self.elastic_fraction) * stored + self.elastic_fraction * elastic
 
     def _flow(self, step: Step) -> tuple[Expr, Expr]:
-        """Increments, from t to t + theta dt, of the plastic strain (3, 3) and of the accumulated plastic strain.
+        """Return the increments, from t to t + theta dt, of the plastic strain (3, 3) and of the accumulated plastic
+        strain.
 
-        The plastic strain has no trace.
+        Both are UFL. The plastic strain is a shear strain, without change of volume.
         """
         n, p = three_dimensional(step.n), step.q["accumulated"]
         e = step.mid - step.q["plastic"]  # needs only the traction: compiles 50 times faster than with _trial
@@ -237,17 +239,19 @@ class MohrCoulombMonodirectional(Plastic):
 
     @property
     def _half_strain(self) -> Expr:
-        """The saturation strain p_0, at which half of the saturation is reached; 1 without saturation."""
+        """Saturation strain p_0, at which the cohesion has gained half of its saturation, UFL; 1 for a law without
+        saturation.
+        """
         return ufl.conditional(ufl.gt(self.saturation, 0), self.saturation_strain, 1.0)
 
     def _slip_size(self, p: Expr, excess: Expr) -> Expr:
-        """Increment x > 0 of the accumulated plastic strain, with excess = mu x + c(p + x) - c(p).
+        """Return the increment x > 0 of the accumulated plastic strain, UFL, for which excess = mu x + c(p + x) - c(p).
 
-        It is the root of a quadratic equation.
+        c is the cohesion as a function of the accumulated plastic strain. x is the root of a quadratic equation.
 
         Args:
             p: accumulated plastic strain at the beginning of the step.
-            excess: shear stress beyond its bound, if no plastic strain is added.
+            excess: shear stress beyond its bound if the plastic strain did not change.
         """
         d, a = self._half_strain + p, self.mu + self.hardening
         b = a * d + self.saturation * self._half_strain / d - excess
@@ -278,22 +282,23 @@ class VonMises(KernelLaw, IsotropicLaw):
 
     The yield condition is sqrt(3/2) |s - 2/3 K e^p| <= Y + H p + Q (1 - exp(-p/p_0)). s is the deviator of the stress.
     e^p is the plastic strain, which has no trace. p is the accumulated plastic strain, dp/dt = sqrt(2/3) |de^p/dt|. The
-    right-hand side is the yield stress in uniaxial tension; in shear |s_12| <= Y/sqrt(3) at first. Flow is associated,
-    steps are implicit (radial return).
+    right-hand side is the yield stress in uniaxial tension; at first yield in shear |s_12| is Y/sqrt(3). Flow is
+    associated, steps are implicit (radial return).
 
     The work of isotropic hardening is dissipated, the work of kinematic hardening (Prager's) is stored.
 
-    As a layer's law, t = (lmbda + 2 mu/3)/eps w_N n + s n with the jump w. s is the deviator at the strain sym(w (x)
-    n)/eps. Without hardening t_T is at most Y/sqrt(3), reached under lasting shear; t_N - (lmbda + 2 mu/3)/eps w_N is
-    at most 2 Y/3.
+    As a layer's law with the jump w: t = (lmbda + 2 mu/3)/eps w_N n + s n. s is the deviator at the strain sym(w (x)
+    n)/eps. Without hardening t_T is at most Y/sqrt(3), which is reached under lasting shear. The deviator's part t_N -
+    (lmbda + 2 mu/3)/eps w_N of the normal traction is at most 2 Y/3.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
-        strength: Y in the formulas, yield stress in tension, stress, also in a layer; > 0.
+        strength: Y in the formulas, yield stress in tension, stress; > 0. In a layer it does not scale with the
+            thickness.
         hardening: H in the formulas, modulus of linear isotropic hardening, stress; >= 0.
         kinematic: K in the formulas, modulus of linear kinematic hardening, stress; >= 0.
-        saturation: Q in the formulas, largest increase of the yield stress in addition to H p, stress, also in a layer;
-            >= 0.
+        saturation: Q in the formulas, largest increase of the yield stress in addition to H p, stress; >= 0. In a layer
+            it does not scale with the thickness.
         saturation_strain: p_0 in the formulas, strain (in a layer: strain times thickness, a length); > 0 where Q > 0.
 
     Raises:
@@ -325,10 +330,10 @@ class VonMises(KernelLaw, IsotropicLaw):
 
     @classmethod
     def young(cls, E: Parameter, nu: Parameter, strength: Parameter, **hardening: Parameter) -> VonMises:
-        """The law with Young's modulus E > 0 (stress) and Poisson's ratio -1 < nu < 1/2 in place of Lame's moduli.
+        """Return the law with Young's modulus E > 0 (stress) and Poisson's ratio -1 < nu < 1/2 in place of Lame's moduli.
 
         Args:
-            E, nu: numbers, or numpy functions of places (d, n) in the joint that give n values.
+            E, nu: numbers, or numpy functions of the coordinates (d, n) of n places in the joint that return n values.
             strength: yield stress in tension, stress; > 0.
             hardening: further parameters of the law, by name.
         """
@@ -341,7 +346,11 @@ class VonMises(KernelLaw, IsotropicLaw):
         require_hardening(self, "hardening", "kinematic", "saturation")
 
     def homotopy(self, parameter: float) -> VonMises:
-        """Homotopy law: kinematic hardening grows from its own value (parameter 0) to almost elastic behaviour (1)."""
+        """Return a law for continuation, whose kinematic hardening is larger than this law's.
+
+        Args:
+            parameter: from 0 (this law) to 1 (an almost elastic law).
+        """
         if not parameter:
             return self
         share = min(MIN_ELASTIC_FRACTION ** (1 - parameter), MAX_HARDENING_FRACTION)

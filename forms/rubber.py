@@ -23,11 +23,14 @@ class PressureLaw(LinearLaw):
     _nu = 0.5  # Poisson's ratio
 
     def stress(self, step: Step) -> Expr:
-        """Stress without the pressure term p I."""
+        """Return the stress (3, 3), UFL, without the term p I of the pressure field."""
         return lame_stress(0, self.mu, step.mid)
 
     def stations(self) -> list[AnyStation]:
-        """Stations of order 1, with a pressure field on S; the gradient of the pressure drives a flow along S."""
+        """Return the stations of the interface law of order 1, which has a pressure field on S.
+
+        The gradient of the pressure drives a flow of the layer along S.
+        """
         return pressure_stations(self)
 
     def end_strips(self) -> EndStrips | None:
@@ -41,10 +44,10 @@ class PressureLaw(LinearLaw):
 class Incompressible(PressureLaw):
     """Incompressible elasticity, stress = 2 mu e + p I with tr e = 0; the pressure p is an unknown field.
 
-    As a layer's law: w_N = 0, t_N = p is unknown, t_T = mu/eps w_T with the jump w. The paper gives only the
-    constraint, Eqs. (25)-(29). There is no penalty: tr e = 0 holds weakly against all pressures of degree 1, in the
-    meshed layer and on S. The interface law of order 1 is the limit of `Rubber` for infinite lmbda: a gradient of p
-    squeezes the layer along S.
+    As a layer's law with the jump w: w_N = 0, t_N = p is unknown, t_T = mu/eps w_T. The paper gives only the
+    constraint, Eqs. (25)-(29). There is no penalty: tr e = 0 holds weakly, tested with all pressures of degree 1, in
+    the meshed layer and on S. The interface law of order 1 is the limit of `Rubber` for infinite lmbda: a gradient of p
+    makes the layer flow along S.
 
     Attributes:
         mu: shear modulus, stress; > 0.
@@ -60,7 +63,7 @@ class Incompressible(PressureLaw):
         require_positive(self, "mu")
 
     def plane_stress(self) -> LinearElastic:
-        """Linear elastic law of plane stress, without a pressure field: the in-plane strains are not constrained.
+        """Return the law of plane stress, which is linear elastic without a pressure field: in-plane strains are free.
 
         Incompressibility gives e_33 = -(e_11 + e_22), and sigma_33 = 0 gives p = 2 mu (e_11 + e_22).
         """
@@ -74,15 +77,15 @@ class Incompressible(PressureLaw):
 class Rubber(PressureLaw, IsotropicLaw):
     """Isotropic elasticity with a pressure field: stress = 2 mu e + p I with p = lmbda tr e, for any lmbda/mu > 0.
 
-    The material is that of `LinearElastic`. Here a pressure field of degree 1 controls the volume, in the meshed layer
-    and on S, so that nothing locks as lmbda/mu grows. In the interface law of order 1 (`ThinLayer(order=1)`) p is a
-    continuous field on S. Between stiff bodies it spreads over the length eps sqrt(lmbda/(12 mu)), and it is zero at
-    free ends:
+    The material is that of `LinearElastic`. Here the pressure is an unknown field of degree 1 in the meshed layer and
+    on S. Therefore nothing locks as lmbda/mu grows. In the interface law of order 1 (`ThinLayer(order=1)`) p is
+    continuous on S and zero at free ends. Between stiff bodies it evens out over the length eps sqrt(lmbda/(12 mu)). It
+    solves
 
         (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = [u_N] + eps div_S <u>,
 
-    where [u_N] is the normal jump and <u> the mean displacement of both faces. The shear of the layer adds to this
-    (`forms.work.surface`). The error is O(eps^2) for all Poisson's ratios in (0, 1/2).
+    where [u_N] is the normal jump and <u> the mean displacement of both faces. The stiffness of the layer in shear is
+    added to this (`forms.work.surface`). The error is O(eps^2) for all Poisson's ratios in (0, 1/2).
 
     Attributes:
         lmbda: first Lame modulus, stress; > 0.
@@ -101,12 +104,12 @@ class Rubber(PressureLaw, IsotropicLaw):
 
     @classmethod
     def young(cls, E: float, nu: float) -> Rubber:
-        """The law with Young's modulus E > 0 (stress) and Poisson's ratio 0 < nu < 1/2."""
+        """Return the law with Young's modulus E > 0 (stress) and Poisson's ratio 0 < nu < 1/2."""
         return cls.shear(E / (2 * (1 + nu)), nu)
 
     @classmethod
     def shear(cls, mu: float, nu: float) -> Rubber:
-        """The law with shear modulus mu > 0 (stress) and Poisson's ratio 0 < nu < 1/2."""
+        """Return the law with shear modulus mu > 0 (stress) and Poisson's ratio 0 < nu < 1/2."""
         return cls(LinearElastic.shear(mu, nu).lmbda, mu)
 
     def check(self) -> None:

@@ -1,4 +1,4 @@
-"""Stack: a law of sublayers in series, and its interface law of order 1 for isotropic elastic sublayers."""
+"""Stack: a law of sublayers in series; and its interface law of order 1 for isotropic elastic sublayers."""
 
 from __future__ import annotations
 
@@ -20,24 +20,26 @@ from forms.traits import Traits, require_declarations
 
 
 class AveragedElastic(LinearElastic):
-    """Isotropic elastic law with averages of the sublayers' moduli, which may be negative."""
+    """Isotropic elastic law whose moduli are weighted means of the sublayers' moduli, and may be negative."""
 
     def check(self) -> None:
-        """Check nothing: the laws of the sublayers have been checked."""
+        """Check nothing, since the laws of the sublayers have been checked."""
 
 
 @dataclass(frozen=True)
 class EqualTractionSublayers(AveragedElastic):
-    """Average law of isotropic elastic sublayers whose tractions on planes parallel to S are equal.
+    """Mean law of isotropic elastic sublayers that have the same traction on planes parallel to S.
 
-    Means are over the thickness. Phi_N and Phi_T are the fractions of the normal and tangential jump that displacements
-    contain at a height (`in_series`). They grow from -1/2 at the lower to 1/2 at the upper face.
+    All means are over the thickness. Phi_N and Phi_T are functions of the height, from -1/2 at the lower to 1/2 at the
+    upper face. The displacements at a height contain the normal jump times Phi_N, and the tangential jump times Phi_T
+    (`in_series`).
 
     Attributes:
-        lmbda, mu: mu is the harmonic mean of the sublayers' mu, and lmbda + 2 mu that of their lmbda + 2 mu.
-        lateral: mean of r = lmbda/(lmbda + 2 mu), the thinning of a free layer per stretch along S.
-        lateral_normal, lateral_tangential: means of r Phi_N and r Phi_T.
-        normal, tangential: means of Phi_N and Phi_T.
+        lmbda, mu: moduli, stress. mu is the harmonic mean of the sublayers' mu, lmbda + 2 mu that of their lmbda + 2
+            mu.
+        lateral: mean of r = lmbda/(lmbda + 2 mu), by which a layer with free faces thins per strain along S.
+        lateral_normal, lateral_tangential: means of r Phi_N and of r Phi_T.
+        normal, tangential: means of Phi_N and of Phi_T.
     """
 
     lateral: float
@@ -47,9 +49,9 @@ class EqualTractionSublayers(AveragedElastic):
     tangential: float
 
     def strain(self, faces: Faces) -> Expr:
-        """Strain (3, 3) that causes the common traction of the sublayers.
+        """Return the strain (3, 3), UFL, whose stress by this law has the common traction of the sublayers.
 
-        It is the mean strain across the layer, corrected for strains along S.
+        It is the mean strain across the layer, corrected for the strains along S.
 
         Args:
             faces: displacements of the faces of the layer.
@@ -64,20 +66,23 @@ class EqualTractionSublayers(AveragedElastic):
 
 
 def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[AnyStation]:
-    """Stations of the interface law of order 1 for isotropic elastic sublayers.
+    """Return the stations of the interface law of order 1 for isotropic elastic sublayers.
 
-    Each sublayer is given by its fraction of the thickness and its law, from the lower to the upper face.
+    The displacements at a height in the layer are <u> + Phi [u], with the mean <u> and the jump [u] of the faces. Phi
+    is Phi_N for the jump along n, and Phi_T for the jump along S. Both grow from -1/2 to 1/2, with derivatives
+    proportional to 1/(lmbda + 2 mu) and to 1/mu. Each sublayer thus has the same part of the jump as in the law of
+    order 0.
 
-    Displacements through the layer are <u> + Phi [u], with the mean <u> and the jump [u] of the faces. Each sublayer
-    has the same part of the jump as in the law of order 0. Phi is Phi_N for the jump along n, and Phi_T for the jump
-    along S. Both grow from -1/2 to 1/2, at rates proportional to 1/(lmbda + 2 mu) and to 1/mu.
-
-    Each sublayer gets a small additional strain across S, which makes the tractions on planes parallel to S equal in
-    all sublayers. The stress is this traction plus the stress of the strains along S; the energies of both parts add
-    up. (Without the additional strain a nearly incompressible sublayer would lock.)
+    Each sublayer gets a small additional strain across S. It makes the tractions on planes parallel to S equal in all
+    sublayers; without it a nearly incompressible sublayer would lock. The stress is the sum of that with this traction,
+    and of the stress due to strains along S. The energies of both parts add up.
 
     The first station is `EqualTractionSublayers`. The other three have the strains along S at Phi_T = -1/2, 0 and 1/2.
-    Their energy is quadratic in Phi_T; moduli with the right moments make its integral over the sublayers exact.
+    The energy of the strains along S is quadratic in Phi_T. Weighted means of the moduli at the three stations make its
+    integral over the sublayers exact.
+
+    Args:
+        sublayers: fraction of the thickness and law of each sublayer, from the lower to the upper face.
 
     Raises:
         InputError: a sublayer is not isotropic linear elastic.
@@ -112,29 +117,30 @@ def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[AnyStation]:
 
 
 def _from_below(steps: list[float]) -> Iterator[tuple[float, float]]:
-    """Value of the function Phi of `in_series` at the lower side of each sublayer, and its increment over the sublayer.
+    """Yield, for each sublayer from the lower face on, the value of Phi at its lower side and the increment over it.
 
-    Phi grows from -1/2 at the layer's lower face to 1/2 at its upper face. `steps` are the increments, from the lower
-    face on.
+    Phi is one of the functions in `in_series`, from -1/2 at the lower to 1/2 at the upper face. `steps` are its
+    increments over the sublayers.
     """
     return zip(accumulate(steps[:-1], initial=-0.5), steps, strict=True)
 
 
 @dataclass(frozen=True)
 class Stack(BulkLaw):
-    """Law of sublayers in series, from the lower to the upper face: equal tractions and in-plane strains, jumps add up.
+    """Law of sublayers in series between the faces: tractions and in-plane strains are equal, jumps add up.
 
-    The meshed layer has cells for each sublayer. On S the strains e + sym(g_i (x) n) of the sublayers are solved for at
-    each point, with the mean strain e. The tractions are equal, and sum a_i g_i = 0 with the fractions a_i of the
-    thickness. Each law has its own internal variables. A layer of equal linear sublayers has their common law.
+    The meshed layer has cells for each sublayer. On S, with the mean strain e at a point, sublayer i has the strain e +
+    sym(g_i (x) n). The vectors g_i are such that tractions are equal and sum_i a_i g_i = 0, with the fractions a_i of
+    the thickness. They are computed at each point. Each law has its own internal variables. A layer of equal linear
+    sublayers has their common law.
 
-    The compliances of linear elastic sublayers add, K = (sum_i a_i K_i^-1)^-1. K_i is the stiffness of the layer if all
-    of it had the law i. For isotropic sublayers this gives the harmonic means of mu and of lmbda + 2 mu. Equation (52)
-    of the paper prints these sums as stiffnesses, and averages lmbda alone.
+    The compliances of linear elastic sublayers add up: K = (sum_i a_i K_i^-1)^-1. K_i is the stiffness that the layer
+    would have with the law of sublayer i alone. For isotropic sublayers this gives the harmonic means of mu and of
+    lmbda + 2 mu. Equation (52) of the paper prints these sums as stiffnesses, and averages lmbda alone.
 
     Attributes:
-        fractions: fractions of the layer's thickness, > 0; their sum is 1.
-        laws: laws of the sublayers. A Stack among them is replaced by its sublayers.
+        fractions: fractions of the layer's thickness, from the lower to the upper face, > 0; their sum is 1.
+        laws: laws of the sublayers, in the same order. A Stack among them is replaced by its sublayers.
 
     Raises:
         InputError: fractions are out of range, or a law cannot be a sublayer.
@@ -170,11 +176,11 @@ class Stack(BulkLaw):
 
     @classmethod
     def graded(cls, law: Callable[[float], BulkLaw], n: int) -> Stack:
-        """A layer whose law changes through the thickness, as n sublayers of equal thickness.
+        """Return a stack of n equally thick sublayers for a layer whose law changes continuously through the thickness.
 
         Args:
-            law: function that returns the law at a height, from 0 at the lower to 1 at the upper face of the layer.
-                Each sublayer has the law at its middle, so that the error is O(1/n^2).
+            law: function that returns the law at a height, from 0 at the lower to 1 at the upper face of the layer. It
+                is called for the middle of each sublayer, so that the error is O(1/n^2).
             n: number of sublayers, >= 1.
         """
         require(is_integer(n, 1), "Stack.graded: the number of sublayers", n, "allowed: whole numbers >= 1")
@@ -224,14 +230,17 @@ class Stack(BulkLaw):
         return in_series(self.sublayers)
 
     def with_laws(self, laws: Sequence[BulkLaw]) -> Stack:
-        """A stack of the same fractions with other laws, which are not checked."""
+        """Return a stack with the same fractions of the thickness and the given laws, which are not checked."""
         return self.with_parameters({"laws": tuple(laws)})
 
     def mapped(self, change: ChangeParameter) -> Stack:
         return self.with_laws([law.mapped(change) for law in self.laws])
 
     def parameters(self) -> dict[str, ParameterValue]:
-        """Parameters of all sublayers; "0.mu" is the parameter mu of the lowest sublayer, "1.mu" that of the next."""
+        """Return the parameters of all sublayers by name.
+
+        "0.mu" is the parameter mu of the lowest sublayer, "1.mu" that of the next one.
+        """
         return {f"{k}.{name}": value for k, law in enumerate(self.laws) for name, value in law.parameters().items()}
 
     def at(self, x: Array, t: float) -> dict[str, Array]:
