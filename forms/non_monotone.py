@@ -177,7 +177,7 @@ class Phases(IsotropicLaw):
         return ufl.inner(self._transformation_stress(n), e)
 
     def _transformation_stress(self, n: Expr) -> Expr:
-        """Return the tensor alpha chi (3, 3), stress, UFL, in the joint's axes, for a layer with the unit normal `n`."""
+        """Return the tensor alpha chi (3, 3), stress, UFL, in the joint's axes, for a layer with the normal `n`."""
         rotation = layer_frame(n)
         return self.alpha * rotation * three_dimensional(ufl.as_tensor(self.chi)) * rotation.T
 

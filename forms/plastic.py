@@ -217,10 +217,10 @@ class MohrCoulombMonodirectional(Plastic):
         return (1 - self.elastic_fraction) * stored + self.elastic_fraction * elastic
 
     def _flow(self, step: Step) -> tuple[Expr, Expr]:
-        """Return the increments, from t to t + theta dt, of the plastic strain (3, 3) and of the accumulated plastic
-        strain.
+        """Return the increments of the plastic strain (3, 3) and of the accumulated plastic strain until t + theta dt.
 
-        Both are UFL. The plastic strain is a shear strain, without change of volume.
+        Both are UFL, and start at the beginning of the step, t. The plastic strain is a shear strain, without change of
+        volume.
         """
         n, p = three_dimensional(step.n), step.q["accumulated"]
         e = step.mid - step.q["plastic"]  # needs only the traction: compiles 50 times faster than with _trial
@@ -239,9 +239,7 @@ class MohrCoulombMonodirectional(Plastic):
 
     @property
     def _half_strain(self) -> Expr:
-        """Saturation strain p_0, at which the cohesion has gained half of its saturation, UFL; 1 for a law without
-        saturation.
-        """
+        """Saturation strain p_0, at which the cohesion has gained half of its saturation, UFL; 1 without saturation."""
         return ufl.conditional(ufl.gt(self.saturation, 0), self.saturation_strain, 1.0)
 
     def _slip_size(self, p: Expr, excess: Expr) -> Expr:
@@ -330,7 +328,7 @@ class VonMises(KernelLaw, IsotropicLaw):
 
     @classmethod
     def young(cls, E: Parameter, nu: Parameter, strength: Parameter, **hardening: Parameter) -> VonMises:
-        """Return the law with Young's modulus E > 0 (stress) and Poisson's ratio -1 < nu < 1/2 in place of Lame's moduli.
+        """Return the law with Young's modulus E > 0 (stress) and Poisson's ratio -1 < nu < 1/2.
 
         Args:
             E, nu: numbers, or numpy functions of the coordinates (d, n) of n places in the joint that return n values.

@@ -1,4 +1,4 @@
-"""Stations: heights through a layer's thickness at which the interface law of order 1 evaluates the layer's law."""
+"""Stations: heights in a layer at which its interface law of order 1 evaluates the law of the layer's material."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ LOCKING_RATIO = 12.0
 
 
 class Faces(NamedTuple):
-    """Displacements of the two faces of a layer at a place of S, UFL; d is the number of dimensions.
+    """Displacements of the two faces of a layer at a place of S, UFL, in d dimensions.
 
     Attributes:
         n: unit normal of S, from the lower to the upper face, (d,).
-        eps: thickness.
-        jump: [u], displacement of the upper minus that of the lower face, (d,).
+        eps: thickness of the layer.
+        jump: displacement [u] of the upper face minus that of the lower face, (d,).
         gradient: gradient (d, d) of [u] along S.
-        mean: strain (3, 3) that is uniform through the layer: that of the mean displacement <u> along S, or a
-            prescribed one.
-        along: gradient along S (d, d) and value (d,) of displacements -> strain (3, 3) along S (`Kinematics.along`).
+        mean: strain (3, 3) along S of the mean displacement <u> of both faces, or a prescribed strain; it is uniform
+            through the layer.
+        along: function that gives the strain (3, 3) along S of displacements on S. Its arguments are their gradient
+            along S (d, d) and their values (d,) (`Kinematics.along`).
         slope: gradient (d,) of the thickness along S; None: the thickness is uniform.
     """
 
@@ -43,41 +44,47 @@ class Faces(NamedTuple):
     slope: Expr | None = None
 
     def across(self, z: float = 0.0) -> Expr:
-        """Strain (3, 3) of the jump at the height z eps above the middle, sym([u] (x) (n - z grad_S eps))/eps.
+        """Return the strain (3, 3) across the layer that the jump [u] causes: sym([u] (x) (n - z grad_S eps))/eps.
 
-        Where the thickness varies, a surface of constant z has the slope z grad_S eps.
+        Where the thickness varies, the surface of points with the height z is inclined by z grad_S eps; this changes
+        its normal.
 
         Args:
-            z: height over the thickness, from -1/2 to 1/2.
+            z: height divided by the thickness, from -1/2 at the lower to 1/2 at the upper face.
         """
         n = self.n if self.slope is None or z == 0 else self.n - z * self.slope
         return jump_strain(self.jump, n) / self.eps
 
     @property
     def difference(self) -> Expr:
-        """Strain (3, 3) along S of [u], sym(grad_S [u])."""
+        """Strain (3, 3) along S of the upper face minus that of the lower face, sym(grad_S [u])."""
         return self.along(self.gradient, self.jump)
 
     @property
     def change(self) -> Expr:
-        """Strain (3, 3) at the upper minus strain at the lower face, for displacements linear through the layer.
+        """Strain (3, 3) of the layer at the upper face minus that at the lower face, for displacements linear in the
+        height.
 
-        It equals `difference` or, where the thickness varies, eps sym(grad_S ([u]/eps)).
+        It is `difference`; where the thickness varies, it is eps sym(grad_S ([u]/eps)).
         """
         return self.difference + self.across(0.5) - self.across(-0.5) if self.slope is not None else self.difference
 
     @property
     def normal(self) -> Expr:
-        """Tensor n (x) n, (3, 3), of the normal n."""
+        """Tensor n (x) n (3, 3), with the unit normal n."""
         return ufl.outer(three_dimensional(self.n), three_dimensional(self.n))
 
     def in_s(self, e: Expr) -> Expr:
-        """In-plane part P e P of a strain (3, 3), with P = I - n (x) n."""
+        """Return the in-plane part P e P (3, 3) of a strain e (3, 3), with the projection P = I - n (x) n onto S."""
         along = ufl.Identity(3) - self.normal
         return along * e * along
 
     def split(self, normal: Expr, tangential: Expr) -> Faces:
-        """The same faces with the component of the jump along n multiplied by `normal`, the others by `tangential`."""
+        """Return these faces with other jumps: the component along n times `normal`, the components along S times
+        `tangential`.
+
+        The mean displacement of the faces is not changed.
+        """
         n = self.n
         jump = tangential * self.jump + (normal - tangential) * ufl.dot(n, self.jump) * n
         gradient = tangential * self.gradient + (normal - tangential) * ufl.outer(n, ufl.dot(n, self.gradient))
@@ -86,19 +93,19 @@ class Faces(NamedTuple):
 
 @dataclass(frozen=True)
 class Station(Generic[LawType]):
-    """A height through the thickness at which the interface law of order 1 evaluates a law.
+    """A height in a layer at which the interface law of order 1 evaluates a law, with its weight and the strain there.
 
-    All stations together represent the energy of the layer. The strain of one station may differ from the layer's
-    strain at a height.
+    The energy of the layer per area of S is eps times the sum of weight times energy over all stations. Only this sum
+    is meaningful: the strain at one station may differ from the layer's strain at any height.
 
     Attributes:
         law: the law.
-        share: weight of the station in integrals over the thickness, which is 1.
-        strain: function that returns the strain (3, 3), linear in the displacements and in prescribed strains. Its
+        share: weight of the station; in units of the thickness eps, which is an integration from -1/2 to 1/2.
+        strain: function that returns the strain (3, 3), UFL, linear in displacements and in prescribed strains. Its
             arguments are the law, with parameters that are UFL expressions on S, and the displaced faces.
-        flow: function of the same law that returns the flux along S per gradient of the pressure and per eps^3; 0
-            without a pressure.
-        largest_ratio: lmbda/mu at rest beyond which this strain makes the layer lock.
+        flow: function of the same law that returns the flux along S, divided by the pressure's gradient and by eps^3; 0
+            for a law without a pressure.
+        largest_ratio: lmbda/mu for small strains, beyond which this strain makes the layer lock.
     """
 
     law: LawType
@@ -112,13 +119,13 @@ AnyStation = Station[Any]  # of a law of any class; a list of stations may have 
 
 
 def gauss_stations(law: LawType, difference: Callable[[LawType, Faces], Expr] | None = None) -> list[Station[LawType]]:
-    """Two stations at the Gauss points through the thickness, for a strain that changes linearly from face to face.
+    """Return two stations at the Gauss points through the thickness, for a strain linear in the height.
 
     Args:
         law: the law.
-        difference: function that returns the strain (3, 3) at the upper minus the strain at the lower face. Its
-            arguments are the law and the displaced faces, as those of `Station.strain`. None: displacements are linear
-            through the layer (`Faces.change`), which locks for lmbda/mu > `LOCKING_RATIO`.
+        difference: function that returns the strain (3, 3) at the upper face minus that at the lower face. Its
+            arguments are those of `Station.strain`: the law and the displaced faces. None: displacements are linear in
+            the height (`Faces.change`), which locks for lmbda/mu > `LOCKING_RATIO`.
     """
     change = difference or (lambda law, faces: faces.change)
 
@@ -129,11 +136,11 @@ def gauss_stations(law: LawType, difference: Callable[[LawType, Faces], Expr] | 
 
 
 def pressure_stations(law: PressureLaw) -> list[AnyStation]:
-    """Two stations for a law with the shear modulus mu and a pressure field on S.
+    """Return two stations for a law with a shear modulus mu and a pressure field on S.
 
-    The first station has the mean strain, and a gradient of the pressure lets the layer flow along S. The second has
-    the difference of the strains at the faces. This difference causes no traction, so its law there is that of plane
-    stress.
+    The first one has the mean strain through the thickness; there a gradient of the pressure lets the layer flow along
+    S. The second one has the in-plane strain at the upper face minus that at the lower face. The stress of this change
+    has no traction on planes parallel to S. Its law is therefore that of plane stress.
     """
     return [
         Station(law, 1, lambda law, faces: faces.across() + faces.mean, lambda law: 1 / (12 * law.mu)),

@@ -1,4 +1,4 @@
-"""Parameters that depend on a temperature, and checks of what users' functions return."""
+"""Parameters that depend on a temperature, and checks of the numbers that functions of users return."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ TemperatureField = Callable[[Array, float], npt.ArrayLike]  # places (d, n), tim
 
 @dataclass(frozen=True)
 class Tabulated:
-    """Table of a parameter at some temperatures, linear in between: a function of a temperature or of an array (n,).
+    """Table of a parameter's values at some temperatures, with linear interpolation: a function of temperature.
 
     Attributes:
-        values: (T, value) pairs, two or more, with T increasing.
+        values: two or more pairs of temperature and value, in the order of increasing temperature.
 
     Raises:
         InputError: pairs out of order or not finite; in a call, a temperature outside the table.
@@ -41,7 +41,7 @@ class Tabulated:
         object.__setattr__(self, "values", tuple((float(T), float(value)) for T, value in rows))
 
     def __call__(self, T: npt.ArrayLike) -> Array:
-        """Values (n,) of the parameter at temperatures (n,), or one value at one temperature."""
+        """Return the parameter's values (n,) at the temperatures `T` (n,), or one value at one temperature."""
         require(np.asarray(T).dtype.kind in "iuf", "T", T, "a table is a function of temperatures, numbers")
         T, rows = np.asarray(T, float), np.array(self.values)
         for bad_T in T[~((rows[0, 0] <= T) & (rows[-1, 0] >= T))][:1]:
@@ -50,11 +50,12 @@ class Tabulated:
 
 
 def finite_values(values: object, *shapes: tuple[int, ...]) -> Array | None:
-    """Values as an array of real numbers; None if they are none, are not finite, or have another shape.
+    """Return numbers as an array of float64; None if they are not real and finite, or have a wrong shape.
 
     Args:
-        values: the values.
-        shapes: allowed shapes, in which a first -1 stands for any length; none: all shapes are allowed.
+        values: the numbers, in any form that numpy converts to an array.
+        shapes: allowed shapes; -1 as first entry of a shape stands for any length. If none is given, all shapes are
+            allowed.
     """
     try:
         array = real_values(values)
@@ -65,22 +66,22 @@ def finite_values(values: object, *shapes: tuple[int, ...]) -> Array | None:
 
 
 def place_and_time_text(x: Array, t: float, k: int) -> str:
-    """Text of the k-th of the places x (d, n) and of the time t, for messages."""
+    """Return the coordinates of one place and the time `t` as text for messages: place number `k` of `x` (d, n)."""
     return f" at {place_text(x, k)}, t = {t:g}"
 
 
 def checked_values(
     what: str, function: Callable[..., npt.ArrayLike], x: Array, *more: object, wanted: str, where: Callable[[int], str]
 ) -> Array:
-    """Values (n,) that a user's function returns for n places or temperatures.
+    """Return the values (n,) of a user's function at n places or temperatures, which must be finite real numbers.
 
     Args:
         what: name of the function, for messages.
-        function: the user's function of x and `more`.
+        function: the user's function of `x` and `more`.
         x: places (d, n) or temperatures (n,).
         more: further arguments of the function, such as the time.
-        wanted: requirement on the function, for messages.
-        where: index k -> text of the k-th place, for messages.
+        wanted: text that says what the function must return, for messages.
+        where: function from an index k to a text that tells the k-th place or temperature, for messages.
 
     Raises:
         InputError: the function fails, or does not return n finite real numbers.
@@ -97,12 +98,12 @@ def checked_values(
 
 
 def evaluated(law: object, name: str, parameter: float | TemperatureFunction, T: Array) -> Array:
-    """Values (n,) of a law's parameter, a number or a function of the temperature, at temperatures T (n,).
+    """Return the values (n,) of a law's parameter at temperatures T (n,).
 
     Args:
         law: the law, for messages.
         name: name of the parameter, for messages.
-        parameter: the number or function.
+        parameter: a number, or a function of the temperature.
         T: the temperatures.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Strains, jumps, frames and Mandel vectors. Laws get three-dimensional tensors: plane strain in 2D."""
+"""Strains, axes of layers and Mandel vectors. In 2D, tensors get zeros in the third direction: plane strain."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from forms.base import Array
 
 
 def three_dimensional(a: Expr) -> Expr:
-    """Pad a (2,) vector or (2, 2) tensor with zeros to (3,) or (3, 3); return three-dimensional arguments unchanged."""
+    """Return a vector (2,) or a tensor (2, 2), UFL, filled up with zeros to (3,) or (3, 3).
+
+    A vector (3,) or tensor (3, 3) is returned unchanged.
+    """
     if a.ufl_shape[0] == 3:
         return a
     if len(a.ufl_shape) == 1:
@@ -21,12 +24,15 @@ def three_dimensional(a: Expr) -> Expr:
 
 
 def strain(u: Expr) -> Expr:
-    """Small strain sym(grad u), (3, 3), of displacements u; Eq. (2) of the paper."""
+    """Return the small strain sym(grad u) (3, 3), UFL, of displacements `u`; Eq. (2) of the paper."""
     return three_dimensional(ufl.sym(ufl.grad(u)))
 
 
 def jump_strain(w: Expr, n: Expr) -> Expr:
-    """Symmetric tensor (w (x) n + n (x) w)/2, (3, 3), of a jump w and the normal n; divided by eps, a strain."""
+    """Return sym(w (x) n) = (w (x) n + n (x) w)/2, (3, 3), UFL, of a jump `w` and a unit normal `n`.
+
+    Divided by the thickness, it is the strain that the jump causes in a layer.
+    """
     return ufl.sym(ufl.outer(three_dimensional(w), three_dimensional(n)))
 
 
@@ -39,63 +45,76 @@ MANDEL_BASIS /= np.linalg.norm(MANDEL_BASIS, axis=(1, 2), keepdims=True)
 
 
 def mandel_vectors(tensors: Array) -> Array:
-    """Mandel vectors (..., 6), order 11, 22, 33, 12, 13, 23, of the symmetric parts of numeric tensors (..., 3, 3)."""
+    """Return the Mandel vectors (..., 6) of the symmetric parts of numeric tensors (..., 3, 3).
+
+    The order is 11, 22, 33, sqrt2 12, sqrt2 13, sqrt2 23.
+    """
     return np.asarray(np.einsum("...ij,kij->...k", tensors, MANDEL_BASIS))
 
 
 def mandel_tensors(vectors: Array) -> Array:
-    """Symmetric tensors (..., 3, 3) of numeric Mandel vectors (..., 6), order 11, 22, 33, 12, 13, 23."""
+    """Return the symmetric tensors (..., 3, 3) of numeric Mandel vectors (..., 6).
+
+    The order of the vectors is 11, 22, 33, sqrt2 12, sqrt2 13, sqrt2 23.
+    """
     return np.asarray(np.einsum("...k,kij->...ij", vectors, MANDEL_BASIS))
 
 
 def mandel_vector(a: Expr, slots: Sequence[int] = range(6)) -> Expr:
-    """Mandel vector of a symmetric tensor a (3, 3), UFL, in the order 11, 22, 33, 12, 13, 23.
+    """Return the Mandel vector of a symmetric tensor (3, 3), UFL.
 
-    Shear components have the factor sqrt 2, so that products of vectors are products A:B of the tensors.
+    The order is 11, 22, 33, sqrt2 12, sqrt2 13, sqrt2 23. With the factors sqrt2 the product of two such vectors is the
+    product A:B of the tensors.
 
     Args:
         a: the tensor.
-        slots: indices of the components that the vector has; default: all six.
+        slots: indices, from 0 to 5, of the components that the vector has; by default all six.
     """
     return ufl.as_vector([a[i, j] if i == j else SQRT2 * a[i, j] for i, j in (MANDEL_PAIRS[k] for k in slots)])
 
 
 def mandel_tensor(a: Expr) -> Expr:
-    """Symmetric tensor (3, 3), UFL, of a Mandel vector (6,), order 11, 22, 33, 12, 13, 23."""
+    """Return the symmetric tensor (3, 3), UFL, of a Mandel vector `a` (6,), in the order of `mandel_vector`."""
     entries = {pair: a[k] if pair[0] == pair[1] else a[k] / SQRT2 for k, pair in enumerate(MANDEL_PAIRS)}
     return ufl.as_tensor([[entries[min(i, j), max(i, j)] for j in range(3)] for i in range(3)])
 
 
 def isotropic_tensor(lmbda: float, mu: float) -> Array:
-    """Stiffness tensor (6, 6) of an isotropic material, in Mandel's order."""
+    """Return the stiffness tensor of an isotropic material as a matrix (6, 6) of Mandel components, stress."""
     volume = np.repeat([1.0, 0.0], 3)
     return np.asarray(lmbda * np.outer(volume, volume) + 2 * mu * np.eye(6))
 
 
 def condensed_tangent(C: Array, kept: Sequence[int], eliminated: Sequence[int]) -> Array:
-    """Tangent of some strain components while the stresses of others are zero, a Schur complement.
+    """Return the tangent of some components of strain if the stresses of other components are zero.
+
+    It is the Schur complement of the tangent, a matrix with one row and column for each kept component.
 
     Args:
-        C: tangent (6, 6).
-        kept: indices of the components of the result.
-        eliminated: indices of the components without stress.
+        C: tangent (6, 6) in Mandel's order.
+        kept: indices, from 0 to 5, of the components of the result.
+        eliminated: indices of the components whose stresses are zero.
     """
     inner = np.linalg.pinv(C[np.ix_(eliminated, eliminated)])
     return np.asarray(C[np.ix_(kept, kept)] - C[np.ix_(kept, eliminated)] @ inner @ C[np.ix_(eliminated, kept)])
 
 
 def average_lame(C: Array) -> tuple[float, float]:
-    """Lame moduli lmbda, mu of the isotropic tensor nearest to a tangent C (6, 6), the mean of C over all rotations."""
+    """Return the Lame moduli lmbda, mu of the isotropic tensor nearest to a tangent C (6, 6) in Mandel's order.
+
+    This is the mean of C over all rotations.
+    """
     bulk = C[:3, :3].sum() / 9
     mu = (np.trace(C) - 3 * bulk) / 10
     return float(bulk - 2 * mu / 3), float(mu)
 
 
 def layer_frame(n: Expr) -> Expr:
-    """Rotation (3, 3), UFL, whose columns are the axes of a layer with the unit normal n; the second axis is n.
+    """Return the rotation (3, 3), UFL, whose columns are the axes of a layer with the unit normal `n`.
 
-    In 2D the first axis is the tangent (n_2, -n_1). In 3D the rotation is the smallest one that takes e_2 to n. For n =
-    -e_2 this is not unique; it is then the half turn about the third axis.
+    The second axis is n. In 2D the first axis is the tangent (n_2, -n_1). In 3D the rotation is that by the smallest
+    angle which takes the second coordinate axis e_2 to n. For n = -e_2 this is not unique; the half turn about the
+    third axis is taken.
     """
     if n.ufl_shape[0] == 2:
         return ufl.as_tensor([[n[1], n[0], 0], [-n[0], n[1], 0], [0, 0, 1]])

@@ -1,4 +1,4 @@
-"""TractionLaw: an interface law that gives the traction for a jump; on S only."""
+"""TractionLaw: an interface law that gives the traction for a jump; it acts on S only, not in a meshed layer."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from forms.traits import STRESS_ATTRIBUTES, Traits
 class JumpStep(Step):
     """Input of a traction law at one point of S over a time step: a `Step` with jumps (3,) in place of strains.
 
-    The normal n is (3,) in 2D, too.
+    The normal n and the jumps have 3 components in 2D, too.
 
     Attributes:
-        w, w_old: jump (3,) at the end and at the beginning of the step.
+        w, w_old: jump (3,) at the end of the step, and at its beginning.
     """
 
     w: Expr = Step.e
@@ -28,7 +28,7 @@ class JumpStep(Step):
 
     @classmethod
     def of(cls, step: Step) -> JumpStep:
-        """Step of jumps w from a step of strains sym(w (x) n)."""
+        """Return the step of a traction law for a `step` whose strains are sym(w (x) n) with jumps w."""
         n = step.n
 
         def jump(e: Expr) -> Expr:
@@ -38,12 +38,12 @@ class JumpStep(Step):
 
 
 class TractionLaw(Law):
-    """A law t = t([u]) without an underlying bulk law, such as a published formula or a measured curve; on S only.
+    """A law t = t([u]) between traction and jump, such as a published formula or a measured curve; on S only.
 
-    Subclasses are frozen dataclasses with their parameters as fields; no parameter depends on the thickness. They
-    define `traction(step)`, UFL, (3,), of a `JumpStep`. A subclass with internal variables, of shape (), (3,) or (3,
-    3), also defines `evolve(step)`. Optional are `energy(step)`, and `dissipation(step)` with it. If the tangent is not
-    symmetric, write `symmetric = False`.
+    It is not derived from the law of a material. Subclasses are frozen dataclasses with their parameters as fields; no
+    parameter depends on the thickness. They define `traction(step)`, UFL (3,), where `step` is a `JumpStep`. A subclass
+    with internal variables, of shape (), (3,) or (3, 3), also defines `evolve(step)`. It may define `energy(step)`, and
+    with it `dissipation(step)`. If its tangent is not symmetric, it declares `symmetric = False`.
     """
 
     ignored: ClassVar = (*STRESS_ATTRIBUTES, "stress", "advance", "dissipated", "homotopy")
@@ -63,27 +63,27 @@ class TractionLaw(Law):
         return _bulk_law_class(cls)(self)
 
     def traction(self, step: JumpStep) -> Expr:
-        """Traction (3,), UFL, at t + theta dt, the time in the step from t to t + dt after which forces balance."""
+        """Return the traction (3,), UFL, at t + theta dt, the time in the step from t to t + dt at which forces balance."""
         raise InputError(f"{type(self).__name__} has no traction; a traction law needs a method traction(step)")
 
     def evolve(self, step: JumpStep) -> dict[str, Expr]:
-        """Internal variables at the end of the step, UFL by name."""
+        """Return the internal variables at the end of the step, UFL by name."""
         names = ", ".join(self.internal)
         raise InputError(f"{type(self).__name__} gives no new {names}; a law with internal needs a method evolve(step)")
 
     def energy(self, step: JumpStep) -> Expr:
-        """Stored energy per unit area of the jump step.w and the internal variables step.q, UFL."""
+        """Return the stored energy per unit area, UFL, at the jump step.w and the internal variables step.q."""
         raise InputError(f"{type(self).__name__} declares no energy; a traction law needs a method energy(step) for it")
 
     def dissipation(self, step: JumpStep) -> Expr:
-        """Dissipated power per unit area, UFL, whose product with dt is the energy dissipated in the step."""
+        """Return the mean dissipated power per unit area over the step, UFL: the dissipated energy divided by dt."""
         return ufl.as_ufl(0.0)
 
 
 class TractionAsBulkLaw(WrappedLaw):
-    """A traction law t([u]) in the form of a law of strains sym(w (x) n), with the jump w.
+    """A traction law t([u]) in the form of a law of strains, for the strains sym(w (x) n) of jumps w.
 
-    Its stress T has T n = t, and T : sym(v (x) n) = t . v for all v. It is the same in plane stress.
+    Its stress T is such that T n = t, and T : sym(v (x) n) = t . v for all vectors v. It is the same in plane stress.
 
     Attributes:
         law: the traction law.
@@ -111,8 +111,8 @@ class TractionAsBulkLaw(WrappedLaw):
 
 @cache
 def _bulk_law_class(cls: type) -> type[TractionAsBulkLaw]:
-    """Subclass of `TractionAsBulkLaw` for a class of traction laws, with the name and module of this class.
+    """Return a subclass of `TractionAsBulkLaw` that has the name and the module of `cls`, a class of traction laws.
 
-    Messages and the keys of compiled code need these names.
+    Messages, and the keys of compiled code, contain this name.
     """
     return type(cls.__name__, (TractionAsBulkLaw,), {"__module__": cls.__module__, "__qualname__": cls.__qualname__})

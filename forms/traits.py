@@ -1,4 +1,4 @@
-"""Traits of laws, by which models and solvers choose their methods, and checks of the declarations of law classes."""
+"""Traits of laws, by which models and solvers choose their methods; checks of law classes; warnings."""
 
 from __future__ import annotations
 
@@ -28,10 +28,12 @@ VARIABLE_SIZES = {(): 1, (3,): 3, (3, 3): 6}  # shape of an internal variable ->
 
 
 class RangeWarning(UserWarning):
-    """Warning that a law, a model or a result is outside its range of accuracy; the message has value and remedy.
+    """Warning that a law, a model or a result is outside its range of accuracy.
+
+    The message tells the value in question, and a remedy.
 
     Attributes:
-        key: identifier of the condition that is violated; "" if it has none.
+        key: identifier of the violated condition; "" if it has none.
     """
 
     def __init__(self, message: str, key: str = "") -> None:
@@ -40,17 +42,20 @@ class RangeWarning(UserWarning):
 
 
 def warn_of_range(key: str, message: str) -> None:
-    """Issue a RangeWarning that points to the calling line outside these packages.
+    """Issue a RangeWarning that points to the line outside these packages from which they were called.
 
     Args:
-        key: identifier of the condition that is violated.
+        key: identifier of the violated condition.
         message: the text.
     """
     warn_outside(RangeWarning(message, key))
 
 
 def warn_outside(warning: Warning) -> None:
-    """Issue a warning that points to the calling line outside these packages. Python shows it once per line."""
+    """Issue a warning that points to the line outside these packages from which they were called.
+
+    Python shows it once for each such line.
+    """
     show_warnings()
     level, frame = 1, sys._getframe()
     while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in (*PACKAGES, "contextlib"):
@@ -59,20 +64,20 @@ def warn_outside(warning: Warning) -> None:
 
 
 def show_warnings() -> None:
-    """Make Python show warnings again after FFCx, at its import, has redirected them to a log without handlers."""
+    """Make Python show warnings again, in case an import of FFCx has redirected them to a log that nobody reads."""
     handlers = [*logging.getLogger("py.warnings").handlers, *logging.getLogger().handlers]
     if all(isinstance(handler, logging.NullHandler) for handler in handlers):
         logging.captureWarnings(False)
 
 
 def accept_renamed(cls: type, new_names: Mapping[str, str]) -> None:
-    """Copy attributes that a class defines under names of version 1.0 to their new names.
+    """Copy attributes that a class defines under their names of version 1.0 to their present names.
 
     Issue a DeprecationWarning for each of them.
 
     Args:
         cls: the class.
-        new_names: old name -> new name.
+        new_names: name in version 1.0 -> present name.
     """
     for old, new in new_names.items():
         if old in vars(cls):
@@ -81,12 +86,15 @@ def accept_renamed(cls: type, new_names: Mapping[str, str]) -> None:
 
 
 def reset_inherited(cls: type[Law]) -> None:
-    """Reset inherited attributes of a law class to the defaults if they were written for another stress than its own.
+    """Reset those inherited attributes of a new law class that belong to the stress of its base class.
 
-    Attributes that the class itself defines stay, also `plane_stress = Parent.plane_stress`. Traits that are checked or
-    that only select solvers (`linear`, `symmetric`, ...) stay. Attributes that depend on parameters only (`powers`,
-    `at`) also stay. An energy stays if it is checked against the stress, or if the class itself defines one of
-    `ENERGY_METHODS`.
+    If a class defines another stress than its base, an inherited stiffness, for example, would be wrong. It is replaced
+    by the default of all laws. The following attributes stay:
+
+    - those that the class itself defines, also by `plane_stress = Parent.plane_stress`;
+    - traits that are checked or that only select solvers (`linear`, `symmetric`, ...);
+    - attributes that depend on parameters only (`powers`, `at`);
+    - an energy, if it is checked against the stress, or if the class itself defines one of `ENERGY_METHODS`.
     """
     for name in STRESS_ATTRIBUTES:
         if _is_for_another_stress(cls, name, RESPONSE_ATTRIBUTES + UPDATE_METHODS):
@@ -101,7 +109,7 @@ def reset_inherited(cls: type[Law]) -> None:
 
 
 def _is_for_another_stress(cls: type, name: str, responses: tuple[str, ...]) -> bool:
-    """Whether a class inherits an attribute from a class that has another stress or traction.
+    """Return whether a class inherits an attribute from a class that has another stress or traction.
 
     An attribute of a base class without a stress belongs to the first stress that a subclass defines. Adding internal
     variables does not count as another stress.
@@ -109,7 +117,7 @@ def _is_for_another_stress(cls: type, name: str, responses: tuple[str, ...]) -> 
     Args:
         cls: the class.
         name: name of the attribute.
-        responses: names of the attributes that give the stress or update internal variables.
+        responses: names of the methods and attributes that give the stress or traction, or new internal variables.
     """
     if not _is_own(cls, name):
         return False
@@ -122,25 +130,28 @@ def _is_for_another_stress(cls: type, name: str, responses: tuple[str, ...]) -> 
 
 
 def _responses(cls: type, names: tuple[str, ...]) -> dict[str, object]:
-    """Attributes of a class with these names, by name, without those that have the default of all laws."""
+    """Return those attributes of a class among `names`, by name, that differ from the defaults of all laws."""
     return {name: inspect.getattr_static(cls, name) for name in names if _is_own(cls, name)}
 
 
 def _place(cls: type, name: str) -> int:
-    """Index, in the method resolution order of a class, of the first class that defines a name; 0: the class itself."""
+    """Return the index, in a class's method resolution order, of the first class that defines `name`.
+
+    0 is the class itself. If none defines it, the result is the number of classes in this order.
+    """
     return next((k for k, base in enumerate(cls.__mro__) if name in vars(base)), len(cls.__mro__))
 
 
 def _reset(cls: type, name: str, default: object = None) -> None:
-    """Reset an attribute of a class to the default of all laws, or to `default` if they have none."""
+    """Set the attribute `name` of a class to the default of all laws, or to `default` if there is no such default."""
     defaults = (vars(base)[name] for base in cls.__mro__ if base.__module__ in DEFAULT_MODULES and name in vars(base))
     setattr(cls, name, next(defaults, default))
 
 
 def require_declarations(law: Law) -> None:
-    """Raise InputError unless the declarations of a law's class fit its parameters and methods.
+    """Raise InputError unless what a law's class declares fits its parameters and methods.
 
-    Declarations are the powers of eps, the internal variables and the methods.
+    Checked are the powers of eps, the internal variables, and whether all methods are used.
     """
     cls, name, parameters = type(law), type(law).__name__, law.parameters()
     declared = [field_name for field_name, note in inspect.get_annotations(cls).items() if "ClassVar" not in str(note)]
@@ -157,7 +168,7 @@ def require_declarations(law: Law) -> None:
 
 
 def _require_used(law: Law) -> None:
-    """Raise InputError if a law's class has methods or attributes that would never be used."""
+    """Raise InputError if the class of a law has methods or attributes that would never be used."""
     cls, name = type(law), type(law).__name__
     defining = min(_place(cls, attribute) for attribute in ("source", "ignored"))
     for method in cls.ignored:
@@ -174,17 +185,18 @@ def _require_used(law: Law) -> None:
 
 
 def _is_own(cls: type, name: str) -> bool:
-    """Whether an attribute of a class differs from the default of all laws."""
+    """Return whether a class or a base class defines an attribute other than by the default of all laws."""
     defining = next((base for base in cls.__mro__ if name in vars(base)), None)
     written = getattr(vars(defining)[name], "__module__", None) if defining else None  # also where `_reset` restored it
     return defining is not None and not {defining.__module__, written} & {*DEFAULT_MODULES}
 
 
 def trait_field(fold: Callable[[Iterable[bool]], bool], default: bool = False) -> bool:
-    """Declare a field of `Traits`.
+    """Declare a field of `Traits`, with a rule for the trait of a Stack.
 
     Args:
-        fold: function from the values of the sublayers of a Stack to the value of the Stack.
+        fold: function from the values of this trait in all sublayers to its value for the Stack, such as `all` or
+            `any`.
         default: value of the trait if a law does not declare it.
     """
     return field(default=default, metadata={"fold": fold})
@@ -194,9 +206,10 @@ def trait_field(fold: Callable[[Iterable[bool]], bool], default: bool = False) -
 class Traits:
     """Properties of a law by which models and solvers choose their methods.
 
-    A class of laws declares a trait as an attribute, `linear = True`, or as a property.
+    All traits are True or False. A class of laws declares a trait as an attribute, such as `linear = True`, or as a
+    property.
 
-    A Stack has a trait if `all` or if `any` of its sublayers have it, as declared for each field.
+    A Stack has a trait if all of its sublayers have it, or if any of them has it; each field declares which.
 
     Attributes:
         linear: the stress is affine in the strain at the end of a step.
@@ -204,13 +217,13 @@ class Traits:
         quadratic: the stored energy is a quadratic function of strain and internal variables.
         rate: the stress depends on the strain rate, so strains cannot jump in time. Without this trait a law responds
             to a sudden load at once.
-        constrained: the pressure p is a separate unknown field; tr e is p times the law's `volume_compliance`, which
-            can be 0.
+        constrained: the pressure p is a separate unknown field; the volumetric strain is p times the law's
+            `volume_compliance`, which can be 0.
         bounded: in some direction of strain the stress cannot grow beyond a bound, so there may be a limit load.
         singular: the tangent may be singular for some strains; Newton's method adds a Levenberg-Marquardt term.
         isochoric: inelastic flow preserves the volume, so that elements need a method against locking.
-        softens: the stress falls as strains grow. In a meshed layer the law gets the mean strain through the thickness,
-            as on S.
+        softens: the stress falls as strains grow. In a meshed layer, as on S, the law gets the mean strain over the
+            thickness.
         plateau: strains across the layer may grow at constant stress, so that they may vary through the thickness.
         varies: parameters vary along the layer or in time; the law's `at` gives their values.
         phases: the law has an internal variable "phase" in [-1, 1], the fraction of the material in phase 1, or minus
@@ -253,12 +266,12 @@ class Traits:
 
     @property
     def may_soften(self) -> bool:
-        """Whether the stress may fall as jumps grow, although no declared trait of the law tells or excludes it."""
+        """Whether the stress might fall as jumps grow: no declared trait of the law says so, and none excludes it."""
         return self.symmetric and not (self.softens or self.linear or self.rate or self.bounded or self.switches)
 
     @classmethod
     def of(cls, law: object, **of_methods: bool) -> Traits:
-        """Traits of a law: those that its class declares, and those that follow from its methods.
+        """Return the traits of a law: those that its class declares, and those that follow from its methods.
 
         Args:
             law: the law.
@@ -275,6 +288,6 @@ class Traits:
 
     @classmethod
     def of_series(cls, sublayers: Iterable[Traits]) -> Traits:
-        """Traits of a Stack from the traits of its sublayers."""
+        """Return the traits of a Stack, given the traits of each of its sublayers."""
         stack = list(sublayers)
         return cls(**{f.name: f.metadata["fold"](getattr(traits, f.name) for traits in stack) for f in fields(cls)})

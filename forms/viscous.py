@@ -1,4 +1,4 @@
-"""Laws with a rate or with creep: Kelvin-Voigt, Maxwell, Norton, and creep by Norton's power law."""
+"""Laws with a rate, or with creep: Kelvin-Voigt, Maxwell, Norton, and creep by Norton's power law."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ REST_STRAIN = 1e-12  # strain increment of a step below which the dashpot may be
 
 
 def isotropic_energy(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
-    """Energy per volume of an isotropic elastic solid at the strain e (3, 3), lmbda (tr e)^2/2 + mu e:e."""
+    """Return the elastic energy per volume lmbda (tr e)^2/2 + mu e:e, UFL, of an isotropic solid at the strain e (3, 3)."""
     return lmbda * ufl.tr(e) ** 2 / 2 + mu * ufl.inner(e, e)
 
 
@@ -50,13 +50,13 @@ class KelvinVoigt(ParallelDashpot):
 
     C(lmbda, mu) is the isotropic stiffness tensor with these moduli.
 
-    As a layer's law, Eqs. (16)-(17) of the paper: t = K w + K_theta dw/dt with the jump w. Along S eps K = mu and eps
-    K_theta = mu theta_mu. Along n eps K = lmbda + 2 mu and eps K_theta = lmbda theta_lmbda + 2 mu theta_mu.
+    As a layer's law with the jump w it is t = K w + K_theta dw/dt, Eqs. (16)-(17) of the paper. Along S, eps K = mu and
+    eps K_theta = mu theta_mu. Along n, eps K = lmbda + 2 mu and eps K_theta = lmbda theta_lmbda + 2 mu theta_mu.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
-        theta_lmbda, theta_mu: viscosity over modulus, in units of time; theta_mu > 0, lmbda theta_lmbda + 2 mu
-            theta_mu/3 >= 0.
+        theta_lmbda, theta_mu: viscosity divided by modulus, times; theta_mu > 0, lmbda theta_lmbda + 2 mu theta_mu/3 >=
+            0.
 
     Raises:
         InputError: a parameter out of range.
@@ -74,7 +74,7 @@ class KelvinVoigt(ParallelDashpot):
 
     @property
     def own_times(self) -> tuple[float, ...]:
-        """Retardation times of the deviator and, if it is viscous, of the mean strain."""
+        """Retardation time of the deviator and, if changes of volume are viscous, that of the mean strain."""
         bulk = self.lmbda * self.theta_lmbda + 2 * self.mu * self.theta_mu / 3
         return self.theta_mu, *((bulk / (self.lmbda + 2 * self.mu / 3),) if bulk > 0 else ())
 
@@ -93,7 +93,7 @@ class SeriesDashpot(IsotropicLaw):
         return self.lmbda + 2 * self.mu / 3
 
     def _rates(self, step: Step) -> tuple[Expr, Expr]:
-        """Relaxation rates, 1/time, of the deviator and of the mean of the stress at t + theta dt."""
+        """Return the relaxation rates, 1/time, UFL, of the deviator and of the mean of the stress at t + theta dt."""
         raise NotImplementedError
 
     def advance(self, step: Step) -> dict[str, Expr]:
@@ -105,12 +105,14 @@ class SeriesDashpot(IsotropicLaw):
 
     @staticmethod
     def _relaxed(step: Step, old: Expr, elastic: Expr, rate: Expr) -> Expr:
-        """Value of a part x of the stress at the end of a step, from x_new - x_old = elastic - dt rate x(t + theta dt).
+        """Return the value x_new at the end of a step of a component or part x of the stress that relaxes in it.
+
+        It is the solution of x_new - x_old = elastic - dt rate x(t + theta dt).
 
         Args:
-            step: the step.
-            old: value at its beginning.
-            elastic: change without relaxation.
+            step: the step, from t to t + dt.
+            old: value x_old at its beginning.
+            elastic: increment of x without relaxation.
             rate: relaxation rate, 1/time.
         """
         x = step.dt * rate
@@ -120,7 +122,7 @@ class SeriesDashpot(IsotropicLaw):
         return step.between(step.q["stress"], self.advance(step)["stress"])
 
     def _complementary(self, stress: Expr) -> tuple[Expr, Expr]:
-        """Elastic energies per volume of the deviator and of the mean part of a stress (3, 3)."""
+        """Return the elastic energies per volume, UFL, of the deviator and of the mean part of a stress (3, 3)."""
         s, mean = ufl.dev(stress), ufl.tr(stress) / 3
         return ufl.inner(s, s) / (4 * self.mu), mean**2 / (2 * self._bulk)
 
@@ -136,19 +138,20 @@ class SeriesDashpot(IsotropicLaw):
 class Maxwell(SeriesDashpot):
     """Elastic spring and viscous dashpot in series, E de/dt = (1 + nu)(ds/dt + s/t1) - nu tr(ds/dt + s/t2) I.
 
-    s is the three-dimensional stress, s_33 included, and de/dt the strain rate; Eq. (18) of the paper prints the
-    strain. The deviator of the stress relaxes with the time t1, the mean stress with t_v, 1/t_v = ((1 + nu)/t1 - 3
-    nu/t2)/(1 - 2 nu).
+    s is the three-dimensional stress, s_33 included, e the strain. For the strain rate de/dt Eq. (18) of the paper
+    prints the strain. The deviator of the stress relaxes with the time t1. The mean stress relaxes with the time t_v,
+    where 1/t_v = ((1 + nu)/t1 - 3 nu/t2)/(1 - 2 nu).
 
-    As a layer's law with t1 = t2: the rate of the traction plus traction/t1 is K dw/dt with the jump w. eps K is mu
-    along S and lmbda + 2 mu along n. Equation (19) of the paper prints other coefficients. With t1 != t2 the normal
-    traction is a sum of two parts that relax differently: no single differential equation of first order holds for it.
+    As a layer's law with t1 = t2 and the jump w: dt/dt + t/t1 = K dw/dt, where dt/dt is the rate of the traction t. eps
+    K is mu along S and lmbda + 2 mu along n. Equation (19) of the paper prints other coefficients. With t1 != t2 the
+    normal traction is a sum of two parts that relax differently, for which no single differential equation of first
+    order holds.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
         t1: relaxation time of the deviator of the stress, > 0.
-        t2: relaxation time of the trace of the stress in the formula above, > 0 and >= 3 nu t1/(1 + nu). At this bound
-            the mean stress does not relax. Default: t1.
+        t2: relaxation time of the trace of the stress in the formula above, > 0 and >= 3 nu t1/(1 + nu). If it equals
+            this bound, the mean stress does not relax. Default: t1.
 
     Raises:
         InputError: a parameter out of range.
@@ -181,16 +184,13 @@ class Maxwell(SeriesDashpot):
 
     @property
     def _volumetric_rate(self) -> Expr:
-        """Relaxation rate 1/t_v of the mean stress, 1/time.
-
-        In its formula (1 + nu)/(1 - 2 nu) = (3 lmbda + 2 mu)/(2 mu) and nu/(1 - 2 nu) = lmbda/(2 mu).
-        """
+        """Relaxation rate 1/t_v of the mean stress, 1/time, by the formula in `Maxwell`, in terms of lmbda and mu."""
         t2: Expr = self.t2
         return ((3 * self.lmbda + 2 * self.mu) / self.t1 - 3 * self.lmbda / t2) / (2 * self.mu)
 
     @property
     def own_times(self) -> tuple[float, ...]:
-        """Relaxation times of the deviator and, if it relaxes, of the mean stress."""
+        """Relaxation time of the deviator and, if the mean stress relaxes, that of the mean stress."""
         rate = self._volumetric_rate
         return self.t1, *((1 / rate,) if rate > RELATIVE_RATE_TOLERANCE / self.t1 else ())
 
@@ -202,25 +202,24 @@ class Maxwell(SeriesDashpot):
 class Norton(ParallelDashpot):
     """Elastic spring parallel to a power-law dashpot, stress = C : e + eta |de/dt|^(p - 2) de/dt.
 
-    This is Eq. (21) of the paper. C is the isotropic stiffness tensor of the moduli. Creep stops where the spring
-    carries the load. `NortonCreep` has the steady creep rate A sigma^n of data sheets at the stress sigma. The dashpot
-    alone has that rate, without a change of volume, for p = 1 + 1/n and eta = (2/3)^((n + 1)/(2 n)) A^(-1/n).
+    This is Eq. (21) of the paper. C is the isotropic stiffness tensor of the moduli. Creep stops when the spring
+    carries the load. Data sheets give a steady creep rate A sigma^n at the stress sigma, which is the law
+    `NortonCreep`. The dashpot alone has this rate, without a change of volume, for p = 1 + 1/n and eta = (2/3)^((n +
+    1)/(2 n)) A^(-1/n).
 
-    As a layer's law, t = K w + eta eps^(1 - p) q^(p - 2) (v_N n + v_T/2). w is the jump and v = dw/dt. q^2 = v_N^2 +
-    |v_T|^2/2 is the square of |sym(v (x) n)|; Eqs. (22)-(24) of the paper put the bars around v alone. The law is
-    finite for eps -> 0 if eta is proportional to eps^(p - 1).
+    As a layer's law with the jump w and v = dw/dt: t = K w + eta eps^(1 - p) q^(p - 2) (v_N n + v_T/2). q is the norm
+    of sym(v (x) n), q^2 = v_N^2 + |v_T|^2/2; in Eqs. (22)-(24) of the paper it is the norm of v. For eps -> 0 the law
+    is finite if eta is proportional to eps^(p - 1).
 
-    For p < 2 the tangent is infinite at rest. The dashpot is linear where its stiffness in a step would exceed 1e6
-    times the spring's, and only at strain increments below 1e-12. For p < 1.2 Newton's method may need a larger linear
-    range, which `rest` gives.
+    or p < 2 the tangent is infinite at zero rate. The dashpot is therefore linear where its stiffness in a step would exceed 1e6 times the spring's, but only at strain increments below 1e-12. For p < 1.2 Newton's method may need a larger linear range, which `rest` gives.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
         eta: viscosity, stress times time^(p - 1) (in a layer: stress (time/length)^(p - 1)); > 0.
         p: exponent > 1. 2: a linear dashpot; near 1: almost rigid below a threshold.
-        rest: strain rate below which the dashpot is linear: |de/dt|^2 is replaced by |de/dt|^2 + rest^2. It is part of
-            the law; 1/time (in a layer: length/time); >= 0. For p < 1.2 Newton's method needs at least about 1e-4 of
-            the actual rates.
+        rest: strain rate below which the dashpot is linear, as a part of the law: |de/dt|^2 + rest^2 replaces
+            |de/dt|^2. Unit 1/time (in a layer: length/time); >= 0. For p < 1.2 Newton's method needs at least about
+            1e-4 of the actual rates.
 
     Raises:
         InputError: a parameter out of range.
@@ -253,17 +252,17 @@ class Norton(ParallelDashpot):
 class NortonCreep(SeriesDashpot):
     """Norton's creep: elastic spring and power-law dashpot in series, de/dt = C^-1 : ds/dt + 3/2 A q^(n - 1) dev s.
 
-    s is the stress, C the isotropic stiffness tensor of the moduli, q = sqrt(3/2) |dev s| the equivalent stress. In
-    uniaxial tension with the stress sigma creep continues at the steady rate A sigma^n of data sheets, without a change
-    of volume. `Norton`, the paper's law, has the dashpot parallel to the spring: its creep stops.
+    e is the strain, s the stress, C the isotropic stiffness tensor of the moduli, q = sqrt(3/2) |dev s| the equivalent
+    stress. In uniaxial tension with the stress sigma, creep continues at the steady rate A sigma^n of data sheets,
+    without a change of volume. In `Norton`, the paper's law, the dashpot is parallel to the spring, and creep stops.
 
-    As a layer's law: under a constant shear traction dw_T/dt = eps 3^((n + 1)/2) A |t_T|^(n - 1) t_T after the elastic
-    jump.
+    As a layer's law with the jump w: under a constant shear traction t_T the jump grows, after its elastic part, by
+    dw_T/dt = eps 3^((n + 1)/2) A |t_T|^(n - 1) t_T.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
         A: creep rate under unit stress, 1/(time stress^n) (in a layer: length/(time stress^n)); > 0.
-        n: exponent >= 1; 1 is Maxwell's dashpot, t1 = 1/(3 mu A), of the deviator alone.
+        n: exponent >= 1. 1: Maxwell's dashpot with t1 = 1/(3 mu A), for the deviator alone.
 
     Raises:
         InputError: a parameter out of range.
@@ -279,10 +278,11 @@ class NortonCreep(SeriesDashpot):
         self.require(1 <= self.n < math.inf, "n", ">= 1")
 
     def _rates(self, step: Step) -> tuple[Expr, Expr]:
-        """Relaxation rates, 1/time, of the deviator and of the mean of the stress at t + theta dt; the latter is zero.
+        """Return the relaxation rates, 1/time, UFL, of the deviator and of the mean of the stress at t + theta dt.
 
-        They follow from the ratio x of the equivalent stress to its value without creep in the step. x is the root of x
-        + c x^n = 1, a convex function.
+        The latter is zero. The former follows from x, the equivalent stress divided by its value without creep in the
+        step. x is the root of the convex function x + c x^n - 1, where c is the step's theta dt times the rate without
+        creep.
         """
         n: Expr = self.n
         trial = ufl.dev(step.q["stress"]) + 2 * step.theta * self.mu * ufl.dev(step.e - step.e_old)

@@ -1,4 +1,7 @@
-"""Terms of the weak form: laws with their measures, the two sides of S, and the virtual work of the terms."""
+"""Virtual work of laws in bodies, in meshed layers and on S, as UFL forms; the two sides of S.
+
+A `Term` is the virtual work of one law.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +22,10 @@ from forms.tensors import Expr, jump_strain, three_dimensional
 
 
 def constant_law(law: BulkLaw) -> BulkLaw:
-    """Return the law itself; its parameters must be numbers or UFL expressions.
+    """Return the given law, after a check that its parameters do not depend on the place through numpy functions.
 
     Raises:
-        InputError: a parameter is a function of the place, which needs a mesh.
+        InputError: a parameter is a function of the place, for which a mesh would be needed.
     """
     if law.fields:
         subject = f"order=1 of {type(law).__name__} with parameters that are functions"
@@ -32,45 +35,49 @@ def constant_law(law: BulkLaw) -> BulkLaw:
 
 @dataclass(frozen=True)
 class InterfaceSide:
-    """One side of S, to which functions on the mesh are restricted; d is the number of dimensions.
+    """One side of S, in d dimensions, with the operations that take the values of functions on this side.
 
     Attributes:
-        restrict: UFL function -> its restriction to this side.
-        inverse_gradient: gradient (d, d) of the map from S to this side's facets; None: S lies on the facets.
+        restrict: function that restricts a UFL function on the mesh to this side.
+        inverse_gradient: gradient (d, d) of the map from S to the facets of this side; None: S lies on the facets.
     """
 
     restrict: Callable[[Expr], Expr]
     inverse_gradient: Expr | None = None
 
     def __call__(self, f: Expr) -> Expr:
-        """Restrict a function to this side."""
+        """Return the restriction of a UFL function `f` on the mesh to this side."""
         return self.restrict(f)
 
     def gradient(self, f: Expr) -> Expr:
-        """Gradient of a function on this side by coordinates of S; its part along S is that of the values on S."""
+        """Return the gradient of the values of a UFL function `f` on this side, with respect to coordinates on S.
+
+        If S is away from the facets, the values belong to the opposite places of S. Only the part of the gradient along
+        S is that of these values.
+        """
         gradient = self.restrict(ufl.grad(f))
         return gradient if self.inverse_gradient is None else ufl.dot(gradient, self.inverse_gradient)
 
 
 @dataclass(frozen=True)
 class Interface:
-    """The two sides of S, with the measure, the normal and the kinematics on S; d is the number of dimensions.
+    """The two sides of S, in d dimensions, with the measure, the normal and the kinematics on S.
 
-    S lies on the facets of the mesh; or, where there is a space between the bodies, midway between the facets of its
+    S lies on the facets of the mesh. Where there is a space between the bodies, S lies midway between the facets of its
     two sides. A layer in such a space is strained like a shell whose fibres connect these facets, so that rigid motions
     cause no strain.
 
     Attributes:
-        measure: dS restricted to S between two bodies, ds on a rigid base.
-        x: places on S, (d,).
+        measure: UFL measure of the facets: dS between two bodies, ds on a rigid base.
+        x: coordinates of places on S, (d,).
         n: unit normal from the lower to the upper body, (d,).
-        director: (d,) vector from the lower to the upper body with component 1 along n; it is n if S lies on the
-            facets.
-        upper, lower: restrict a function to this side of S.
+        director: vector (d,) from the lower to the upper body along the fibre, with component 1 along n. It is n if S
+            lies on the facets.
+        upper, lower: sides of S; each restricts a function on the mesh to its side.
         kinematics: kinematics at places on S.
-        area: area of S per area of the measure.
-        law_on_surface: function from a law to the same law with UFL expressions on S as parameters, also for functions
-            of the place. The strains of laws of order 1 need it.
+        area: area of S divided by that of the facets.
+        law_on_surface: function that returns a law with UFL expressions on S as parameters, even if these were
+            functions of the place. The strains of laws of order 1 need it.
     """
 
     measure: ufl.Measure
@@ -85,12 +92,12 @@ class Interface:
 
     @classmethod
     def between_bodies(cls, dS: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, to_s: Expr | None = None) -> Self:
-        """Sides of S between two bodies of the mesh; the measure's "+" is the upper body.
+        """Return the interface S between two bodies of the mesh; the "+" side of the measure is the upper body.
 
         Args:
             dS: measure of the facets, with its mesh.
             kinematics: kinematics of the mesh.
-            to_s: (d,) vectors from the facets of either side to S; None: S lies on the facets.
+            to_s: vectors (d,) from the facets of both sides to S, UFL on the mesh; None: S lies on the facets.
         """
         mesh, upper, lower = dS.ufl_domain(), InterfaceSide(lambda v: v("+")), InterfaceSide(lambda v: v("-"))
         if to_s is None:
@@ -100,12 +107,12 @@ class Interface:
 
     @classmethod
     def on_rigid_base(cls, ds: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, to_s: Expr | None = None) -> Self:
-        """Sides of S on the boundary of the upper body; the base below does not move.
+        """Return the interface S between a body of the mesh, above, and a rigid base, which does not move.
 
         Args:
-            ds: measure of the facets, with its mesh.
+            ds: measure of the facets of the body, with its mesh.
             kinematics: kinematics of the mesh.
-            to_s: (d,) vectors from the facets to S; None: S lies on the facets.
+            to_s: vectors (d,) from the facets to S, UFL on the mesh; None: S lies on the facets.
         """
         mesh, upper, lower = ds.ufl_domain(), InterfaceSide(lambda v: v), InterfaceSide(lambda v: 0 * v)
         if to_s is None:
@@ -117,15 +124,17 @@ class Interface:
     def _apart(
         cls, measure: ufl.Measure, kinematics: Kinematics, to_s: Expr, upper: InterfaceSide, lower: InterfaceSide
     ) -> Self:
-        """Sides of S away from the facets of the mesh.
+        """Return the interface S for facets of the mesh that are away from S.
 
-        The upper side gives n, the places on S and the area of S per area of the facets (Nanson's formula).
+        The places on S, their normal n, and the area of S are computed from the facets of the upper side (Nanson's
+        formula).
 
         Args:
             measure: measure of the facets, with its mesh.
             kinematics: kinematics of the mesh.
-            to_s: (d,) vectors from the facets to S.
-            upper, lower: sides of S; the inverse gradient of the upper side is added here.
+            to_s: vectors (d,) from the facets to S, UFL on the mesh.
+            upper: upper side of S, still without inverse gradient.
+            lower: lower side of S.
         """
         mesh, inverse_map = measure.ufl_domain(), upper(_inverse_gradient(to_s))
         N = -ufl.dot(upper(ufl.FacetNormal(mesh)), inverse_map)
@@ -137,18 +146,18 @@ class Interface:
 
     @property
     def factor(self) -> Expr:
-        """Factor of the measure for integrals over S, UFL: that of the kinematics times `area`."""
+        """actor, UFL, with which the measure of the facets becomes that of S: `area` times the factor of the kinematics."""
         return self.kinematics.factor * self.area
 
     def jump(self, v: Expr) -> Expr:
-        """Jump [v] of a function v on S: its value on the upper side minus that on the lower side."""
+        """Return the jump [v] of a function `v` on the mesh: its value on the upper side minus that on the lower side."""
         return self.upper(v) - self.lower(v)
 
     def faces(self, u: Expr, eps: Expr, slope: Expr | None = None) -> Faces:
-        """Displacements of the faces of a layer on S.
+        """Return the displacements of the faces of a layer on S.
 
         Args:
-            u: displacement.
+            u: displacement, UFL on the mesh.
             eps: thickness of the layer.
             slope: gradient (d,) of the thickness along S; None: it is uniform.
         """
@@ -164,25 +173,25 @@ def _inverse_gradient(to_s: Expr) -> Expr:
 
 @dataclass(frozen=True)
 class Term:
-    """Virtual work of one law, integrated over a measure; d is the number of dimensions.
+    """Virtual work of one law as an integral over a UFL measure, in d dimensions.
 
     Attributes:
         law: the law, with parameters scaled to the thickness of the layer.
-        strain: function from a displacement to the strain (3, 3), UFL.
-        weight: factor of the measure.
-        measure: dx, ds or dS.
+        strain: function that returns the strain (3, 3), UFL, of a displacement.
+        weight: factor, UFL, on the measure.
+        measure: dx of a body or a meshed layer; dS or ds of S.
         n: unit normal of the layer, from the lower to the upper body, (d,); None in a body.
-        prescribed_strain: strain (3, 3) added to the strain of the displacements: mean strain of a periodic cell minus
-            eigenstrain. An expression of place and time; None: zero.
-        key: name under which internal variables and stored data are kept, if several layers have names; "": the name is
+        prescribed_strain: strain (3, 3), an expression of place and time, that is added to the strain of the
+            displacements: mean strain of a periodic cell minus eigenstrain. None: zero.
+        key: name under which internal variables and stored data are kept, if several layers have names. "": the name is
             made of "body" or "layer" and, if there are several terms, a number.
         kinematics: kinematics of the strain.
         volume: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell (B-bar).
             It applies to compiled laws over cells. None: no projection.
-        traction: on S, function from the stress (3, 3) to the traction (d,) per area that is conjugate to [u]; None:
-            stress times n.
-        flow: flux along S per gradient of the pressure, eps^3/(12 mu), for laws of order 1 with a pressure on S; else
-            0.
+        traction: on S, function that returns the traction (d,) of a stress (3, 3): the term's force per area that does
+            work on [u]. None: stress times n.
+        flow: flux along S per gradient of the pressure, eps^3/(12 mu), for laws of order 1 with a pressure on S; 0 for
+            others.
     """
 
     law: BulkLaw
@@ -198,13 +207,17 @@ class Term:
     traction: Callable[[Expr], Expr] | None = None
 
     def step(self, u: Expr) -> Step:
-        """Input of the law for a displacement u."""
+        """Return the input of the law for a displacement `u`: a step that has only a strain and the normal."""
         e = self.strain(u)
         return Step(e if self.prescribed_strain is None else self.prescribed_strain + e, self.n)
 
     @property
     def proportional(self) -> bool:
-        """Whether the stress is linear in the strain and depends on nothing else, so that the form is bilinear."""
+        """Whether the stress is proportional to the strain of the displacements, so that the virtual work is a bilinear
+        form.
+
+        It is not if the law has internal variables, a rate, or a stress at zero strain.
+        """
         traits = self.law.traits
         if not traits.linear or traits.remembers or traits.rate:
             return False
@@ -215,7 +228,7 @@ class Term:
 
 
 def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, volume: int | None = None) -> Term:
-    """Term of a law in a body.
+    """Return the term of a law in a body.
 
     Args:
         law: the law for these kinematics (`Kinematics.law`).
@@ -228,7 +241,7 @@ def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics = PLANE_STRA
 
 
 def band(law: BulkLaw, measure: ufl.Measure, n: Expr, kinematics: Kinematics = PLANE_STRAIN) -> Term:
-    """Term of a layer's law in the meshed layer, or in the cells of one sublayer.
+    """Return the term of a layer's law in the cells of the meshed layer, or of one of its sublayers.
 
     Args:
         law: the law, with parameters scaled to the thickness of the layer.
@@ -240,11 +253,11 @@ def band(law: BulkLaw, measure: ufl.Measure, n: Expr, kinematics: Kinematics = P
 
 
 def jump_term(law: BulkLaw, sides: Interface) -> Term:
-    """Term of a traction law on S, with the strain sym([u] (x) n) of the jump [u] and no thickness.
+    """Return the term on S of a traction law, which has no thickness; its strain is sym([u] (x) n) with the jump [u].
 
     Args:
         law: the traction law in the form of a law of strains (`TractionLaw.as_bulk_law`).
-        sides: the sides of S.
+        sides: the two sides of S.
     """
     n, kinematics = sides.n, sides.kinematics
     return Term(law, lambda u: jump_strain(sides.jump(u), n), sides.factor, sides.measure, n, kinematics=kinematics)
@@ -259,24 +272,25 @@ def surface(
     slope: Expr | None = None,
     ends: EndWeights | None = None,
 ) -> list[Term]:
-    """Terms of a layer's law on S.
+    """Return the terms on S of the interface law that replaces a layer.
 
-    Order 0: one term with the strain sym([u] (x) n)/eps and the weight eps.
+    Order 0: one term with the strain sym([u] (x) n)/eps, and eps as weight.
 
-    Order 1: one term for each of the law's stations (`BulkLaw.stations`), with the weight eps times the weight of the
-    station. By default these are two Gauss points z = -+1/(2 sqrt 3) of a strain e0 + z e1 that is linear through the
-    layer. Here e0 = sym([u] (x) n)/eps + sym(grad_S <u>); e1 = sym(grad_S [u]). For an energy quadratic in the strain
-    the sum of the two terms is the thickness integral eps e0:C:e0/2 + eps/12 e1:C:e1/2.
+    Order 1: one term for each of the law's stations (`BulkLaw.stations`). Its weight is eps times the weight of the
+    station. By default the stations are two Gauss points z = -+1/(2 sqrt 3) of a strain e0 + z e1 that is linear in the
+    height z eps. Here e0 = sym([u] (x) n)/eps + sym(grad_S <u>), with the mean <u> of both sides, and e1 = sym(grad_S
+    [u]). If the energy is quadratic in the strain, the energies of the two terms add up to the integral over the
+    thickness, eps e0:C:e0/2 + eps/12 e1:C:e1/2.
 
     Args:
-        law: the law, with parameters scaled to the thickness of the layer.
-        sides: the sides of S.
+        law: the law of the layer's material, with parameters scaled to the thickness.
+        sides: the two sides of S.
         eps: the thickness.
         order: order of the interface law in eps, 0 or 1.
-        prescribed_strain: (3, 3), uniform through the layer, added to the strain of the displacements.
+        prescribed_strain: strain (3, 3), uniform through the layer, that is added to that of the displacements; None:
+            zero.
         slope: gradient (d,) of the thickness along S; None: it is uniform.
-        ends: reductions of the stiffness near free ends, for laws with `end_strips`; None: the law of an infinite
-            layer.
+        ends: reductions of the stiffness near free ends, for laws with `end_strips`; None: no reductions.
 
     Raises:
         InputError: the law has no interface law of order 1.
@@ -306,26 +320,29 @@ def surface(
 
 
 def with_added_strain(terms: Iterable[Term], strain: Expr) -> list[Term]:
-    """Copies of the terms with a strain (3, 3) added to their prescribed strains."""
+    """Return copies of terms with the strain `strain` (3, 3) added to their prescribed strains."""
     pairs = ((term, term.prescribed_strain) for term in terms)
     return [replace(term, prescribed_strain=strain if e is None else sum_strains(e, strain)) for term, e in pairs]
 
 
 def sum_strains(*strains: Expr) -> Expr:
-    """Sum of strains (3, 3), UFL, component by component, so that components that are zero in all of them stay zero."""
+    """Return the sum of strains (3, 3), UFL, in which components that are zero in all strains are exactly zero."""
     return ufl.as_tensor([[sum(e[i, j] for e in strains) for j in range(3)] for i in range(3)])
 
 
 def stress(term: Term, u: Expr) -> Expr:
-    """Stress (3, 3), UFL, of a term's law at displacements u, without the components that its kinematics exclude."""
+    """Return the stress (3, 3), UFL, of a term's law at displacements `u`, without components that kinematics exclude."""
     return term.kinematics.restricted(checked_stress(term.law, term.step(u)))
 
 
 def work(terms: Iterable[Term], u: Expr, v: Expr) -> Expr:
-    """Virtual work of the stresses at u on the strains of v, a UFL form linear in v."""
+    """Return the virtual work of all terms, a UFL form: that of the stresses at displacements `u` on the strains of `v`.
+
+    It is linear in the virtual displacements `v`.
+    """
     return sum(ufl.inner(stress(term, u), term.strain(v)) * term.weight * term.measure for term in terms)
 
 
 def energy(terms: Iterable[Term], u: Expr) -> Expr:
-    """Stored energy of a displacement u, a UFL form."""
+    """Return the energy of all terms that is stored at displacements `u`, a UFL form."""
     return sum(term.law.energy(term.step(u)) * term.weight * term.measure for term in terms)
