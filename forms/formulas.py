@@ -134,7 +134,9 @@ def rubber_disc(lmbda: float, mu: float, eps: float, radius: float) -> float:
 def retained_pressure_share(lmbda: float, mu: float, slenderness: float, k: float) -> float:
     """Return the modulus, a stress, with which the pressure in a rubber layer with free ends resists an opening.
 
-    low towards the free ends makes it smaller than lmbda, its value in an infinite layer. It is lmbda (1 - 2 k I_k(x)/(x I_(k-1)(x))) with modified Bessel functions I and x = slenderness/sqrt(lmbda/(12 mu)). It is computed as lmbda I_(k+1)(x)/I_(k-1)(x), which loses no digits for any x.
+    Flow towards the free ends makes it smaller than lmbda, its value in an infinite layer. It is lmbda (1 - 2 k
+    I_k(x)/(x I_(k-1)(x))) with modified Bessel functions I and x = slenderness/sqrt(lmbda/(12 mu)). It is computed as
+    lmbda I_(k+1)(x)/I_(k-1)(x), which loses no digits for any x.
 
     Args:
         lmbda: first Lame modulus, stress; > 0 or math.inf.
@@ -344,9 +346,9 @@ class Bar:
 
     @property
     def delta_1(self) -> float:
-        """Elongation of the bar at which phase 1 fills the layer in the global minimiser: delta_0 + l alpha/kbar.
+        """Elongation of the bar above which phase 1 fills the layer in the global minimiser, delta_0 + l alpha/kbar.
 
-        or the second term Eq. (47) of the paper prints l alpha alpha/k; correct is eps l alpha/k.
+        For the second term Eq. (47) of the paper prints l alpha alpha/k; correct is eps l alpha/k.
         """
         return self.delta_0 + self.free_elongation
 
@@ -384,7 +386,9 @@ class Bar:
     def sigma(self, delta: Array | float) -> Array:
         """Return the stresses in the global minimiser at the elongations `delta` of the bar, in the shape of `delta`.
 
-        or delta > 0 the stress is delta/(l R) before phase 1 grows. It is sigma_m while phase 1 grows, and (delta - l alpha/kbar)/(l R) after that. In the first and third case Eq. (47) of the paper prints the factor (k/(eps l)) K/K_eps without delta; K_eps is K kbar R.
+        For delta > 0 the stress is delta/(l R) before phase 1 grows. It is sigma_m while phase 1 grows, and (delta - l
+        alpha/kbar)/(l R) after that. In the first and third case Eq. (47) of the paper prints the factor (k/(eps l))
+        K/K_eps without delta; K_eps is K kbar R.
         """
         return self.branch(delta, self.phase(delta)).sigma
 

@@ -67,7 +67,7 @@ class Kinematics:
 
     @property
     def factor(self) -> Expr:
-        """actor, UFL, of all integrals over the mesh; here 1, so that integrals in 2D are per unit depth."""
+        """Factor, UFL, of all integrals over the mesh; here 1, so that integrals in 2D are per unit depth."""
         return 1
 
     def factor_at(self, x: Array) -> Array:

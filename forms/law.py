@@ -47,7 +47,7 @@ ChangeParameter = Callable[[ParameterValue, float], ParameterValue]  # of a para
 class Step(NamedTuple):
     """Input of a law at one point, over a time step from t to t + dt.
 
-    orces balance at t + theta dt, and the law returns the stress at this time.
+    Forces balance at t + theta dt, and the law returns the stress at this time.
 
     Attributes:
         e: strain at the end of the step, (3, 3). A law without rate and internal variables gets the strain at t + theta

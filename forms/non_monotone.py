@@ -253,7 +253,7 @@ class NonMonotone(Phases):
 
     @property
     def _gain(self) -> Expr:
-        """actor g = mixing alpha^2 G, energy per volume: mixing phases in equal parts saves g/8."""
+        """Factor g = mixing alpha^2 G, energy per volume: mixing phases in equal parts saves g/8."""
         return self.mixing * self.G * self.alpha * self.alpha  # type: ignore[operator]
 
     def _fraction(self, m: Expr) -> Expr:

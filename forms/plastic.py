@@ -123,7 +123,10 @@ class MohrCoulomb(KernelLaw, Plastic):
     stresses. On edges and at the apex the accumulated plastic strain grows by 2 cos(Omega) times the sum of the plastic
     multipliers of both planes.
 
-    or psi = 0 the flow does not change the mean stress, so that stresses with a mean above C cot(Omega) cannot return to the yield surface. There the stress is set to C cot(Omega) times the identity, with a volumetric plastic strain. The material has torn. It closes only when this volume is compressed to zero again. For psi > 0 the flow itself returns such stresses.
+    For psi = 0 the flow does not change the mean stress, so that stresses with a mean above C cot(Omega) cannot return
+    to the yield surface. There the stress is set to C cot(Omega) times the identity, with a volumetric plastic strain.
+    The material has torn. It closes only when this volume is compressed to zero again. For psi > 0 the flow itself
+    returns such stresses.
 
     The moduli, cohesion, friction_angle, elastic_fraction and the parameters of the hardening are described in the base
     class `Plastic`.

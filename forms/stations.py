@@ -62,7 +62,7 @@ class Faces(NamedTuple):
 
     @property
     def change(self) -> Expr:
-        """Strain (3, 3) of the layer at the upper face minus that at the lower face, for displacements linear in the
+        """Strain (3, 3) of the layer at the upper face minus that at the lower one, for displacements linear in the
         height.
 
         It is `difference`; where the thickness varies, it is eps sym(grad_S ([u]/eps)).
@@ -80,10 +80,9 @@ class Faces(NamedTuple):
         return along * e * along
 
     def split(self, normal: Expr, tangential: Expr) -> Faces:
-        """Return these faces with other jumps: the component along n times `normal`, the components along S times
-        `tangential`.
+        """Return the same faces with the jump's normal component times `normal`, its tangential ones times `tangential`.
 
-        The mean displacement of the faces is not changed.
+        The mean displacement of the faces does not change.
         """
         n = self.n
         jump = tangential * self.jump + (normal - tangential) * ufl.dot(n, self.jump) * n
@@ -100,11 +99,11 @@ class Station(Generic[LawType]):
 
     Attributes:
         law: the law.
-        share: weight of the station; in units of the thickness eps, which is an integration from -1/2 to 1/2.
+        share: weight of the station in an integral over the thickness, which is divided by eps.
         strain: function that returns the strain (3, 3), UFL, linear in displacements and in prescribed strains. Its
             arguments are the law, with parameters that are UFL expressions on S, and the displaced faces.
-        flow: function of the same law that returns the flux along S, divided by the pressure's gradient and by eps^3; 0
-            for a law without a pressure.
+        flow: function of the same law that returns the flux along S over the pressure's gradient and eps^3; 0 without a
+            pressure.
         largest_ratio: lmbda/mu for small strains, beyond which this strain makes the layer lock.
     """
 

@@ -63,7 +63,7 @@ class TractionLaw(Law):
         return _bulk_law_class(cls)(self)
 
     def traction(self, step: JumpStep) -> Expr:
-        """Return the traction (3,), UFL, at t + theta dt, the time in the step from t to t + dt at which forces balance."""
+        """Return the traction (3,), UFL, at t + theta dt, the time in the step at which forces balance."""
         raise InputError(f"{type(self).__name__} has no traction; a traction law needs a method traction(step)")
 
     def evolve(self, step: JumpStep) -> dict[str, Expr]:

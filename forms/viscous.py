@@ -21,7 +21,7 @@ REST_STRAIN = 1e-12  # strain increment of a step below which the dashpot may be
 
 
 def isotropic_energy(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
-    """Return the elastic energy per volume lmbda (tr e)^2/2 + mu e:e, UFL, of an isotropic solid at the strain e (3, 3)."""
+    """Return the elastic energy per volume lmbda (tr e)^2/2 + mu e:e, UFL, at the strain `e` (3, 3)."""
     return lmbda * ufl.tr(e) ** 2 / 2 + mu * ufl.inner(e, e)
 
 
@@ -211,7 +211,9 @@ class Norton(ParallelDashpot):
     of sym(v (x) n), q^2 = v_N^2 + |v_T|^2/2; in Eqs. (22)-(24) of the paper it is the norm of v. For eps -> 0 the law
     is finite if eta is proportional to eps^(p - 1).
 
-    or p < 2 the tangent is infinite at zero rate. The dashpot is therefore linear where its stiffness in a step would exceed 1e6 times the spring's, but only at strain increments below 1e-12. For p < 1.2 Newton's method may need a larger linear range, which `rest` gives.
+    For p < 2 the tangent is infinite at zero rate. The dashpot is therefore linear where its stiffness in a step would
+    exceed 1e6 times the spring's, but only at strain increments below 1e-12. For p < 1.2 Newton's method may need a
+    larger linear range, which `rest` gives.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
@@ -281,8 +283,8 @@ class NortonCreep(SeriesDashpot):
         """Return the relaxation rates, 1/time, UFL, of the deviator and of the mean of the stress at t + theta dt.
 
         The latter is zero. The former follows from x, the equivalent stress divided by its value without creep in the
-        step. x is the root of the convex function x + c x^n - 1, where c is the step's theta dt times the rate without
-        creep.
+        step. x is the root of the convex function x + c x^n - 1. Here c is theta dt times the rate at the equivalent
+        stress without creep.
         """
         n: Expr = self.n
         trial = ufl.dev(step.q["stress"]) + 2 * step.theta * self.mu * ufl.dev(step.e - step.e_old)

@@ -146,11 +146,11 @@ class Interface:
 
     @property
     def factor(self) -> Expr:
-        """actor, UFL, with which the measure of the facets becomes that of S: `area` times the factor of the kinematics."""
+        """Factor of the facets' measure in integrals over S, UFL: `area` times the factor of the kinematics."""
         return self.kinematics.factor * self.area
 
     def jump(self, v: Expr) -> Expr:
-        """Return the jump [v] of a function `v` on the mesh: its value on the upper side minus that on the lower side."""
+        """Return the jump [v] of a function `v` on the mesh: its upper value minus its lower value on S."""
         return self.upper(v) - self.lower(v)
 
     def faces(self, u: Expr, eps: Expr, slope: Expr | None = None) -> Faces:
@@ -213,8 +213,7 @@ class Term:
 
     @property
     def proportional(self) -> bool:
-        """Whether the stress is proportional to the strain of the displacements, so that the virtual work is a bilinear
-        form.
+        """Whether the stress is proportional to the strain, so that the virtual work is a bilinear form.
 
         It is not if the law has internal variables, a rate, or a stress at zero strain.
         """
@@ -331,14 +330,17 @@ def sum_strains(*strains: Expr) -> Expr:
 
 
 def stress(term: Term, u: Expr) -> Expr:
-    """Return the stress (3, 3), UFL, of a term's law at displacements `u`, without components that kinematics exclude."""
+    """Return the stress (3, 3), UFL, of a term's law at displacements `u`.
+
+    Components that the term's kinematics exclude, such as out-of-plane stresses in plane stress, are zero.
+    """
     return term.kinematics.restricted(checked_stress(term.law, term.step(u)))
 
 
 def work(terms: Iterable[Term], u: Expr, v: Expr) -> Expr:
-    """Return the virtual work of all terms, a UFL form: that of the stresses at displacements `u` on the strains of `v`.
+    """Return the virtual work of all terms, a UFL form that is linear in the virtual displacements `v`.
 
-    It is linear in the virtual displacements `v`.
+    It is the work of the stresses at the displacements `u` on the strains of `v`.
     """
     return sum(ufl.inner(stress(term, u), term.strain(v)) * term.weight * term.measure for term in terms)
 

@@ -27,7 +27,8 @@ ARC_GAUSS_POINTS = 24  # number of Gauss points on an arc around the corner
 class CornerField:
     """Singular elastic field at the corner between the free side of a layer and a rigid face, in plane strain.
 
-    or plane stress give nu/(1 + nu) of the layer as nu. Stresses are divided by the layer's shear modulus mu. The polar angle is measured from the face into the layer.
+    For plane stress give nu/(1 + nu) of the layer as nu. Stresses are divided by the layer's shear modulus mu. The
+    polar angle is measured from the face into the layer.
 
     Attributes:
         nu: Poisson's ratio of the layer, in [0, 0.5].

@@ -115,7 +115,9 @@ class EndStrips(NamedTuple):
     def of_spread(self, length: float) -> EndStrips:
         """Return the strips for a layer in which a pressure evens out over at most `length` thicknesses along S.
 
-        or nu > 0.49 the flow at an end has less resistance than in an infinite layer (kappa > 1). This only holds if the pressure grows linearly over many thicknesses, which a narrow S or soft bodies can prevent. If `length` is below `MIN_SPREAD`, the strip `resistance` of such a layer is therefore left out.
+        For nu > 0.49 the flow at an end has less resistance than in an infinite layer (kappa > 1). This only holds if
+        the pressure grows linearly over many thicknesses, which a narrow S or soft bodies can prevent. If `length` is
+        below `MIN_SPREAD`, the strip `resistance` of such a layer is therefore left out.
         """
         return self if self.resistance.c >= 0 or length >= MIN_SPREAD else self._replace(resistance=EndStrip())
 
