@@ -86,16 +86,16 @@ def unknown_name_message(kind: str, name: object, allowed: Iterable[str]) -> str
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Whether a value is a real number, including NaN and infinity, excluding True and False."""
+    """Return whether a value is a real number; NaN and infinity count as numbers, True and False do not."""
     return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def is_finite(value: object) -> TypeGuard[float]:
-    """Whether a value is a real number in the range of 64-bit floats; False for NaN and infinity."""
+    """Return whether a value is a real number in the range of 64-bit floats, which excludes NaN and infinity."""
     number = value.item() if isinstance(value, np.generic) else value  # numpy would round the bound to 32 bits
     return is_number(number) and bool(abs(number) <= sys.float_info.max)
 
 
 def is_integer(value: object, least: int) -> bool:
-    """Whether a value is a whole number >= `least`; 3.0 counts as whole."""
+    """Return whether a value is a whole number >= `least`; 3.0 counts as whole."""
     return is_finite(value) and value == int(value) and value >= least

@@ -78,11 +78,11 @@ class ContactLaw(Law):
         return {"has_energy": self.memory, "remembers": self.memory, "of_jumps": True, "nodal": True}
 
     def threshold(self, p: Array) -> Array:
-        """Largest magnitude (n,) of the tangential traction t_T at contact pressures p (n,)."""
+        """Return the largest magnitude (n,) of the tangential traction, stress, at contact pressures `p` (n,)."""
         raise InputError(f"{type(self).__name__} has no threshold; a contact law needs a method threshold(p)")
 
     def threshold_rate(self, p: Array) -> Array:
-        """Derivative (n,) of the threshold by the pressure, at contact pressures p (n,)."""
+        """Return the derivative (n,) of the threshold by the pressure, dimensionless, at contact pressures `p` (n,)."""
         raise InputError(f"{type(self).__name__} has no method threshold_rate(p)")
 
     def check_threshold(self) -> None:
@@ -116,7 +116,7 @@ class ContactLaw(Law):
                 raise InputError(f"{type(self).__name__}: numbers and threshold(p) are two laws; give numbers = None")
 
     def pressure(self, w: Array) -> Array:
-        """Contact pressures p >= 0, (n,), at jumps w (n, d)."""
+        """Return the contact pressures (n,), >= 0, at jumps `w` (n, d), tangential components first."""
         return self.K_N * np.maximum(-w[:, -1], 0.0)
 
     def _trial(self, w: Array, slip: Array | None) -> tuple[Array, Array, Array, Array]:
@@ -130,7 +130,9 @@ class ContactLaw(Law):
         return p, self.threshold(p), trial_t, np.linalg.norm(trial_t, axis=1)
 
     def traction(self, w: Array, slip: Array | None = None) -> Array:
-        """Traction (n, d) that the upper side of S exerts on the lower one, in the frame of S.
+        """Return the tractions (n, d), stress, that the upper side of S exerts on the lower one at n nodes.
+
+        Their tangential components come first, the normal one last.
 
         Args:
             w: jumps (n, d) at the end of the step, tangential components first.
@@ -141,7 +143,9 @@ class ContactLaw(Law):
         return np.column_stack([trial_t * factor[:, None], -p])
 
     def tangent(self, w: Array, slip: Array | None = None) -> Array:
-        """Derivative (n, d, d) of the traction by the jump. It is not symmetric where S slides with friction.
+        """Return the derivatives (n, d, d) of the tractions by the jumps at n nodes, stress per length.
+
+        They are not symmetric where S slides with friction.
 
         Args:
             w: jumps (n, d) at the end of the step, tangential components first.

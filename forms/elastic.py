@@ -35,7 +35,7 @@ IN_PLANE_VOIGT = [0, 1, 5]
 
 
 def lame_stress(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
-    """Isotropic stress (3, 3), UFL, at the strain e (3, 3): lmbda tr(e) I + 2 mu e."""
+    """Return the isotropic stress lmbda tr(e) I + 2 mu e, (3, 3), UFL, at the strain `e` (3, 3)."""
     return lmbda * ufl.tr(e) * ufl.Identity(3) + 2 * mu * e
 
 
@@ -73,7 +73,7 @@ class IsotropicLaw(BulkLaw):
 
 
 def poisson_ratio(law: BulkLaw) -> float:
-    """Poisson's ratio of a law with numeric moduli lmbda and mu."""
+    """Return Poisson's ratio of a law whose moduli lmbda and mu are numbers."""
     lmbda, mu = (float(parameter_numbers(law.parameters()[name])) for name in ("lmbda", "mu"))
     return lmbda / (lmbda + mu) / 2
 
@@ -85,7 +85,7 @@ class LinearLaw(BulkLaw):
     quadratic = True
 
     def energy(self, step: Step) -> Expr:
-        """Strain energy per unit volume, UFL: e:C:e/2 with the stiffness tensor C."""
+        """Return the strain energy per unit volume, UFL: e:C:e/2 with the strain e and the stiffness tensor C."""
         return ufl.inner(self.stress(Step(step.e, step.n)), step.e) / 2
 
 

@@ -96,10 +96,10 @@ def apparent_friction(friction_angle: float, dilatancy_angle: float) -> float:
 # For infinite lmbda this is Stefan's squeeze film, with the leading term of Gent and Lindley (Proc. Inst. Mech. Eng.
 # 173, 1959): eps times the stiffness is 4 mu s^2 for a strip and 6 mu s^2 for a disc; s is loaded over free area.
 def rubber_strip(lmbda: float, mu: float, eps: float, a: float) -> float:
-    """Mean normal traction per opening of a rubber strip between rigid plates in plane strain, stress per length.
+    """Return the mean normal traction per opening of a rubber strip between rigid plates, stress per length.
 
-    It is [lmbda (1 - tanh(x)/x) + 2 mu]/eps with x = a/delta and delta = eps sqrt(lmbda/(12 mu)). For an infinite lmbda
-    it is 4 mu a^2/eps^3 + 2 mu/eps.
+    In plane strain it is [lmbda (1 - tanh(x)/x) + 2 mu]/eps with x = a/delta and delta = eps sqrt(lmbda/(12 mu)). For
+    an infinite lmbda it is 4 mu a^2/eps^3 + 2 mu/eps.
 
     Args:
         lmbda: first Lame modulus of the layer, stress; > 0 or math.inf.
@@ -114,7 +114,7 @@ def rubber_strip(lmbda: float, mu: float, eps: float, a: float) -> float:
 
 
 def rubber_disc(lmbda: float, mu: float, eps: float, radius: float) -> float:
-    """Mean normal traction per opening of a rubber disc between rigid plates, stress per length.
+    """Return the mean normal traction per opening of a rubber disc between rigid plates, stress per length.
 
     It is [lmbda (1 - 2 I_1(x)/(x I_0(x))) + 2 mu]/eps with x = radius/delta and delta = eps sqrt(lmbda/(12 mu)). I_0
     and I_1 are modified Bessel functions. For an infinite lmbda it is 3 mu radius^2/(2 eps^3) + 2 mu/eps.
@@ -159,7 +159,7 @@ def retained_pressure_share(lmbda: float, mu: float, slenderness: float, k: floa
 def prandtl_pressure(k: float) -> float:
     """Return the mean pressure (2 + pi) k under which a strip footing sinks into a half space.
 
-    `k` is the yield stress in shear of the half space, which is rigid and ideally plastic.
+    `k` is the yield stress in shear of the half space, which is ideally plastic.
     """
     return (2 + math.pi) * k
 

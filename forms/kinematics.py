@@ -15,16 +15,16 @@ from forms.tensors import MANDEL_PAIRS, Expr, strain, three_dimensional
 
 @dataclass(frozen=True)
 class Kinematics:
-    """Relation of displacements on a mesh to strains (3, 3), the factor of integrals, and the laws of these strains.
+    """Strains (3, 3) that displacements cause in plane strain (2D meshes) or in three dimensions (3D meshes).
 
-    The factor multiplies all measures dx, ds and dS of the mesh, such as 2 pi r in axisymmetry. This class covers plane
-    strain on 2D meshes, and 3D meshes; the other kinematics derive from it. The number of dimensions of the mesh is d.
+    The other kinematics derive from this class. Kinematics also give the form of laws that fits these strains, and the
+    factor of all integrals over the mesh, such as 2 pi r in axisymmetry. The number of dimensions of the mesh is d.
 
     Attributes:
         x: coordinates on the mesh, UFL (d,); None if no mesh is set (`on` returns a copy with a mesh).
         name: value of `plane` in `Structure(plane=...)` that selects these kinematics.
         rotations: whether rigid rotations cause no strain.
-        degree: polynomial degree of the factor of measures in the coordinates.
+        degree: polynomial degree of `factor` in the coordinates.
     """
 
     x: Expr | None = None

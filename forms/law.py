@@ -188,8 +188,8 @@ class Law(LayerResults):
     def traits(self) -> Traits:
         """Properties of the law by which models and solvers choose their methods.
 
-        They are computed when a law is made from its parameters. A copy of the law in which other numbers or symbols
-        replace parameters has the same traits.
+        The traits of a new law follow from its class and its parameters. A copy in which other numbers or symbols
+        replace parameters keeps them.
         """
         traits = Traits.of(self, **self._traits_of_methods())
         return replace(traits, varies=True) if self.fields and traits.compiled else traits
@@ -317,8 +317,8 @@ class Law(LayerResults):
     def check_at(self, x: Array) -> None:
         """Raise InputError if a parameter that is a function is out of its range at one of n places `x` (d, n).
 
-        If there are many places, not all are checked. Checked are those where a parameter is smallest or largest, or
-        the difference or ratio of two parameters. One to two thousand others are checked, too.
+        If there are many places, some are not checked. Checked are the places where a parameter, or the difference or
+        ratio of two parameters, is smallest or largest. One to two thousand others are checked, too.
         """
         if not self.fields:
             return
@@ -458,18 +458,17 @@ class BulkLaw(Law):
     def own_step(self, step: Step) -> Step:
         """Return the step with which the law's methods are called, from the full `step` of a point.
 
-        A law without rate and internal variables gets a step that only has a strain, that at t + theta dt, and the
-        normal.
+        For a law without rate and internal variables it has only the strain at t + theta dt and the normal.
         """
         return step if self.traits.rate or self.internal else Step(step.mid, step.n)
 
     def remainder(self, step: Step) -> Expr:
         """Return the error of the time scheme in the energy balance of a step, UFL, per unit volume.
 
-        It is stress : (e - e_old) minus the increase of the stored energy, minus the dissipated energy. If the energy E
-        is quadratic, it is (2 theta - 1) E, with the increments of strain and internal variables in E. This is >= 0,
-        and zero for the midpoint rule. Where parameters depend on time, the model computes the error without this
-        method.
+        It is stress : (e - e_old) minus the increase of the stored energy, minus the dissipated energy. If the energy
+        is quadratic, the error is (2 theta - 1) times the energy of the increments of strain and internal variables. It
+        is then >= 0, and zero for the midpoint rule. Where parameters depend on time, the model computes the error
+        without this method.
         """
         new = self.advance(step)
         if self.traits.quadratic:
@@ -636,7 +635,7 @@ def scalar_fields(cls: type[Law]) -> set[str]:
 
 @contextmanager
 def explained_errors(law: Law, method: str) -> Iterator[None]:
-    """Context in which errors of a law's method become InputErrors with the law's name and the rules for writing laws.
+    """Turn errors of a law's method in this context into InputErrors that tell the law and the rules for writing laws.
 
     Args:
         law: the law.
@@ -655,7 +654,7 @@ def explained_errors(law: Law, method: str) -> Iterator[None]:
 
 
 def require_shape(law: Law, output: str, value: Expr, shape: tuple[int, ...]) -> Expr:
-    """Return a value that a law's method has computed as UFL, and raise InputError unless it has a given shape.
+    """Return the value of a law's method as UFL, or raise InputError if it does not have the shape `shape`.
 
     Args:
         law: the law, for messages.

@@ -1,6 +1,7 @@
 """Laws at one point, with symbols for all their numbers: their tangents, their values, and the inputs they depend on.
 
-Tangents at rest, and after a time step, show whether a layer is soft, stiff or nearly incompressible.
+Tangents for small strains from the unstrained state ("at rest"), and after a time step, show whether a layer is soft,
+stiff or nearly incompressible.
 
 `evaluate` computes the numbers of a UFL expression, each part of it once. UFL's own evaluation computes a part anew
 wherever it occurs, and for each component. That takes seconds for rotated tensors.
@@ -348,10 +349,10 @@ def depends_on_step_length(law: BulkLaw) -> bool:
 
 
 def is_checked_at_rest(law: BulkLaw) -> bool:
-    """Return whether the tangent of a layer's law in the unstrained state can be computed and must be >= 0.
+    """Return whether a layer's law has a tangent for small strains that can be computed and must not be negative.
 
-    It may be negative for a law that declares `softens`. It is not computed for a law with internal variables and a
-    rate. Nor is it computed for a non-linear law of jumps, for which no jump is known to be small.
+    The tangent may be negative for a law that declares `softens`. It is not computed for a law with internal variables
+    and a rate. Nor is it computed for a non-linear law of jumps, for which no jump is known to be small.
     """
     at_jumps = law.traits.of_jumps and not law.traits.linear
     return not (law.traits.softens or (law.traits.rate and law.internal) or at_jumps)

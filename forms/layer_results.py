@@ -63,9 +63,9 @@ class LayerResults:
     def status_at(self, points: LayerPoints) -> npt.NDArray[np.str_]:
         """Return a word for the status of the law at each of several points on S, (points,).
 
-        By default a point without traction is "open" if the jump opens it. One without plastic strain is "elastic".
-        Otherwise the plastic strain makes it "sliding" (mostly shear), "crushed" (shortening) or "torn" (lengthening
-        along n). In a Stack the first sublayer that is not elastic gives the status.
+        By default a point without normal traction is "open" if the jump opens it. One without plastic strain is
+        "elastic". Otherwise the plastic strain makes it "sliding" (mostly shear), "crushed" (shortening) or "torn"
+        (lengthening along n). In a Stack the first sublayer that is not elastic gives the status.
 
         Args:
             points: values at the points.

@@ -115,7 +115,7 @@ class Phases(IsotropicLaw):
         self._check_phases({name: np.array([getattr(self, name)], float) for name in PHASE_PARAMETERS}, lambda k: "")
 
     def plane_stress(self) -> Phases:
-        """The law for plane stress: the same phases with the modulus lmbda of plane stress.
+        """Return the law for plane stress: the same phases with the modulus lmbda of plane stress.
 
         This is exact because chi acts in the plane, and all phases have equal moduli.
         """

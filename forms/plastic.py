@@ -202,7 +202,7 @@ class MohrCoulombMonodirectional(Plastic):
     def _trial(self, step: Step) -> Expr:
         """Return the stress (3, 3), UFL, at t + theta dt if the plastic strain did not change in the step.
 
-        It is the stress of the whole stiffness; the elastic fraction is added in `stress`.
+        It is that of a law without elastic fraction.
         """
         e, n = step.mid - step.q["plastic"], three_dimensional(step.n)
         stress = lame_stress(self.lmbda, self.mu, e)
@@ -222,7 +222,7 @@ class MohrCoulombMonodirectional(Plastic):
     def _flow(self, step: Step) -> tuple[Expr, Expr]:
         """Return the increments of the plastic strain (3, 3) and of the accumulated plastic strain until t + theta dt.
 
-        Both are UFL, and start at the beginning of the step, t. The plastic strain is a shear strain, without change of
+        Both are UFL. The increments are those from the beginning of the step, t. The plastic strain does not change the
         volume.
         """
         n, p = three_dimensional(step.n), step.q["accumulated"]

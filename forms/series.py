@@ -74,8 +74,8 @@ def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[AnyStation]:
     order 0.
 
     Each sublayer gets a small additional strain across S. It makes the tractions on planes parallel to S equal in all
-    sublayers; without it a nearly incompressible sublayer would lock. The stress is the sum of that with this traction,
-    and of the stress due to strains along S. The energies of both parts add up.
+    sublayers; without it a nearly incompressible sublayer would lock. The stress is the sum of two: one with this
+    traction, and one due to the strains along S. Their energies add up.
 
     The first station is `EqualTractionSublayers`. The other three have the strains along S at Phi_T = -1/2, 0 and 1/2.
     The energy of the strains along S is quadratic in Phi_T. Weighted means of the moduli at the three stations make its
@@ -131,7 +131,7 @@ class Stack(BulkLaw):
 
     The meshed layer has cells for each sublayer. On S, with the mean strain e at a point, sublayer i has the strain e +
     sym(g_i (x) n). The vectors g_i are such that tractions are equal and sum_i a_i g_i = 0, with the fractions a_i of
-    the thickness. They are computed at each point. Each law has its own internal variables. A layer of equal linear
+    the thickness. The g_i are computed at each point. Each law has its own internal variables. A layer of equal linear
     sublayers has their common law.
 
     The compliances of linear elastic sublayers add up: K = (sum_i a_i K_i^-1)^-1. K_i is the stiffness that the layer

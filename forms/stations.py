@@ -62,8 +62,7 @@ class Faces(NamedTuple):
 
     @property
     def change(self) -> Expr:
-        """Strain (3, 3) of the layer at the upper face minus that at the lower one, for displacements linear in the
-        height.
+        """Strain (3, 3) of the layer at the upper face minus that at the lower, for displacements linear in the height.
 
         It is `difference`; where the thickness varies, it is eps sym(grad_S ([u]/eps)).
         """
@@ -80,7 +79,7 @@ class Faces(NamedTuple):
         return along * e * along
 
     def split(self, normal: Expr, tangential: Expr) -> Faces:
-        """Return the same faces with the jump's normal component times `normal`, its tangential ones times `tangential`.
+        """Return the same faces with the normal jump multiplied by `normal`, the tangential jump by `tangential`.
 
         The mean displacement of the faces does not change.
         """
@@ -99,7 +98,7 @@ class Station(Generic[LawType]):
 
     Attributes:
         law: the law.
-        share: weight of the station in an integral over the thickness, which is divided by eps.
+        share: weight of the station in an integral over the height from -1/2 to 1/2.
         strain: function that returns the strain (3, 3), UFL, linear in displacements and in prescribed strains. Its
             arguments are the law, with parameters that are UFL expressions on S, and the displaced faces.
         flow: function of the same law that returns the flux along S over the pressure's gradient and eps^3; 0 without a

@@ -105,9 +105,9 @@ class SeriesDashpot(IsotropicLaw):
 
     @staticmethod
     def _relaxed(step: Step, old: Expr, elastic: Expr, rate: Expr) -> Expr:
-        """Return the value x_new at the end of a step of a component or part x of the stress that relaxes in it.
+        """Return the value, at the end of a step, of a part x of the stress that relaxes: its deviator or its mean.
 
-        It is the solution of x_new - x_old = elastic - dt rate x(t + theta dt).
+        The value x_new solves x_new - x_old = elastic - dt rate x(t + theta dt).
 
         Args:
             step: the step, from t to t + dt.
@@ -142,9 +142,9 @@ class Maxwell(SeriesDashpot):
     prints the strain. The deviator of the stress relaxes with the time t1. The mean stress relaxes with the time t_v,
     where 1/t_v = ((1 + nu)/t1 - 3 nu/t2)/(1 - 2 nu).
 
-    As a layer's law with t1 = t2 and the jump w: dt/dt + t/t1 = K dw/dt, where dt/dt is the rate of the traction t. eps
-    K is mu along S and lmbda + 2 mu along n. Equation (19) of the paper prints other coefficients. With t1 != t2 the
-    normal traction is a sum of two parts that relax differently, for which no single differential equation of first
+    As a layer's law with t1 = t2 and the jump w: the rate of the traction, plus the traction divided by t1, is K dw/dt.
+    eps K is mu along S and lmbda + 2 mu along n. Equation (19) of the paper prints other coefficients. With t1 != t2
+    the normal traction is a sum of two parts that relax differently, for which no single differential equation of first
     order holds.
 
     Attributes:

@@ -52,8 +52,8 @@ class InterfaceSide:
     def gradient(self, f: Expr) -> Expr:
         """Return the gradient of the values of a UFL function `f` on this side, with respect to coordinates on S.
 
-        If S is away from the facets, the values belong to the opposite places of S. Only the part of the gradient along
-        S is that of these values.
+        If S is away from the facets, a value on a facet belongs to the place of S opposite to it. Only the part of the
+        gradient along S is meaningful.
         """
         gradient = self.restrict(ufl.grad(f))
         return gradient if self.inverse_gradient is None else ufl.dot(gradient, self.inverse_gradient)
@@ -188,7 +188,7 @@ class Term:
         kinematics: kinematics of the strain.
         volume: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell (B-bar).
             It applies to compiled laws over cells. None: no projection.
-        traction: on S, function that returns the traction (d,) of a stress (3, 3): the term's force per area that does
+        traction: on S, function that returns, for a stress (3, 3), the traction (d,) that does the stress's virtual
             work on [u]. None: stress times n.
         flow: flux along S per gradient of the pressure, eps^3/(12 mu), for laws of order 1 with a pressure on S; 0 for
             others.

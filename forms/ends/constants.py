@@ -34,7 +34,7 @@ class FreeEnd(NamedTuple):
             displacement of the end across S is c_T w_T, away from the face that moves outwards.
         m_T: first moment, about the end, of the missing shear tractions, divided by mu w_T.
         kappa: factor on the pressure-driven flow along S within one thickness of the end, in laws with a pressure on S
-            (`forms.rubber`). With this factor the law with a pressure loses the force of c_N without further
+            (`forms.rubber`). With this factor the shortening of such a layer under an opening is c_N without further
             corrections.
     """
 

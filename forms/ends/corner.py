@@ -1,8 +1,8 @@
 """Singular stress field at the corner between a face and the free side of a layer.
 
 Near this corner the layer is a wedge of 90 degrees, 0 < theta < pi/2. It is fixed at theta = 0 and traction-free at
-theta = pi/2. Its stresses grow like H r^(lambda - 1) towards the corner (Williams 1952). With Muskhelishvili's
-potentials phi = a z^lambda, psi = b z^lambda
+theta = pi/2. Its stresses grow like H r^(lambda - 1) towards the corner (Williams 1952). lambda is this exponent, not a
+modulus. With Muskhelishvili's potentials phi = a z^lambda, psi = b z^lambda
 
     2 mu (u + i v) = kappa phi - z conj(phi') - conj(psi);   kappa = 3 - 4 nu;
     s_xx + s_yy = 4 Re phi';   s_yy - s_xx + 2 i s_xy = 2 (conj(z) phi'' + psi').
