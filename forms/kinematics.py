@@ -17,8 +17,8 @@ from forms.tensors import MANDEL_PAIRS, Expr, strain, three_dimensional
 class Kinematics:
     """Strains (3, 3) that displacements cause in plane strain (2D meshes) or in three dimensions (3D meshes).
 
-    The other kinematics derive from this class. Kinematics also give the form of laws that fits these strains, and the
-    factor of all integrals over the mesh, such as 2 pi r in axisymmetry. The number of dimensions of the mesh is d.
+    The other kinematics derive from this class. Kinematics also give the form of laws that fits these strains. `factor`
+    multiplies all integrals over the mesh, such as 2 pi r in axisymmetry. The number of dimensions of the mesh is d.
 
     Attributes:
         x: coordinates on the mesh, UFL (d,); None if no mesh is set (`on` returns a copy with a mesh).

@@ -254,7 +254,7 @@ class Law(LayerResults):
         return {f.name: getattr(self, f.name) for f in fields(self) if "choice" not in f.metadata}
 
     def choices(self) -> tuple[tuple[str, object], ...]:
-        """Return name and value of each field that is not a parameter."""
+        """Return pairs of name and value for the fields that are not parameters (see `choice`)."""
         parameters = self.parameters()
         return tuple((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in parameters)
 

@@ -185,7 +185,7 @@ def _require_used(law: Law) -> None:
 
 
 def _is_own(cls: type, name: str) -> bool:
-    """Return whether a class or a base class defines an attribute other than by the default of all laws."""
+    """Return whether a class has an attribute, its own or inherited, that is not the default of all laws."""
     defining = next((base for base in cls.__mro__ if name in vars(base)), None)
     written = getattr(vars(defining)[name], "__module__", None) if defining else None  # also where `_reset` restored it
     return defining is not None and not {defining.__module__, written} & {*DEFAULT_MODULES}

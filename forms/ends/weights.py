@@ -80,7 +80,7 @@ class EndStrips(NamedTuple):
         resistance: strip in which the pressure-driven flow along S meets more resistance, or less if its `c` is
             negative.
         r_N, r_T: lengths from the end over which stresses along S (r_N) and across S (r_T) are transferred to the
-            faces. 0: the transfer is not modelled.
+            faces. 0: at the end itself.
     """
 
     opening: EndStrip
