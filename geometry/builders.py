@@ -1,4 +1,4 @@
-"""Ready-made joints: a body on a rigid base, stacked bodies, discs, rings, fibres, walls, bond cell, grains, faults."""
+"""Functions that return ready-made joints: stacked bodies, discs, rings, a fibre, brick walls, grains and faults."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ Paths = Mapping[str, Sequence[Pair]]  # name -> points of a line
 def block(
     width: float, height: float, h: Size = None, *, depth: Size = None, comm: Comm = None, **cells: Unpack[GridArgs]
 ) -> Joint:
-    """A body (0, width) x (0, height), in 3D x (0, depth), on a rigid base; S is its bottom side. Collective.
+    """Return the joint of one body, (0, width) x (0, height), on a rigid base. Collective.
+
+    In 3D the body is (0, width) x (0, height) x (0, depth). S is the bottom side of the body, at y = 0.
 
     Args:
         width, height: size, lengths > 0.
@@ -66,9 +68,9 @@ def sandwich(
     comm: Comm = None,
     **cells: Unpack[GridArgs],
 ) -> Joint:
-    """Two stacked bodies (0, width) x (-lower, 0) and (0, width) x (0, upper), in 3D x (0, depth). Collective.
+    """Return the joint of two stacked bodies (0, width) x (-lower, 0) and (0, width) x (0, upper). Collective.
 
-    S is where they meet, at y = 0.
+    S is where they meet, at y = 0. In 3D both bodies also have the size (0, depth) along z.
 
     Args:
         width, lower, upper: width of both bodies, height of the lower and of the upper one, lengths > 0.
@@ -111,12 +113,14 @@ def disc(
     comm: Comm = None,
     **cells: Unpack[CurvedArgs],
 ) -> Joint:
-    """Two cylinders, stacked along their axis, the y axis; S is the disc at y = 0 where they meet. Collective.
+    """Return the joint of two cylinders, stacked along the y axis, which is the axis of both. Collective.
+
+    S is the disc at y = 0 where they meet. With a hole, S is a ring, and the bodies are tubes.
 
     Args:
         radius, lower, upper: radius of both bodies, height of the lower and of the upper one, lengths > 0.
-        h: largest cell size, a length (default: a fifth of the smallest of the two heights and the radius, with a hole
-            the width of the ring).
+        h: largest cell size, a length. Default: a fifth of the smallest of three lengths, the two heights and the
+            radius; if there is a hole, radius - hole takes the place of the radius.
         hole: radius of a hole along the axis, a length less than the radius (default: none).
         h_S: cell size at S, a length (default: h).
         h_ends: cell size, a length, at the circles that bound S (default: h_S).
@@ -148,12 +152,14 @@ def ring(
     comm: Comm = None,
     **cells: Unpack[CurvedArgs],
 ) -> Joint:
-    """Two concentric rings about the origin, or sectors of them, in 3D tubes; S is where they meet. Collective.
+    """Return the joint of two concentric rings about the origin, or of sectors of them. Collective.
+
+    S is where they meet. In 3D they are tubes along the z axis.
 
     Args:
         inner, interface, outer: radii, increasing lengths > 0; S is the circle or cylinder r = interface.
-        h: largest cell size, a length (default: a tenth in 2D, a fifth in 3D, of the smallest of the two widths and the
-            depth).
+        h: largest cell size, a length. Default: in 2D a tenth of the smaller radial width of the two rings; in 3D a
+            fifth of the smallest of these widths and the depth.
         angle: angle of the sector that starts at the x axis, in radians, > 0 and at most 2 pi (default: the full
             circle).
         depth: size along z, a length > 0, which makes the rings three-dimensional (default: 2D).
@@ -188,7 +194,9 @@ def ring(
 def fibre(
     radius: float, around: float | Pair, h: Size = None, *, comm: Comm = None, **cells: Unpack[CurvedArgs]
 ) -> Joint:
-    """A fibre, the disc r < radius about the origin, in its matrix; S is the circle between them. Collective.
+    """Return the plane joint of a fibre, the disc r < radius about the origin, in its matrix. Collective.
+
+    S is the circle between fibre and matrix.
 
     Args:
         radius: radius of the fibre, a length > 0.
@@ -218,7 +226,9 @@ def fibre(
 def wall(
     bricks: int, courses: int, brick: Pair, h: Size = None, *, depth: Size = None, cell: Cell = None, comm: Comm = None
 ) -> Joint:
-    """A wall in running bond, its left lower corner at the origin; S is its mortar joints. Collective.
+    """Return the joint of a brick wall in running bond, whose left lower corner is the origin. Collective.
+
+    S consists of the surfaces that stand for the layers of mortar.
 
     Args:
         bricks: number of bricks along a course; every second course begins and ends with half a brick.
@@ -231,7 +241,7 @@ def wall(
         comm: communicator whose rank 0 makes the mesh (default: MPI.COMM_WORLD).
 
     Returns:
-        Seams "BED" (joints between courses, upper side above) and "HEAD" (joints between bricks of a course, upper side
+        Seams "BED" (mortar between courses, upper side above) and "HEAD" (mortar between bricks of a course, upper side
         on the right), if there are any; regions "COURSE 1", "COURSE 2", ... from below; facets "BOTTOM", "TOP", "LEFT",
         "RIGHT", in 3D "BACK" (z = 0) and "FRONT" too.
 
@@ -251,15 +261,16 @@ def wall(
 def bond_cell(
     brick: Pair, h: Size = None, *, depth: Size = None, cut: Pair = (0.25, 0.5), cell: Cell = None, comm: Comm = None
 ) -> Joint:
-    """The periodic cell of a running bond, one brick wide, two courses high, its left lower corner at the origin.
+    """Return the periodic joint of one cell of a running bond: one brick wide and two courses high. Collective.
 
-    S is its mortar joints. The cell is cut through bricks. Left and right sides are identified with each other, and so
-    are bottom and top. Collective.
+    The left lower corner of the cell is the origin. S consists of the surfaces that stand for the layers of mortar.
+    The outer boundary of the cell cuts through bricks. Left and right sides are identified with each other, and so are
+    bottom and top.
 
     Args:
         brick: (width, height) of a brick with its mortar, lengths > 0.
-        h: largest cell size, a length (default: a quarter of the smallest side of a brick); at least two cells are in
-            half a brick, and in its height.
+        h: largest cell size, a length (default: a quarter of the smallest side of a brick). Whatever h is, half the
+            width of a brick and its height are divided into at least two cells each.
         depth: size of a brick along z, a length > 0, which makes the cell three-dimensional (default: 2D); "BACK" and
             "FRONT" are then not periodic.
         cut: place of the cell's left lower corner in a brick, as fractions of the brick's width and height. It is
@@ -269,13 +280,13 @@ def bond_cell(
         comm: communicator whose rank 0 makes the mesh (default: MPI.COMM_WORLD).
 
     Returns:
-        Seams "BED" (joints between courses, upper side above) and "HEAD" (joints between bricks of a course, upper side
-        on the right); regions "COURSE 1" (at the bottom, and its other part at the top) and "COURSE 2"; facets
+        Seams "BED" (mortar between courses, upper side above) and "HEAD" (mortar between bricks of a course, upper side
+        on the right); regions "COURSE 1" (one part at the bottom, the other at the top) and "COURSE 2"; facets
         "BOTTOM", "TOP", "LEFT", "RIGHT", in 3D "BACK" (z = 0) and "FRONT" too.
 
     Raises:
-        InputError: a size is not positive, a cell type is not one of this dimension, the cut is along a joint of
-            mortar.
+        InputError: a size is not positive, a cell type is not one of this dimension, the cut is along a layer
+            of mortar.
     """
     size = tuple(brick) if depth is None else (*brick, depth)
     joint = on_root(comm, lambda: repeated_bond(MeshOptions(h, cell=cell), size, cut))
@@ -293,15 +304,18 @@ def grains(
     comm: Comm = None,
     **cells: Unpack[SizeArgs],
 ) -> Joint:
-    """The rectangle (0, width) x (0, height), filled with Voronoi grains; S is all boundaries of grains. Collective.
+    """Return the joint of the rectangle (0, width) x (0, height), filled with Voronoi grains. Collective.
+
+    S consists of all boundaries between grains.
 
     Args:
         width, height: size, lengths > 0.
-        grains: points (x, y) in the rectangle; a grain consists of all places nearest to its point. Or the number of
-            grains, at least 2, for random points. These are moved to the centroids of their grains three times. In at
-            most 100 further steps, sides of grains are lengthened to 0.12 times the root of the mean area of a grain.
-        h: largest cell size, a length (default: a tenth of the root of the mean area of a grain). Grains do not depend
-            on it.
+        grains: points (x, y) in the rectangle, one for each grain, or the number of grains, at least 2. A grain
+            consists of all places nearest to its point. From a number, points are chosen at random and moved to the
+            centroids of their grains three times. In at most 100 further steps, sides of grains are lengthened to 0.12
+            times the square root of the mean area of a grain.
+        h: largest cell size, a length (default: a tenth of the square root of the mean area of a grain). Grains do not
+            depend on it.
         seed: whole number >= 0 for the random points; the same seed gives the same grains.
         seams: function of the numbers, from 1, of two grains that touch, the smaller number first; it returns the name
             of the seam between them (default: all are "S").
@@ -330,13 +344,15 @@ def grains(
 def faults(
     width: float, height: float, faults: Paths, h: Size = None, *, comm: Comm = None, **cells: Unpack[SizeArgs]
 ) -> Joint:
-    """The block (0, width) x (0, height) with faults, which may cross, branch, and end inside or outside. Collective.
+    """Return the joint of the block (0, width) x (0, height), which is cut by faults. Collective.
+
+    S consists of all faults. Faults may cross, branch, and end inside or outside the block.
 
     Args:
         width, height: size, lengths > 0.
         faults: name -> points (x, y) of a fault, from one end to the other, joined by straight lines. Parts outside the
-            block are cut off. A fault ends on another fault, and branches from it, where its first or last point lies
-            on it, to 1e-6 of the block's size.
+            block are cut off. If the first or last point of a fault is within 1e-6 of the block's size from another
+            fault, the fault ends there, as a branch of the other one.
         h: largest cell size, a length (default: a tenth of the smallest side).
         h_S: cell size at S, a length (default: h).
         h_ends: cell size, a length, where faults meet and end (default: h_S).

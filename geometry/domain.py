@@ -1,8 +1,8 @@
-"""Domain: a joint distributed over MPI ranks, with its names; and meshes of DOLFINx 0.9 to 0.11.
+"""The class `Domain`, a joint distributed over MPI ranks, and functions that hide differences of DOLFINx 0.9 to 0.11.
 
 Every rank can read the whole joint, which is stored once per machine, but has only its part of the mesh. Only `Domain`
-relates the two: `original_cells`, `original_points`, `numbers` and `on_cells` transfer data of the joint to the cells,
-points and facets of a rank.
+relates the two. Its `original_cells`, `original_points` and `numbers` give the numbers in the joint of a rank's cells,
+points and facets. `Domain.on_cells` picks the values of a rank's cells from values of all cells.
 """
 
 from __future__ import annotations
@@ -34,9 +34,13 @@ NAMES_PER_CODE = 30  # number of names after which combinations are renumbered, 
 
 
 def first_accepted(*calls: Callable[[], ResultType]) -> ResultType:
-    """Return the result of the first call that does not raise TypeError; errors of the last call are raised.
+    """Call functions in turn until one does not raise TypeError, and return its result.
 
-    So the releases of DOLFINx are served: a call with arguments that do not exist there fails before it does any work.
+    Calls of one task are written for different releases of DOLFINx: a release rejects arguments that it does not have
+    before it does any work. Errors of the last call are raised.
+
+    Args:
+        calls: functions without arguments, in the order in which they are tried.
     """
     for call in calls[:-1]:
         with suppress(TypeError):
@@ -47,21 +51,23 @@ def first_accepted(*calls: Callable[[], ResultType]) -> ResultType:
 def create_mesh(
     comm: MPI.Intracomm, points: FloatArray, cells: IntArray, cell_type: str, partitioner: Partitioner | None = None
 ) -> dolfinx.mesh.Mesh:
-    """Create a distributed DOLFINx mesh. Collective.
+    """Create a distributed DOLFINx mesh from the points and cells that each rank passes. Collective.
 
     Args:
         comm: communicator of the mesh.
-        points: (n, d) coordinates in d dimensions of the points that this rank passes.
-        cells: (m, k) global numbers of the k nodes of each cell that this rank passes, in DOLFINx's order.
-        cell_type: type of the cells.
-        partitioner: chooses the ranks of the cells; None is for a single rank only.
+        points: (n, d) coordinates in d dimensions of the n points that this rank passes, lengths. Points are numbered
+            globally, those of rank 0 first.
+        cells: (m, k) global numbers of the k nodes of each of the m cells that this rank passes, in DOLFINx's order.
+        cell_type: type of the cells, such as "triangle".
+        partitioner: function that chooses the ranks of the cells, as in DOLFINx's `create_mesh`; None: for a single
+            rank only.
     """
     dim, degree = points.shape[1], geometry_degree(cell_type, cells.shape[1])
     element, x = basix.ufl.element("Lagrange", cell_type, degree, shape=(dim,)), np.ascontiguousarray(points)
     arguments = dict(comm=comm, cells=cells, x=x, partitioner=partitioner)
 
     def by_keywords() -> dolfinx.mesh.Mesh:
-        """Pass arguments by name: without names the bindings first try to convert each cell to an array, slowly."""
+        """Create the mesh with all arguments named; otherwise DOLFINx first tries to convert `cells`, which is slow."""
         map_of_cells = dolfinx.fem.coordinate_element(element.basix_element)._cpp_object
         return dolfinx.mesh.Mesh(dolfinx.cpp.mesh.create_mesh(**arguments, element=map_of_cells), ufl.Mesh(element))
 
@@ -69,21 +75,22 @@ def create_mesh(
 
 
 def cell_nodes(mesh: dolfinx.mesh.Mesh) -> Indices:
-    """Return (n, k) local numbers of the k geometry nodes of each cell of this rank, ghosts included."""
+    """Return (n, k) local numbers of the k geometry nodes of each of this rank's n cells, ghosts included."""
     maps = getattr(mesh.geometry, "dofmaps", None)
     return np.asarray(mesh.geometry.dofmap if maps is None or callable(maps) else maps[0])
 
 
 def with_cell_points(mesh: dolfinx.mesh.Mesh, x: FloatArray) -> dolfinx.mesh.Mesh:
-    """Return the mesh with the same topology and new coordinates for the nodes of each cell. Collective.
+    """Return a mesh with the topology of `mesh`, in which each cell has nodes of its own at the places `x`. Collective.
 
-    Each cell has its own nodes, so that neighbours may be apart. They still share one facet, which has a place on
-    either side. Without a side ("+", "-") DOLFINx computes the geometry of this facet from one of the two cells.
+    Neighbouring cells may therefore be apart, although they still share one facet. In integrals over such a facet, a
+    coordinate or normal is unique only with a side ("+" or "-"). Without a side DOLFINx computes it from one of the two
+    cells.
 
     Args:
         mesh: the mesh.
-        x: (n, k, d) coordinates in d dimensions of the k nodes of each of this rank's n cells. Ghosts are included, and
-            nodes have the order of `cell_nodes`.
+        x: (n, k, d) coordinates in d dimensions of the k nodes of each of this rank's n cells, lengths. Ghosts are
+            included, and nodes have the order of `cell_nodes`.
     """
     cells, k = mesh.topology.index_map(mesh.topology.dim), x.shape[1]
     ghosts = np.asarray(cells.ghosts, np.int64)[:, None] * k + np.arange(k)
@@ -98,7 +105,14 @@ def with_cell_points(mesh: dolfinx.mesh.Mesh, x: FloatArray) -> dolfinx.mesh.Mes
 
 
 def index_map(comm: MPI.Intracomm, n: int, ghosts: IntArray, owners: Indices) -> dolfinx.cpp.common.IndexMap:
-    """Return DOLFINx's index map of n owned indices and of ghosts (global numbers and owner ranks). Collective."""
+    """Return a DOLFINx IndexMap of the indices that this rank owns and of its ghosts. Collective.
+
+    Args:
+        comm: communicator of the map.
+        n: number of indices that this rank owns.
+        ghosts: (m,) global numbers of the m ghosts of this rank.
+        owners: (m,) ranks that own the ghosts.
+    """
     arguments = (comm, n, np.asarray(ghosts, np.int64), np.asarray(owners, np.int32))
     create = dolfinx.cpp.common.IndexMap
     return first_accepted(lambda: create(*arguments), lambda: create(*arguments, 1801))
@@ -113,11 +127,14 @@ def create_connectivity(mesh: dolfinx.mesh.Mesh, dim: int) -> None:
 def cells_of_facets(mesh: dolfinx.mesh.Mesh, facets: Indices) -> tuple[Indices, IntArray]:
     """Return for each local facet one local cell that it belongs to, and the facet's number within this cell.
 
-    Inside the mesh this is the first of two cells.
+    For a facet inside the mesh, the cell is the first of the two that DOLFINx lists.
 
     Args:
         mesh: the mesh.
-        facets: (n,) numbers of local facets.
+        facets: (n,) local numbers of the facets.
+
+    Returns:
+        (n,) local numbers of the cells, and (n,) numbers of the facets within them, from 0.
     """
     topology, dim = mesh.topology, mesh.topology.dim
     create_connectivity(mesh, dim - 1)
@@ -127,20 +144,21 @@ def cells_of_facets(mesh: dolfinx.mesh.Mesh, facets: Indices) -> tuple[Indices, 
 
 
 def _facets_of_cells(mesh: dolfinx.mesh.Mesh) -> Indices:
-    """Return (n, m) numbers of the m local facets of each of this rank's n cells; n may be 0."""
+    """Return the array (n, m): local numbers of the m facets of each of this rank's n cells; n may be 0."""
     topology, dim = mesh.topology, mesh.topology.dim
     count = dolfinx.cpp.mesh.cell_num_entities(topology.cell_type, dim - 1)
     return np.asarray(topology.connectivity(dim, dim - 1).array.reshape(-1, count))
 
 
 def vertices_of_facets(mesh: dolfinx.mesh.Mesh, cell_type: str, facets: Indices, corners: IntArray) -> IntArray:
-    """Return (n, k) numbers of the k vertices of each of n local facets, in the numbering of `corners`.
+    """Return the array (n, k) of the k vertices of each of n facets, in the numbering that `corners` has.
 
     Args:
         mesh: the mesh.
-        cell_type: type of its cells.
-        facets: (n,) numbers of local facets.
-        corners: (n_cells, m) numbers of the m vertices of each local cell, for example those in the joint.
+        cell_type: type of its cells, such as "triangle".
+        facets: (n,) local numbers of the facets.
+        corners: (n_cells, m) numbers of the m vertices of each local cell, ghosts included, in any numbering; for
+            example, in that of the joint.
     """
     cells, local = cells_of_facets(mesh, facets)
     return np.take_along_axis(corners[cells], local_facets(cell_type)[local], axis=1)
@@ -150,20 +168,21 @@ def vertices_of_facets(mesh: dolfinx.mesh.Mesh, cell_type: str, facets: Indices,
 class Domain:
     """A distributed mesh with the names of its regions and facet sets.
 
-    Facet sets have further names. For a set NAME of outer facets, "NAME/REGION" is its facets on the cells of one
-    region. "NAME/LAYER" is the outer facets of the meshed layer that continue it. This set is empty while S is a
-    surface. "S" is the facets of all seams.
+    A facet set of the joint has a name, here called NAME. If all its facets are on the outer boundary, two further
+    names refer to parts of it. "NAME/REGION" is the part on the cells of the region REGION. "NAME/LAYER" is the set of
+    those outer facets of the meshed layer that continue NAME from the bodies over the layer's thickness. It is empty in
+    a mesh without layers. "S" is the set of all facets of seams.
 
     Attributes:
         joint: the joint that was distributed.
         mesh: the DOLFINx mesh; ghosts are the neighbours across facets.
-        cell_tags: number of each cell's region, counted from 1 in the order of `joint.regions`.
-        facet_tags: tags of the facets that have names. Facets with the same names have the same value.
-        facet_values: name of a facet set -> all values in `facet_tags` that belong to this set.
-        original_cells: for each local cell (ghosts included) its number in `joint.cells`.
-        comm: communicator for all communication of these packages, other than the mesh's. If Python's garbage collector
-            frees a mesh during a pickled collective, mpi4py 4.0 deadlocks if the mesh's communicator was ever used for
-            a pickled collective.
+        cell_tags: tag of each local cell: the number of its region, counted from 1 in the order of `joint.regions`.
+        facet_tags: tags of the facets that have names. Facets in exactly the same sets have the same tag.
+        facet_values: name of a facet set -> all values in `facet_tags` whose facets belong to this set.
+        original_cells: (n_cells,) for each local cell, ghosts included, its row in `joint.cells`.
+        comm: communicator for all messages of this package; `mesh.comm` serves only DOLFINx's own. With mpi4py 4.0,
+            pickled messages on `mesh.comm` can cause a deadlock: Python's garbage collector may free the mesh during a
+            later one.
     """
 
     joint: Joint
@@ -176,7 +195,12 @@ class Domain:
 
     @classmethod
     def of(cls, joint: Joint, comm: Comm = None) -> Domain:
-        """Distribute a joint over the ranks of a communicator (None: the default one). Collective."""
+        """Return the joint distributed over the ranks of a communicator. Collective.
+
+        Args:
+            joint: the joint, equal on all ranks.
+            comm: the communicator; None: the default one.
+        """
         comm = comm or default_comm()
         if comm.size > 1 or not next(_MESH_COUNT) % MESHES_PER_COLLECTION:
             gc.collect()  # DOLFINx compiles with pickled collectives on meshes' communicators: free old meshes now
@@ -195,15 +219,18 @@ class Domain:
 
     @property
     def original_points(self) -> IntArray:
-        """(n,) number in `joint.points` of each of the n local nodes of the mesh's geometry."""
+        """(n,) row in `joint.points` of each of the n local nodes of the mesh's geometry."""
         return np.asarray(self.mesh.geometry.input_global_indices, np.int64)
 
     def numbers(self, dim: int, entities: Indices) -> IntArray:
-        """Return (n,) numbers in the joint of n local cells or facets: cell numbers, or row numbers in `joint.table`.
+        """Return the numbers in the joint of cells or facets that are given by their local numbers.
 
         Args:
-            dim: dimension of the entities, `joint.dim` for cells, else facets.
+            dim: dimension of the entities, `joint.dim` for cells, `joint.dim` - 1 for facets.
             entities: (n,) local numbers of the cells or facets.
+
+        Returns:
+            (n,) row numbers, of cells in `joint.cells`, of facets in `joint.table`.
         """
         joint = self.joint
         if dim == joint.dim:
@@ -211,22 +238,33 @@ class Domain:
         return joint.table.index(vertices_of_facets(self.mesh, joint.cell_type, entities, self.on_cells(joint.corners)))
 
     def on_cells(self, values: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
-        """Pick, from values for all cells of the joint (first axis), those of this rank's cells, ghosts included."""
+        """Return the values of this rank's cells, ghosts included, from values of all cells of the joint.
+
+        Args:
+            values: array whose first axis has one entry for each cell of the joint.
+
+        Returns:
+            Array whose first axis has one entry for each local cell.
+        """
         return values[self.original_cells]
 
     def cell_values(self, *regions: str) -> tuple[int, ...]:
-        """Return the values in `cell_tags` of the regions with these names, in the same order."""
+        """Return the tags in `cell_tags` of the named `regions`, in the same order.
+
+        Raises:
+            InputError: unknown name.
+        """
         for name in regions:
             require_known("region", name, self.joint.regions)
         return tuple(self.joint.regions.index(name) + 1 for name in regions)
 
     def values(self, name: str, *, layer_sides: bool = False) -> tuple[int, ...]:
-        """Return the values in `facet_tags` that belong to a facet set.
+        """Return the values in `facet_tags` whose facets belong to a facet set.
 
         Args:
-            name: NAME of a facet set, "NAME/REGION" for its facets on one region, or "NAME/LAYER" for the outer facets
-                of the meshed layer that continue it.
-            layer_sides: whether to add the values of "NAME/LAYER".
+            name: name of a facet set NAME, or "NAME/REGION" or "NAME/LAYER" for the parts that `Domain` describes.
+            layer_sides: whether to add the values of "NAME/LAYER", the outer facets of the meshed layer that continue
+                the set.
 
         Raises:
             InputError: unknown name.
@@ -238,19 +276,20 @@ class Domain:
     def is_outer(self, name: str) -> bool:
         """Return whether all facets of the set `name` are on the outer boundary.
 
-        For "NAME/REGION" and "NAME/LAYER" the set NAME decides. Names that the joint does not have count as outer.
+        For "NAME/REGION" and "NAME/LAYER" the result is that of the whole set NAME. It is True for names that the joint
+        does not have.
         """
         joint = self.joint
         matches = [candidate for candidate in (name, FacetName.parse(name).whole) if candidate in joint.facets]
         return not matches or bool((joint.table.cells[joint.table.index(joint.facets[matches[0]]), 1] < 0).all())
 
     def facets(self, name: str, *, layer_sides: bool = False) -> Indices:
-        """Return the local facets (ghosts included) of a facet set.
+        """Return the ascending local numbers of the facets in a facet set, ghosts included.
 
         Args:
-            name: NAME of a facet set, "NAME/REGION" for its facets on one region, or "NAME/LAYER" for the outer facets
-                of the meshed layer that continue it.
-            layer_sides: whether to add the facets of "NAME/LAYER".
+            name: name of a facet set NAME, or "NAME/REGION" or "NAME/LAYER" for the parts that `Domain` describes.
+            layer_sides: whether to add the facets of "NAME/LAYER", the outer facets of the meshed layer that continue
+                the set.
 
         Raises:
             InputError: unknown name.
@@ -258,13 +297,13 @@ class Domain:
         return self.facet_tags.indices[np.isin(self.facet_tags.values, self.values(name, layer_sides=layer_sides))]
 
     def vertices(self, original: int) -> Indices:
-        """Return the local vertices at the place of one vertex in the joint as drawn, before S was opened to layers.
+        """Return the numbers of this rank's vertices that come from one vertex of the joint as drawn.
 
-        These are one vertex, or on S the copies on each body and the layer's vertices above each other. Vertices that
-        periodicity identifies with it are included.
+        Where S is opened, several vertices come from a vertex on S: a copy on each body, and between them those of the
+        meshed layer. Vertices that a periodic cell identifies with any of these are included.
 
         Args:
-            original: number of a point in `joint.points`.
+            original: number of the vertex in `joint.points`, or of any other that comes from the same vertex as drawn.
         """
         joint, topology = self.joint, self.mesh.topology
         copies = np.flatnonzero(np.all(joint.reference == joint.reference[original], axis=1))
@@ -279,18 +318,18 @@ class Domain:
 def _local_facets(
     joint: Joint, mesh: dolfinx.mesh.Mesh, original: IntArray, rows: IntArray
 ) -> tuple[Indices, IntArray]:
-    """Return this rank's facets, ghosts included, among some facets of the joint, and which of these each one is.
+    """Return those of the given facets of the joint that this rank has, ghosts included, by their local numbers.
 
-    A cell of the mesh has its vertices, and so its facets, in the order of the joint's cell.
+    The vertices and facets of a cell have the same order in the mesh and in the joint.
 
     Args:
         joint: the joint.
-        mesh: its mesh.
+        mesh: the distributed mesh of the joint.
         original: number in the joint of each local cell.
-        rows: row numbers in `joint.table` of the facets that are sought.
+        rows: row numbers in `joint.table` of the given facets.
 
     Returns:
-        Local facet numbers, ascending, and the position of each in `rows`.
+        (n,) local numbers of the n facets that this rank has, ascending, and (n,) the position of each in `rows`.
     """
     create_connectivity(mesh, joint.dim - 1)
     cells, local = positions(original, len(joint.cells))[joint.table.cells[rows]], joint.table.local[rows]
@@ -303,7 +342,10 @@ def _local_facets(
 
 
 def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
-    """Yield name and row numbers in `joint.table` of each facet set, also "NAME/REGION", "NAME/LAYER" and "S"."""
+    """Yield the name of each facet set of the joint and the row numbers of its facets in `joint.table`.
+
+    The sets "NAME/REGION", "NAME/LAYER" and "S", which `Domain` describes, are included.
+    """
     seams = () if joint.band else joint.seams
     s_vertices = np.unique(joint.table.vertices[joint.surface_rows]) if seams else np.empty(0, np.int64)
     if seams and S not in seams:
@@ -322,11 +364,11 @@ def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
 
 
 def _name_combinations(joint: Joint) -> tuple[IntArray, Indices, dict[str, tuple[int, ...]]]:
-    """Number the combinations of names that facets have, so that one integer tag per facet stands for all its names.
+    """Return one integer tag for each facet of the joint, which stands for all facet sets that contain the facet.
 
     Returns:
-        Row numbers in `joint.table` of all facets with names; the number, from 1, of the combination of each; and name
-        -> numbers of the combinations that contain it.
+        (n,) row numbers in `joint.table` of the n facets that are in any set; (n,) their tags, from 1, equal for facets
+        in the same sets; and name of a set -> tags of its facets.
     """
     rows_by_name = dict(_named_sets(joint))
     tagged_rows = np.unique(np.concatenate([*rows_by_name.values()]))

@@ -1,4 +1,4 @@
-"""Periods: pairs of sides of a periodic cell that are identified with each other."""
+"""The class `Periods`: pairs of sides of a periodic cell that are identified with each other."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class Periods:
     """Pairs of sides of a periodic cell that are identified: a translation maps one side onto the other.
 
     Attributes:
-        sides: names of the first and of the second facet set of each pair.
-        pairs: one array (n, 2) for each pair of sides: nodes on the first side, and the node on the second side that
-            matches each.
+        sides: for each pair, the names of the facet sets of its first and of its second side.
+        pairs: for each pair of sides an array (n, 2): numbers of the n nodes on the first side, each with the node on
+            the second side that the translation maps it to.
     """
 
     sides: tuple[tuple[str, str], ...]
@@ -33,15 +33,15 @@ class Periods:
         return tuple(name for pair in self.sides for name in pair)
 
     def vectors(self, points: FloatArray) -> FloatArray:
-        """Return (m, d) for each of the m pairs, in d dimensions, the translation of the first side onto the second.
+        """Return the array (m, d): for each of the m pairs the translation of the first side onto the second, lengths.
 
         Args:
-            points: (n, d) coordinates of the nodes of the mesh, lengths.
+            points: (n, d) coordinates of the nodes of the mesh in d dimensions, lengths.
         """
         return np.array([points[pair[0, 1]] - points[pair[0, 0]] for pair in self.pairs])
 
     def masters(self, n: int) -> IntArray:
-        """Return (n,) lowest number of the nodes that are identified with each of n nodes, itself included."""
+        """Return (n,): for each of `n` nodes the lowest number among the nodes identified with it, itself included."""
         first, second = np.concatenate(self.pairs).T
         component = connected(first, second, n)
         master = np.full(n, n)
@@ -49,13 +49,13 @@ class Periods:
         return master[component]
 
     def check(self, points: FloatArray, corners: IntArray, cell_type: str, seams: IntArray) -> None:
-        """Raise InputError unless sides match, no seam lies on them, and at least three cells lie between two sides.
+        """Raise InputError if sides do not match, a seam lies on one, or fewer than three cells lie between two sides.
 
         Args:
             points: (n_points, d) coordinates of the nodes in d dimensions.
             corners: (n_cells, k) numbers of the k vertices of each cell.
             cell_type: type of the cells.
-            seams: (n, m) numbers of the m vertices of each outer facet that is in a seam.
+            seams: (n, m) numbers of the m vertices of each facet on the outer boundary that is in a seam.
         """
         for (first, second), pair, vector in zip(self.sides, self.pairs, self.vectors(points), strict=True):
             mismatch = np.abs(points[pair[:, 1]] - points[pair[:, 0]] - vector).max(axis=1)
@@ -71,12 +71,14 @@ class Periods:
 
 
 def _folded_edges(points: FloatArray, edges: IntArray, master: IntArray) -> BoolArray:
-    """Return (n,) whether an edge becomes a loop, or the same as another edge, once periodic sides are identified.
+    """Return (n,) whether each edge is closed, or coincides with a different edge, once periodic sides are identified.
+
+    Both happen if a periodic cell is too few cells wide.
 
     Args:
         points: (n_points, d) coordinates of the nodes in d dimensions.
-        edges: (n, 2) numbers of the two ends of each edge.
-        master: (n_points,) lowest number of the nodes identified with each node, itself included.
+        edges: (n, 2) numbers of the two end nodes of each edge.
+        master: (n_points,) for each node the lowest number among the nodes identified with it, itself included.
     """
     ends = master[edges]
     edge = (points[edges[:, 1]] - points[edges[:, 0]]) * np.where(ends[:, 0] > ends[:, 1], -1.0, 1.0)[:, None]

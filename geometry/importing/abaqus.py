@@ -1,4 +1,7 @@
-"""Reader of Abaqus .inp files; the reader of meshio loses sets and nodes that are split into several blocks."""
+"""Reader of Abaqus .inp files.
+
+The reader of meshio loses data where an element set, or the nodes, are written in several blocks.
+"""
 
 from __future__ import annotations
 
@@ -24,12 +27,16 @@ UNSUPPORTED_KEYWORDS = "SYSTEM", "INSTANCE", "NGEN", "NFILL", "NCOPY", "NMAP", "
 
 
 def load(path: Path) -> meshio.Mesh:
-    """Return the mesh in an .inp file and in files that it includes: one part, which its instance does not move.
+    """Return the mesh in an Abaqus .inp file and in the files that it includes.
 
-    Blocks of one element set are joined. Sets of nodes, surfaces and internal sets are left out.
+    The file must describe one part; an instance may not move it. Blocks of one element set are joined. Sets of nodes,
+    surfaces, and sets with the option INTERNAL are left out.
+
+    Args:
+        path: the .inp file.
 
     Raises:
-        InputError: data are not supported or wrong; the message names keyword and line.
+        InputError: data are wrong or not supported; the message names keyword and line.
     """
     points: list[list[float]] = []
     nodes: dict[int, int] = {}  # number -> row in `points`
@@ -74,7 +81,11 @@ def load(path: Path) -> meshio.Mesh:
 
 
 def _blocks(path: Path) -> Iterator[tuple[str, dict[str, str], list[list[str]], str]]:
-    """Yield keyword, options, rows of data and place in the file of each block, also of those in included files."""
+    """Yield the blocks of the .inp file `path`, also of files that it includes; a block is a keyword with its data.
+
+    Each is yielded as its keyword in capitals, {option: value}, the data lines split at commas, and its line and file
+    as text.
+    """
     text = re.sub(r"(?m)^[ \t]*\*\*.*", "", path.read_text("utf-8-sig", "replace"))
     preamble, *blocks = re.split(r"(?m)^[ \t]*\*", text)
     line = 1 + preamble.count("\n")

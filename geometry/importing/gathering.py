@@ -24,14 +24,15 @@ Tags = dict[str, list[int]]  # name -> tags
 
 
 def gather_joint(mesh: object, names: TagNames | None, scale: float, comm: Comm, sides: SideArgs) -> Joint:
-    """Return the joint of a DOLFINx mesh with tags, on every rank. Collective.
+    """Return the joint of a distributed DOLFINx mesh with tags, on every rank. Collective.
 
     Args:
         mesh: the mesh; or (mesh, cell tags, facet tags) with None for missing tags.
-        names: name -> (dimension of the tagged entities, tag, ...); None: names are the tags as text.
+        names: name of a group -> (dimension of its entities, tag, ...) with one or several tags; None: each tag is a
+            group, named by the tag as text.
         scale: factor on the coordinates.
         comm: communicator of the mesh; None: the default one.
-        sides: which facets are S, and which of its sides is the upper one, as keyword arguments of `read`.
+        sides: keyword arguments of `read` that choose the facets of S and the upper side of S.
     """
     comm = comm or default_comm()
     mesh, cell_tags, facet_tags = (*(mesh if isinstance(mesh, (tuple, list)) else [mesh]), None, None)[:3]
@@ -45,15 +46,15 @@ def gather_joint(mesh: object, names: TagNames | None, scale: float, comm: Comm,
 
 
 class _Part(NamedTuple):
-    """What one rank has of a mesh. Nodes have the mesh's global numbers.
+    """The cells, nodes and tags of a distributed mesh that one rank has. Nodes are numbered globally.
 
     Attributes:
-        type: type of the cells.
+        type: type of the cells, such as "triangle".
         points: (n, 2 or 3) coordinates of the nodes that the rank owns.
         nodes: (n_cells, k) numbers of the k nodes of each cell that the rank owns.
-        region: (n_cells,) tags of these cells.
-        tagged: (n_cells,) whether each of these cells has a tag; without cell tags all have the tag 0.
-        facets: (n_facets, m) numbers of the m vertices of each tagged facet on this rank.
+        region: (n_cells,) tag of each of these cells; 0 for cells without a tag.
+        tagged: (n_cells,) whether each of these cells has a tag. Without cell tags all count as tagged, with the tag 0.
+        facets: (n_facets, m) numbers of the m vertices of each tagged facet on this rank, ghosts included.
         tags: (n_facets,) tags of these facets.
     """
 
@@ -67,7 +68,7 @@ class _Part(NamedTuple):
 
     @classmethod
     def of(cls, mesh: dolfinx.mesh.Mesh, cell_tags: object, facet_tags: object, comm: MPI.Intracomm) -> _Part:
-        """Return what this rank has of the mesh; raise InputError if mesh or tags are unsuitable for a joint.
+        """Return the cells, nodes and tags that this rank has; raise InputError if mesh or tags cannot form a joint.
 
         Args:
             mesh: the mesh.
@@ -97,13 +98,16 @@ class _Part(NamedTuple):
 
 
 def _tags(mesh: dolfinx.mesh.Mesh, tags: dolfinx.mesh.MeshTags | None, dim: int, what: str) -> tuple[Indices, IntArray]:
-    """Return the local numbers of entities with a tag, and their tags; both are empty if `tags` is None.
+    """Return the local numbers (n,) of the entities that have a tag, and (n,) their tags; both empty without `tags`.
 
     Args:
         mesh: the mesh.
-        tags: DOLFINx's MeshTags.
+        tags: DOLFINx's MeshTags; None: no entity has a tag.
         dim: dimension that the tagged entities must have.
         what: name of the argument, for messages.
+
+    Raises:
+        InputError: the tags are of another type, dimension or mesh.
     """
     if tags is None:
         return np.empty(0, np.int32), np.empty(0, np.int64)
@@ -120,14 +124,17 @@ def _tags(mesh: dolfinx.mesh.Mesh, tags: dolfinx.mesh.MeshTags | None, dim: int,
 def _joint_of(
     parts: list[_Part | Exception], names: TagNames | None, default_tags: Tags | None, scale: float, sides: SideArgs
 ) -> Joint:
-    """Return the joint of what all ranks have of a mesh; its nodes are sorted by place, its cells by their nodes.
+    """Assemble the parts of a mesh from all ranks to a joint.
+
+    Nodes of the joint are sorted by their coordinates, and cells by the numbers of their nodes.
 
     Args:
-        parts: what each rank has, or the error that was raised there.
-        names: name -> (dimension of the tagged entities, tag, ...); None: names are the tags as text.
-        default_tags: name -> cell tags, where `names` has none for cells; None: names are the cell tags as text.
+        parts: the part of each rank, or the error that was raised there, which is raised again.
+        names: name of a group -> (dimension of its entities, tag, ...) with one or several tags; None: no names.
+        default_tags: name of a region -> cell tags, used if `names` has no groups of cells; None: each cell tag is a
+            region, named by the tag as text.
         scale: factor on the coordinates.
-        sides: which facets are S, and which of its sides is the upper one, as keyword arguments of `read`.
+        sides: keyword arguments of `read` that choose the facets of S and the upper side of S.
     """
     for part in parts:
         if isinstance(part, Exception):
@@ -151,7 +158,14 @@ def _joint_of(
 
 
 def _by_dimension(names: TagNames) -> dict[int, Tags]:
-    """Sort names by the dimension of the tagged entities: return dimension -> name -> tags."""
+    """Return `names` sorted by dimension, as dimension -> {name: tags}.
+
+    Args:
+        names: name -> (dimension of the tagged entities, tag, ...).
+
+    Raises:
+        InputError: `names` has another form.
+    """
     tags_of: dict[int, Tags] = {}
     try:
         for name, (dim, first, *more_tags) in names.items():
@@ -164,13 +178,16 @@ def _by_dimension(names: TagNames) -> dict[int, Tags]:
 
 
 def _groups(names: Tags | None, values: IntArray, tagged: BoolArray, entity: str) -> Groups:
-    """Return name -> (n,) whether each of n entities has one of its tags.
+    """Return the groups of entities as name -> (n,) whether each of the n entities is in the group.
 
     Args:
-        names: name -> tags; None: each tag is named by its number, as text.
+        names: name of a group -> tags of its entities; None: each tag is a group, named by the tag as text.
         values: (n,) tags of the entities.
         tagged: (n,) whether each entity has a tag.
         entity: noun for the entities, for messages.
+
+    Raises:
+        InputError: no entity has a tag in `names`.
     """
     tags = [*map(int, np.unique(values[tagged]))]
     names = {str(tag): [tag] for tag in tags} if names is None else names

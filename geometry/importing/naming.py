@@ -1,4 +1,4 @@
-"""Cells of an imported mesh, and the choice of regions, seams and upper sides among its named groups."""
+"""Cells and named groups of an imported mesh, and which groups become the regions, seams and facet sets of a joint."""
 
 from __future__ import annotations
 
@@ -36,10 +36,11 @@ SeamNames = str | Sequence[str] | Mapping[str, object] | None  # names of seams,
 
 
 class SideArgs(TypedDict, total=False):
-    """Keyword arguments of `read`: which facets are S, and which of its sides is the upper one.
+    """Keyword arguments of `read` that choose the facets of S and the upper side of S.
 
     Attributes:
-        S: name of a facet set; names of several, or {name: upper side}; None: all facets between `lower` and `upper`.
+        S: name of a facet set; or names of several seams; or name -> upper side for each seam, written as in `read`;
+            None: all facets between `lower` and `upper`.
         upper, lower: name or names of the regions above and below a single seam; None: not specified.
         direction: vector to the upper side of a single seam; None: not specified.
     """
@@ -51,13 +52,13 @@ class SideArgs(TypedDict, total=False):
 
 
 class FileCells(NamedTuple):
-    """Cells of one type with the points that they use.
+    """The cells of an imported mesh, all of one type, with only those points of the mesh that are their nodes.
 
     Attributes:
         points: (n_points, d) coordinates of the cells' nodes in d dimensions, lengths.
-        nodes: (n_cells, k) numbers, in `points`, of the k nodes of each cell, in DOLFINx's order.
+        nodes: (n_cells, k) row numbers in `points` of the k nodes of each cell, in DOLFINx's order.
         type: "triangle", "quadrilateral", "tetrahedron" or "hexahedron".
-        used: (n_points,) numbers of these points in the mesh that they come from.
+        used: (n_points,) for each row of `points` the number of this point in the imported mesh.
     """
 
     points: FloatArray
@@ -67,7 +68,7 @@ class FileCells(NamedTuple):
 
     @classmethod
     def of(cls, points: FloatArray, nodes: IntArray, cell_type: str, source: str) -> FileCells:
-        """Return cells with only those points that they use.
+        """Return the cells with only those points that are their nodes.
 
         Args:
             points: (n, 2 or 3) coordinates of all points of the mesh; plane cells may have a third, constant
@@ -96,17 +97,17 @@ class FileCells(NamedTuple):
         return self.nodes[:, : corner_count(self.type)]
 
     def refuse(self, bad: BoolArray, fault: str) -> None:
-        """Raise InputError if there are bad cells; it gives their number and the place of the first.
+        """Raise InputError if any cell is bad; the message has the number of bad cells and the place of the first.
 
         Args:
             bad: (n_cells,) whether each cell is bad.
-            fault: what is wrong with them, a verb phrase for the message.
+            fault: what is wrong with these cells, a verb phrase for the message.
         """
         if bad.any():  # gathering the places of all nodes is expensive
             refuse(bad, self.points[self.nodes], f"{{bad}} of {{all}} cells {fault}; the first is at {{at}}")
 
     def require_sound(self) -> None:
-        """Raise InputError for cells without volume, for folded cells, and for several nodes at one place."""
+        """Raise InputError if cells have no volume or are folded, or if several nodes lie at one place."""
         size = np.ptp(self.points[self.nodes], axis=1).max(axis=1)
         jacobian = node_jacobians(self.points, self.nodes, self.type)
         largest = np.abs(jacobian).max(axis=1)
@@ -121,9 +122,12 @@ class FileCells(NamedTuple):
         refuse(np.ones(len(pairs), bool), self.points[np.sort(pairs[:, 0])], f"{pairs_text} {how}")
 
     def facets_among(self, vertices: IntArray) -> FacetTable:
-        """Return the facets of those cells that have enough vertices among `vertices` for a whole facet.
+        """Return all facets of those cells that have a facet whose vertices are all in `vertices`.
 
-        The table also has these cells' other facets. It numbers cells as `nodes` does.
+        A few more cells may be included. Cell numbers in the result are rows of `nodes`.
+
+        Args:
+            vertices: (n,) row numbers in `points` of the vertices.
         """
         cells = np.flatnonzero(np.isin(self.corners, vertices).sum(axis=1) >= corner_count(FACET_TYPES[self.type]))
         table = FacetTable.of(self.corners[cells], self.type)
@@ -131,12 +135,13 @@ class FileCells(NamedTuple):
 
 
 class SeamSides(NamedTuple):
-    """Choice of the facets of S and of its upper side.
+    """Choice of the facets of S and of the upper side of each seam, from the arguments of `read`.
 
     Attributes:
-        S: name of the facet set of a single seam; None: all facets between the regions `lower` and `upper`.
-        default_seam: sides of the single seam, as far as they are specified.
-        seams: name -> choice of the upper side, if there are several seams, in place of `S` and `default_seam`; else {}.
+        S: name of the facet set of a single seam; None: all facets between its lower and upper regions, or several
+            seams.
+        default_seam: upper side of a single seam, as far as the user has specified it.
+        seams: name -> upper side of each of several seams; {}: a single seam, which `S` and `default_seam` describe.
     """
 
     S: str | None
@@ -147,16 +152,16 @@ class SeamSides(NamedTuple):
     def of(
         cls, S: SeamNames = S, upper: object = None, lower: object = None, direction: Sequence[float] | None = None
     ) -> SeamSides:
-        """Return the choice from the arguments of `read`.
+        """Return the choice of S and its upper sides from the arguments of `read`.
 
         Args:
-            S: name of one facet set; names of several, or {name: upper side}; None: all facets between `lower` and
-                `upper`.
+            S: name of one facet set; or names of several seams; or name -> upper side for each seam; None: all facets
+                between `lower` and `upper`.
             upper, lower: name or names of the regions above and below a single seam; None: not specified.
             direction: vector to the upper side of a single seam; None: not specified.
 
         Raises:
-            InputError: an argument has a wrong type, or sides of a single seam are given with several seams.
+            InputError: an argument has a wrong type; or `S` names several seams, and another argument is given.
         """
         upper_names, lower_names = _names_of(upper, "upper"), _names_of(lower, "lower")
         vector = None if direction is None else tuple(np.ravel(direction).tolist())  # checked by the seam
@@ -172,7 +177,13 @@ class SeamSides(NamedTuple):
 
 
 def _seam(name: str, rule: object) -> Seam:
-    """Return the seam `name` from its upper side in S: None, a vector, a `Seam`, or (regions below, regions above)."""
+    """Return a `Seam` from the upper side that the user gave for it; raise InputError if this has a wrong type.
+
+    Args:
+        name: name of the seam, for messages.
+        rule: the upper side: a vector that points there; (lower regions, upper regions), each a name or names; a
+            `Seam`, which is returned; or None for a seam whose sides follow the order of the regions.
+    """
     if rule is None:
         return Seam()
     if isinstance(rule, Seam):
@@ -187,7 +198,7 @@ def _seam(name: str, rule: object) -> Seam:
 
 
 def _names_of(regions: object, what: str) -> Names:
-    """Return the names of regions as a tuple; () for None.
+    """Return the names of regions as a tuple; () for None. Raise InputError for anything else than names.
 
     Args:
         regions: one name, several names, or None.
@@ -204,10 +215,10 @@ class NamedGroups(NamedTuple):
 
     Attributes:
         cells: cells of the mesh.
-        regions: name -> (n_cells,) whether each cell is in this group.
-        facets: name -> (n, k) numbers of the k vertices of each facet in this group.
+        regions: name of a group of cells -> (n_cells,) whether each cell is in this group.
+        facets: name of a group of facets -> (n, k) numbers of the k vertices of each of its n facets.
         source: where the names come from, for messages.
-        sides: choice of the facets of S and of its upper side.
+        sides: choice of the facets of S and of the upper side of each seam.
     """
 
     cells: FileCells
@@ -219,10 +230,10 @@ class NamedGroups(NamedTuple):
     def joint(self) -> Joint:
         """Return the joint whose regions and facet sets are the groups.
 
-        Where groups of cells overlap, only those named in `sides` become regions.
+        If groups of cells overlap, only those named in `sides` become regions.
 
         Raises:
-            InputError: unusable cells or names, or an S that does not fit them.
+            InputError: cells are degenerate or do not fit together; a name is unknown or ambiguous; S does not fit.
         """
         named = self._replace(regions=self._disjoint())
         self.cells.require_sound()
@@ -238,7 +249,7 @@ class NamedGroups(NamedTuple):
         return joint
 
     def _disjoint(self) -> Groups:
-        """Return the groups of cells that are regions; raise InputError unless each cell is in exactly one of them."""
+        """Return the groups of cells that become regions; raise InputError if a cell is in none of them or in several."""
         regions, cells, default_seam = self.regions, self.cells, self.sides.default_seam
         side_names = default_seam.upper + default_seam.lower
         side_names += tuple(name for seam in self.sides.seams.values() for name in seam.lower + seam.upper)
@@ -257,7 +268,14 @@ class NamedGroups(NamedTuple):
         return regions
 
     def _default_seam(self) -> tuple[IntArray, Seam]:
-        """Return the facets of the single seam, (n, k) numbers of k vertices each, and its choice of the upper side."""
+        """Return the facets and the upper side of the single seam, with defaults for what the user has not specified.
+
+        Returns:
+            (n, k) numbers of the k vertices of each of the n facets, and the `Seam` with the upper side.
+
+        Raises:
+            InputError: the regions on the two sides are missing, or do not meet at these facets.
+        """
         name, default_seam, all_regions = self.sides.S, self.sides.default_seam, tuple(self.regions)
         lower, upper, regions = default_seam.lower, default_seam.upper, f"regions: {', '.join(all_regions)}"
         if name != S and S in self.facets:
@@ -281,7 +299,7 @@ class NamedGroups(NamedTuple):
         return facets, Seam(lower or tuple(region for region in all_regions if region not in upper), upper)
 
     def adjacent_cells(self, name: str) -> IntArray:
-        """Return (n, 2) numbers of the cells on both sides of the facets of a group; -1 on the outer boundary.
+        """Return (n, 2) numbers of the two cells at each facet of the group `name`; -1 on the outer boundary.
 
         Facets that belong to no cell are left out.
         """
@@ -291,11 +309,22 @@ class NamedGroups(NamedTuple):
         return table.cells[rows[rows >= 0]]
 
     def regions_at(self, cells: IntArray) -> list[str]:
-        """Return the names of the regions that contain any of some cells; numbers < 0 stand for no cell."""
+        """Return the names of the regions that contain at least one of some cells.
+
+        Args:
+            cells: numbers of the cells; -1 stands for no cell.
+        """
         return [region for region, member in self.regions.items() if member[cells[cells >= 0]].any()]
 
     def _boundary(self, upper: Names, lower: Names) -> IntArray:
-        """Return (n, k) numbers of the k vertices of all facets between the regions `upper` and `lower`."""
+        """Return the facets between two sets of regions; raise InputError if there are none.
+
+        Args:
+            upper, lower: names of the regions on the two sides.
+
+        Returns:
+            (n, k) numbers of the k vertices of each of the n facets.
+        """
         above, below = (np.any([self.regions[name] for name in side], axis=0) for side in (upper, lower))
         table = self.cells.facets_among(np.intersect1d(self.cells.corners[above], self.cells.corners[below]))
         first, second = table.cells[table.cells[:, 1] >= 0].T
@@ -306,7 +335,10 @@ class NamedGroups(NamedTuple):
 
 
 def _require_conforming(joint: Joint) -> None:
-    """Raise InputError for a mesh that overlaps itself or has hanging nodes; the message names the first place."""
+    """Raise InputError if cells overlap their neighbours or nodes hang; the message gives the first place.
+
+    A node hangs if it lies on a facet of cells whose node it is not.
+    """
     points, d, facets, cells = joint.points, joint.dim, joint.table.vertices, joint.table.cells
     inner = cells[:, 1] >= 0
     first, *others = points[facets[inner, :d]].swapaxes(0, 1)
@@ -320,7 +352,7 @@ def _require_conforming(joint: Joint) -> None:
 
 
 def _hanging_nodes(points: FloatArray, facets: IntArray) -> IntArray:
-    """Return the nodes that lie on a facet of the outer boundary without being a vertex of it.
+    """Return the ascending numbers of the nodes that lie on a facet of the outer boundary without being its vertices.
 
     Args:
         points: (n_points, d) coordinates of the nodes in d dimensions.

@@ -48,13 +48,15 @@ def read(
 ) -> Joint:
     """Return a joint from a mesh file, or from a DOLFINx mesh with tags. Collective.
 
-    Names in a file are gmsh's physical names, or the file's cell sets. Without these, names are numbers as text: those
-    in the cell data "gmsh:physical", or in the only array of integers (negative numbers: no name). Named groups of
-    cells are the regions; every cell must be in exactly one region. Named groups of facets are facet sets. Where groups
-    of cells overlap, the groups named in `upper` and `lower` are the regions.
+    Regions of the joint are named groups of cells, and facet sets are named groups of facets. Every cell must be in
+    exactly one region. If groups of cells overlap, only those named in `upper` and `lower` become regions.
 
-    A DOLFINx mesh may be distributed in any way, with or without ghosts. Nodes and cells of the joint are numbered by
-    their places, and so do not depend on this.
+    Groups and names in a file are gmsh's physical groups, or the file's cell sets. Without these, cell data number the
+    groups: "gmsh:physical", or the only array of integers. The number of a group, as text, is then its name; negative
+    numbers mean no group.
+
+    A DOLFINx mesh may be distributed in any way, with or without ghosts. The joint does not depend on this, because its
+    nodes and cells are sorted by their places.
 
     Args:
         mesh: path of a file; or a DOLFINx mesh; or (mesh, cell tags, facet tags) with None for missing tags. Cells are
@@ -67,10 +69,11 @@ def read(
             between the regions `lower` and `upper`. For several seams, the names of their groups, which keep these
             names, or {name: upper side}. The upper side is a vector that points there, or (lower, upper) with names of
             regions. None: it is in the region that comes later in `Joint.regions`.
-        upper: name or names of the regions above a single S (default for S on the outer boundary: all; with
-            `direction`: the regions `lower`, else all).
-        lower: name or names of the regions below a single S. Default: all other regions; with `direction` the regions
-            `upper`, else all; for S on the outer boundary none, but a rigid base.
+        upper: name or names of the regions above a single S. It may be left out only if S is on the outer boundary
+            (default: all regions) or `direction` is given (default: the regions `lower`, or if they are not given,
+            all).
+        lower: name or names of the regions below a single S. Default: if S is on the outer boundary, none, but a rigid
+            base; with `direction` the regions `upper`, or all; else all regions that are not in `upper`.
         direction: vector that points to the upper side, one component per dimension, for a single S inside one body.
         scale: factor on the coordinates, > 0, e.g. 1e3 from metre to millimetre.
         comm: communicator whose rank 0 reads the file, or that the mesh is distributed on (default: MPI.COMM_WORLD).
@@ -92,11 +95,11 @@ def read(
 def read_groups(
     path: Path, function: Callable[[NamedGroups], ResultType], sides: SeamSides | None = None, scale: float = 1.0
 ) -> ResultType:
-    """Apply a function to the named groups of a mesh file and return its result. Not collective.
+    """Read the named groups of a mesh file and return what `function` returns for them. Not collective.
 
     Args:
         path: the file.
-        function: the function.
+        function: function of the `NamedGroups` in the file.
         sides: choice of the facets of S and of its upper side; None: the facet set "S".
         scale: factor on the coordinates.
 
@@ -118,7 +121,7 @@ def read_groups(
 
 
 def _load(path: Path, scale: float) -> meshio.Mesh:
-    """Return the mesh in a file, with coordinates multiplied by `scale`; messages that meshio prints are suppressed.
+    """Return the mesh in the file `path` with coordinates multiplied by `scale`; what meshio prints is suppressed.
 
     Raises:
         InputError: the file is not readable, or two groups have the same physical name.
@@ -147,7 +150,7 @@ def _load(path: Path, scale: float) -> meshio.Mesh:
 
 
 def _require_single_names(path: Path) -> None:
-    """Raise InputError if two groups have the same physical name: meshio would drop one of them."""
+    """Raise InputError if two groups in gmsh's file `path` have one physical name: meshio would drop one of them."""
     with path.open(encoding="utf-8", errors="replace", newline="\n") as file:
         head = "".join(takewhile(lambda line: not line.startswith(("$EndPhysicalNames", "$Nodes", "$Elements")), file))
     matches = re.findall(r'^\s*(\d)\s+(\d+)\s+"(.*)"\s*$', head.partition("$PhysicalNames")[2], re.MULTILINE)
@@ -158,7 +161,11 @@ def _require_single_names(path: Path) -> None:
 
 
 def _cells_of(mesh: meshio.Mesh) -> FileCells:
-    """Return the cells of highest dimension; raise InputError for several types, other types, or a surface in 3D."""
+    """Return the cells of the highest dimension in the mesh.
+
+    Raises:
+        InputError: there are no cells, or several types; the type is not one of a joint; or cells are a surface in 3D.
+    """
     dim = max((block.dim for block in mesh.cells if len(block)), default=0)
     blocks = [block for block in mesh.cells if len(block) and block.dim == dim]
     names = list(dict.fromkeys(block.type for block in blocks))
@@ -176,7 +183,13 @@ def _cells_of(mesh: meshio.Mesh) -> FileCells:
 
 
 def _source(mesh: meshio.Mesh) -> tuple[str, str | None]:
-    """Return where names come from, for messages, and the cell data with the groups' numbers (None: cell sets)."""
+    """Return where the mesh has its named groups: a noun phrase for messages, and the name of the cell data.
+
+    These cell data have the number of each cell's group. The name is None if groups are cell sets or there are none.
+
+    Raises:
+        InputError: several arrays of integers could number the groups.
+    """
     if GMSH_PHYSICAL in mesh.cell_data:
         return "physical names" if mesh.field_data else f"numbers in the cell data {GMSH_PHYSICAL!r}", GMSH_PHYSICAL
     if getattr(mesh, "cell_tags", None):
@@ -191,12 +204,12 @@ def _source(mesh: meshio.Mesh) -> tuple[str, str | None]:
 
 
 def _groups(mesh: meshio.Mesh, dim: int, array: str | None) -> Groups:
-    """Return name -> (n,) whether each of the n entities of dimension `dim` is in this group, without empty groups.
+    """Return the nonempty groups of entities as name -> (n,) whether each of the n entities is in the group.
 
     Args:
-        mesh: the mesh; its entities are numbered block after block of the file.
+        mesh: the mesh; its entities are numbered in the order of the file's blocks.
         dim: dimension of the entities.
-        array: name of the cell data that number the groups; None: groups are cell sets.
+        array: name of the cell data with the number of each entity's group; None: only cell sets are groups.
     """
     blocks = [k for k, block in enumerate(mesh.cells) if block.dim == dim]
     groups: Groups = {}
@@ -215,12 +228,12 @@ def _groups(mesh: meshio.Mesh, dim: int, array: str | None) -> Groups:
 
 
 def _names(mesh: meshio.Mesh, dim: int, array: str, number: int) -> Sequence[str]:
-    """Return the names of the group with a number in the cell data `array`; () if it has none.
+    """Return the names of one group; () if its number means no group.
 
     Args:
         mesh: the mesh.
         dim: dimension of the group's entities.
-        array: name of the cell data.
+        array: name of the cell data with the number of each entity's group.
         number: the number of the group.
     """
     if families := getattr(mesh, "cell_tags", None):
@@ -233,12 +246,17 @@ def _names(mesh: meshio.Mesh, dim: int, array: str, number: int) -> Sequence[str
 
 
 def _vertices(mesh: meshio.Mesh, cells: FileCells, groups: Groups) -> dict[str, IntArray]:
-    """Return name -> (n, k) numbers of the k vertices of each facet in this group, each facet once.
+    """Return the groups of facets as name -> (n, k) vertices of each of its n facets, each facet once.
+
+    Vertices are row numbers in `cells.points`, ascending in each facet.
 
     Args:
         mesh: the mesh in the file.
-        cells: its cells, whose numbers of points are used.
-        groups: name -> whether each facet of the file is in this group.
+        cells: its cells of the highest dimension, with their points.
+        groups: name -> (n_facets,) whether each facet in the file is in this group.
+
+    Raises:
+        InputError: facets have a type that these cells lack, or are not part of the cells' mesh.
     """
     if not groups:
         return {}

@@ -1,4 +1,4 @@
-"""Bands: copies of the nodes of S for each body, lines of nodes between copies, and the layer's cells between lines."""
+"""Nodes and cells of the layers that open: copies of the nodes of S, lines of nodes between copies, cells between lines."""
 
 from __future__ import annotations
 
@@ -20,16 +20,17 @@ HEIGHT_TOLERANCE = 1e-12  # difference of heights, relative to the thickness, th
 
 
 class NodeCopies(NamedTuple):
-    """Nodes of the bodies after S has opened: each body has its own copy of a node of S.
+    """Nodes of the bodies after S has opened: each body has its own copy of each of its nodes on S.
 
-    One copy keeps the node's number: that on the upper side of the first facet at the node. The other copies, and the
-    nodes on a rigid base, are numbered after the joint's points, in the order of their nodes.
+    At each node of S one copy keeps the node's number: the one on the upper side of the first facet of S at the node.
+    All other copies, and the nodes on a rigid base, have new numbers. These follow the numbers of the joint's points.
 
     Attributes:
-        cells: (n_cells, k) numbers of the k nodes of each of the bodies' cells, copies in place of nodes of S.
-        below, above: (n_S, k) copies of the k nodes of each facet of S, on its lower and on its upper side.
-        new: (n,) for each of the n copies with new numbers the node of S that it copies.
-        base: (n,) whether each of these copies is on a rigid base.
+        cells: (n_cells, k) numbers of the k nodes of each of the bodies' cells, with copies in place of nodes of S.
+        below, above: (n_S, k) numbers of the copies, on its lower and on its upper side, of the k nodes of each facet
+            of S.
+        new: (n,) for each of the n copies with new numbers, in their order, the node of S that it copies.
+        base: (n,) whether each of these n copies is on a rigid base.
     """
 
     cells: IntArray
@@ -61,27 +62,27 @@ class NodeCopies(NamedTuple):
         return cls(body_cells, copy_number(sides[0]), copy_number(sides[1]), nodes, component == base_part)
 
     def renumbered(self, number: IntArray) -> NodeCopies:
-        """Return the copies with other numbers.
+        """Return the copies with other numbers in `cells`, `below` and `above`.
 
         Args:
-            number: new number of each node and copy; -1 for copies that are left out, which are on a rigid base.
+            number: (n_nodes,) new number of each node and copy; -1 for copies on a rigid base that are left out.
         """
         return self._replace(cells=number[self.cells], below=number[self.below], above=number[self.above])
 
 
 @dataclass(frozen=True)
 class NodeLines:
-    """Lines of nodes through the thickness of layers, each from one copy of a node of S to another copy.
+    """Lines of nodes through the thickness of layers: each leads from one copy of a node of S to another copy.
 
-    Levels are the positions along a line, from 0 at the first copy to the last level at the other. Cells of degree 2
-    have nodes at their two faces and half-way between.
+    The nodes of a line are numbered by levels, from 0 at the first copy to the last level at the other copy. Layers
+    with cells of degree 2 also have a level in the middle of each cell.
 
     Attributes:
-        first_new: number of the first node inside the lines; all copies have smaller numbers.
-        ends: (n, 2) the first and the other copy of each line.
+        first_new: number of the first node that is inside a line and so no copy; all copies have smaller numbers.
+        ends: (n, 2) numbers of the first and of the other copy of each line.
         nodes: (n,) the node of S that both are copies of.
         seam_no: (n,) position in `Joint.seams` of the seam of each line.
-        heights: for each seam the heights of all levels over the thickness, from 0 to 1.
+        heights: for each seam the heights of all levels, as fractions of the thickness from 0 to 1.
     """
 
     first_new: int
@@ -92,21 +93,26 @@ class NodeLines:
 
     @cached_property
     def top(self) -> IntArray:
-        """(n,) number of the last level of each line."""
+        """(n,) last level of each line."""
         return np.array([len(heights) - 1 for heights in self.heights])[self.seam_no]
 
     @cached_property
     def start(self) -> IntArray:
-        """(n,) number of the node at level 1 of each line; nodes at the next levels have the next numbers."""
+        """(n,) number of the node at level 1 of each line; the nodes at its next levels have the next numbers."""
         return self.first_new + np.cumsum(self.top - 1) - (self.top - 1)
 
     @property
     def size(self) -> int:
-        """Number of nodes inside the lines, without copies."""
+        """Number of all nodes inside lines, without the copies at their ends."""
         return int((self.top - 1).sum())
 
     def number(self, lines: IntArray, level: IntArray | int) -> IntArray:
-        """Return the numbers of the nodes on lines, given by the lines' numbers and levels; these may be broadcast."""
+        """Return the numbers of the nodes at given levels of given lines, in the shape to which both arguments broadcast.
+
+        Args:
+            lines: numbers of the lines, an array of any shape.
+            level: levels on these lines.
+        """
         second = np.where(level == self.top[lines], self.ends[lines, 1], self.start[lines] + np.asarray(level) - 1)
         return np.where(np.asarray(level) == 0, self.ends[lines, 0], second)
 
@@ -117,7 +123,8 @@ class NodeLines:
             values: (n_nodes, d) values at nodes and copies, such as a motion in d dimensions.
 
         Returns:
-            (m, d) values at the m nodes inside the lines, and (m,) the node of S below or above each.
+            (m, d) values at the m nodes inside the lines, in the order of their numbers, and (m,) the node of S on
+            whose line each lies.
         """
         line = np.repeat(np.arange(len(self.top)), self.top - 1)
         height_start = np.cumsum([0, *map(len, self.heights)])[self.seam_no[line]]
@@ -129,7 +136,7 @@ class NodeLines:
         """Return these lines followed by further lines, all with the levels of one seam.
 
         Args:
-            ends: (n, 2) the copies at both ends of each further line.
+            ends: (n, 2) numbers of the copies at both ends of each of n further lines.
             nodes: (n,) the node of S that both are copies of.
             seam_no: position in `Joint.seams` of the seam.
         """
@@ -138,10 +145,10 @@ class NodeLines:
 
 
 class FacetLines(NamedTuple):
-    """Lines of nodes through the thickness at the nodes of each facet of S.
+    """Numbers and directions of the lines of nodes through the thickness at the nodes of each facet of S.
 
     Attributes:
-        lines: (n_S, k) number of the line at each of the k nodes of each facet.
+        lines: (n_S, k) number, in `NodeLines`, of the line at each of the k nodes of each facet.
         is_reversed: (n_S, k) whether this line leads from the facet's upper side to its lower side.
     """
 
@@ -150,16 +157,18 @@ class FacetLines(NamedTuple):
 
 
 def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) -> tuple[NodeLines, FacetLines]:
-    """Return the lines of nodes through the layers: one for each two copies of a node of S with a facet between them.
+    """Return the lines of nodes through the layers, and which of them each facet of S has at its nodes.
+
+    A line connects the copies of a node on the two sides of a facet of S. Facets between the same two copies share it.
 
     Args:
         joint: the joint as drawn, before S is opened.
         copies: copies of its nodes, one on each body.
-        heights: for each seam the heights of the levels of nodes over the thickness, from 0 to 1.
+        heights: for each seam the heights of the levels of nodes, as fractions of the thickness from 0 to 1.
 
     Raises:
-        InputError: one body is on both sides of S at a vertex; the levels of two seams differ where they continue one
-            another; the levels of one seam differ where its upper side changes, or in 3D its upper side changes.
+        InputError: one body is on both sides of S at a vertex; two seams share a line but their levels differ; the
+            upper side changes along a seam, in 3D or with levels that are not symmetric.
     """
     below, above = copies.below.ravel(), copies.above.ravel()
     line_keys = np.column_stack([joint.surface.ravel(), np.minimum(below, above), np.maximum(below, above)])
@@ -185,11 +194,12 @@ def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) 
 
 
 def level_heights(degree: int, cells_through: int, fractions: Sequence[float]) -> FloatArray:
-    """Return the heights of the levels of nodes of a layer over its thickness, from 0 to 1.
+    """Return the heights of a layer's levels of nodes, as increasing fractions of the thickness from 0 to 1.
 
     Args:
-        degree: degree of the cells' geometry; with 2 there is a level in the middle of each cell.
-        cells_through: number of cells through the thickness; each sublayer gets its fraction of it, at least one.
+        degree: degree of the cells' geometry; with 2 there is also a level in the middle of each cell.
+        cells_through: number of cells through the thickness. Each sublayer gets its fraction of them, rounded, and at
+            least one.
         fractions: thickness of each sublayer over the layer's, from the lower to the upper face; () for no sublayers.
     """
     shares = np.asarray(fractions if len(fractions) else [1.0])
@@ -202,19 +212,19 @@ def level_heights(degree: int, cells_through: int, fractions: Sequence[float]) -
 def band_cells(
     joint: Joint, lines: NodeLines, footing: FacetLines, rows: IntArray, heights: FloatArray, fractions: Sequence[float]
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return the cells of the band of one seam.
+    """Return the cells of the layer of one seam, without those at junctions.
 
     Args:
         joint: the joint as drawn, before S is opened.
         lines: all lines of nodes through the thickness.
         footing: the lines at the nodes of each facet of S.
-        rows: numbers, among the facets of S, of those that the band covers.
-        heights: heights of the levels of nodes over the thickness, from 0 to 1.
+        rows: numbers of the seam's facets among the n_S facets of S.
+        heights: heights of the levels of nodes, as fractions of the thickness from 0 to 1.
         fractions: thickness of each sublayer over the layer's, from the lower to the upper face; () for no sublayers.
 
     Returns:
-        (n, k) numbers of the k nodes of each cell; (n,) number of its sublayer, from 0; and (n, m, d) unit normal of S
-        in d dimensions at each of its m vertices.
+        (n, k) numbers of the k nodes of each of the n cells; (n,) number of its sublayer, from 0; and (n, m, d) unit
+        normal of S in d dimensions below or above each of the m vertices of each cell.
     """
     surface, normals, degree = joint.surface[rows], joint.node_normals[rows], joint.degree
     if is_tensor(joint.cell_type):
@@ -238,10 +248,18 @@ Pattern = tuple[IntArray, IntArray]  # (n_S, k) node of each facet of S; (k,) le
 
 
 def _tensor_pattern(cell_type: str, degree: int, n: int) -> list[Pattern]:
-    """Return where the nodes of the layer's quadrilateral or hexahedron over each of n facets of S are.
+    """Return the places of the nodes of one quadrilateral or hexahedron over each of `n` facets of S.
 
-    This is one pair: (n, k) the node of the facet below each of the cell's k nodes, and (k,) their levels above the
-    cell's first level. The facet is the cell's face with last coordinate zero.
+    The facet is the side of the cell where the last reference coordinate is zero.
+
+    Args:
+        cell_type: "quadrilateral" or "hexahedron".
+        degree: degree of the cells' geometry.
+        n: number of facets.
+
+    Returns:
+        A list of one pair: (n, k) the position in the facet of the node below each of the cell's k nodes, and (k,) the
+        number of levels by which each lies above the cell's first level.
     """
     cell, facet = lagrange(cell_type, degree).points, lagrange(FACET_TYPES[cell_type], degree).points
     distance = np.linalg.norm(cell[:, None, :-1] - facet[None], axis=2)
@@ -249,17 +267,21 @@ def _tensor_pattern(cell_type: str, degree: int, n: int) -> list[Pattern]:
 
 
 def _simplex_pattern(cell_type: str, degree: int, order: IntArray) -> list[Pattern]:
-    """Return where the nodes of the layer's simplices over each of n_S facets of S are, a pair for each simplex.
+    """Return the places of the nodes of the triangles or tetrahedra over each of n_S facets of S.
 
-    A pair is: (n_S, k) the node of the facet below each of the simplex's k nodes, and (k,) their levels above the first
-    one. Prisms over facets are split along sorted vertex numbers, so that neighbours split common sides alike. With the
-    facet's vertices sorted, simplex j has the first j + 1 vertices below, and the vertices from j on above. A node
-    half-way along an edge lies above the middle of the edge's projection onto S.
+    The space over a facet, between two levels, is split into d simplices in d dimensions. The split follows the order
+    of vertex numbers, so that neighbours split their common sides alike. If the d vertices of a facet are sorted and
+    numbered from 0, simplex j has vertices 0 to j at the lower level, and vertices j to d - 1 at the upper one. The
+    node in the middle of an edge lies over the middle of the edge's projection onto S.
 
     Args:
-        cell_type: type of the cells.
-        degree: degree of their geometry.
-        order: for each facet the positions of its vertices in the order of their numbers, one row each.
+        cell_type: "triangle" or "tetrahedron".
+        degree: degree of the cells' geometry.
+        order: (n_S, d) positions of each facet's vertices, in the order of their numbers.
+
+    Returns:
+        A pair for each simplex: (n_S, k) the position in the facet of the node below each of the simplex's k nodes, and
+        (k,) the number of levels by which each lies above the lower level.
     """
     n = order.shape[1]
     edge_nodes = np.diag(np.arange(n))

@@ -1,10 +1,12 @@
 """Junctions: vertices (2D) or edges (3D) of S where three or more bodies meet, and the space that opens there.
 
-When the bodies part, a polygon opens at each vertex of a junction. Its corners are the copies of the vertex, one on
-each body. Its sides are lines of nodes through the thickness, at the ends of the layers. On the outer boundary one more
-side closes it. In 2D the polygon is the junction. In 3D the junction is a prism between the polygons at the two ends of
-an edge. Edges on one line have one polygon at their common vertex. Where other edges meet at a vertex a polyhedron
-would open, which is not meshed.
+When the bodies move apart, a polygon opens at each vertex of a junction. Its corners are the copies of the vertex, one
+on each body. Its sides are lines of nodes through the thickness, at the ends of the layers that meet there. If the
+junction is on the outer boundary, one further side there closes the polygon.
+
+In 2D the polygon is the space that opens. In 3D a prism opens, between the polygons at the two ends of an edge. Edges
+on one straight line share the polygon at their common vertex. Where other edges meet at a vertex, a polyhedron would
+open; joints of this kind are refused.
 """
 
 from __future__ import annotations
@@ -20,15 +22,16 @@ from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, loca
 
 
 class JunctionCorners(NamedTuple):
-    """Corners of the polygons that open at junctions: n rows, each with the corners of one body at the k vertices.
+    """The n corners of all junctions: each row belongs to one body at one junction.
 
-    A junction has one vertex in 2D, k = 1, and the two vertices of an edge in 3D, k = 2.
+    In 2D a junction has one vertex, k = 1. In 3D it is an edge with two vertices, k = 2, and one polygon opens at each.
+    A row then has the body's corners in both polygons.
 
     Attributes:
-        copies: (n, k) the body's copy of each vertex; the vertices of a junction are in ascending order.
-        sides: (n, k, 2) numbers of the node lines from each corner to its two neighbours in the polygon.
-        polygons: (n, k) number of the polygon that each corner is in.
-        of: (n,) number of the junction.
+        copies: (n, k) number of the body's copy of each vertex; the vertices of a junction are in ascending order.
+        sides: (n, k, 2) numbers of the two lines of nodes that lead from each corner to its neighbours in the polygon.
+        polygons: (n, k) number of the polygon that has each corner.
+        of: (n,) number of the junction of each row.
     """
 
     copies: IntArray
@@ -38,19 +41,19 @@ class JunctionCorners(NamedTuple):
 
 
 def junction_corners(joint: Joint, lines: NodeLines, footing: FacetLines) -> tuple[NodeLines, JunctionCorners | None]:
-    """Return all node lines, with those that close polygons on the outer boundary, and the corners of junctions.
+    """Return the corners of all junctions, and all lines of nodes, now with those that close polygons.
 
-    Without junctions the corners are None.
+    Lines are added only where a junction is on the outer boundary. Without junctions the corners are None.
 
     Args:
         joint: the joint as drawn, before S is opened.
-        lines: all lines of nodes through the thickness, at the nodes of S; those at junctions have one number of
-            levels.
+        lines: all lines of nodes through the thickness, at the nodes of S. All lines at junctions have the same number
+            of levels.
         footing: the lines at the nodes of each facet of S.
 
     Raises:
-        InputError: between layers that meet, bodies touch only at a vertex or along an edge; in 3D, edges where layers
-            meet come together at a vertex.
+        InputError: layers meet at a vertex or edge, but the bodies between them touch only there; in 3D, edges where
+            layers meet come together at a vertex and are not in line.
     """
     links, facets = _junction_lines(joint, lines, footing)
     k = links.shape[1]
@@ -87,7 +90,7 @@ def junction_corners(joint: Joint, lines: NodeLines, footing: FacetLines) -> tup
 
 
 def _junction_lines(joint: Joint, lines: NodeLines, footing: FacetLines) -> tuple[IntArray, IntArray]:
-    """Return for each layer that ends at a junction the node lines of its end, and its number of facets there.
+    """Return for each layer that ends at a junction the lines of nodes at its end.
 
     Args:
         joint: the joint as drawn, before S is opened.
@@ -95,8 +98,8 @@ def _junction_lines(joint: Joint, lines: NodeLines, footing: FacetLines) -> tupl
         footing: the lines at the nodes of each facet of S.
 
     Returns:
-        (n, k) numbers of the lines, in ascending order, at the k vertices of the junction; (n,) number of facets of S
-        that touch the junction with the same lines.
+        (n, k) ascending numbers of each layer's lines at the k vertices of the junction, one row for each of n ends of
+        layers; and (n,) number of facets of S that have these lines.
     """
     is_shared = np.bincount(lines.nodes)[lines.nodes] > 1
     rows = np.concatenate([footing.lines[:, ridge] for ridge in local_facets(FACET_TYPES[joint.cell_type])])
@@ -107,11 +110,11 @@ def _junction_lines(joint: Joint, lines: NodeLines, footing: FacetLines) -> tupl
 
 
 def _polygons(sides: IntArray, of: IntArray) -> IntArray:
-    """Return (n, k) number of the polygon of each corner; polygons with the same sides have one number.
+    """Return the number of the polygon that has each corner, as (n, k); polygons with the same sides are one polygon.
 
     Args:
-        sides: (n, k, 2) numbers of the node lines from each corner to its neighbours, for n bodies at the k vertices of
-            a junction.
+        sides: (n, k, 2) numbers of the two lines of nodes from each corner to its neighbours, for n corners at the k
+            vertices of their junctions.
         of: (n,) number of the junction of each row.
     """
     k, count = sides.shape[1], np.bincount(of)
@@ -126,13 +129,17 @@ def _polygons(sides: IntArray, of: IntArray) -> IntArray:
 
 
 def common_normals(joint: Joint, footing: FacetLines, corners: JunctionCorners, gap: BoolArray) -> FloatArray:
-    """Return (n, d) the unit normal common to all layers at the junction of each of n corners; zero if they differ.
+    """Return for each corner the unit normal that all layers at its junction have in common, or zero if there is none.
 
     Args:
         joint: the joint as drawn, before S is opened, in d dimensions.
-        footing: numbers of the node lines at the nodes of each facet of S.
-        corners: corners of the polygons at junctions.
-        gap: (n_lines,) whether each node line belongs to a gap, or closes a polygon on the outer boundary.
+        footing: the lines of nodes at the nodes of each facet of S.
+        corners: the n corners of the junctions.
+        gap: (n_lines,) whether each line of nodes belongs to a gap, or closes a polygon on the outer boundary. Such
+            lines are disregarded.
+
+    Returns:
+        (n, d) the normals.
     """
     normals = sum_by_number(footing.lines, joint.node_normals, len(gap))
     normals[gap] = 0.0

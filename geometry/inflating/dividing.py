@@ -20,10 +20,10 @@ class RefinedLayers(NamedTuple):
     """Layers whose cells are parts of coarser cells, so that functions on the coarse cells transfer exactly.
 
     Attributes:
-        joint: the layers with fine cells.
-        parent: (n,) number of the coarse cell that each of the n fine cells is a part of.
-        corners: (n, k, d) coordinates, in the reference cell of the coarse cell, of the k vertices of each fine cell in
-            d dimensions.
+        joint: the layers with n fine cells.
+        parent: (n,) number of the coarse cell that each fine cell is a part of.
+        corners: (n, k, d) reference coordinates, in its coarse cell, of the k vertices of each fine cell in d
+            dimensions.
     """
 
     joint: Joint
@@ -31,24 +31,24 @@ class RefinedLayers(NamedTuple):
     corners: FloatArray
 
     def in_parents(self, X: FloatArray) -> FloatArray:
-        """Map q places in the reference cell, for all n fine cells, to the reference cells of their coarse cells.
+        """Return, for q places in the reference cell and each fine cell, the reference coordinates in its coarse cell.
 
         Args:
-            X: (q, d) coordinates in the reference cell, in d dimensions.
+            X: (q, d) reference coordinates of the places, the same in all fine cells, in d dimensions.
 
         Returns:
-            (n, q, d) coordinates in the coarse cells' reference cells.
+            (n, q, d) reference coordinates of the q places of each of the n fine cells in its coarse cell.
         """
         return np.asarray(_shapes(self.joint.cell_type, 1, X) @ self.corners)
 
 
 def refined_towards_ends(layers: Joint, distance: FloatArray, size: float) -> RefinedLayers:
-    """Return the layers with cells at their ends halved repeatedly, until these reach at most `size` from the ends.
+    """Return layers with smaller cells at their ends: edges there are halved until they are no longer than `size`.
 
     Args:
         layers: meshed layers without bodies.
         distance: (n_points,) distance along S of each point from the nearest end, a length; 0 at ends.
-        size: largest extent of cells at the ends, a length > 0.
+        size: largest distance from the end that an edge which begins there may reach, a length > 0.
     """
     kind = layers.cell_type
     local = np.array(basix.topology(basix.CellType[kind])[1])  # vertices of edges; parallel edges have one order
@@ -77,17 +77,20 @@ def refined_towards_ends(layers: Joint, distance: FloatArray, size: float) -> Re
 
 
 def _conforming_edges(kind: str, edges: IntArray, far: FloatArray, to_halve: BoolArray) -> BoolArray:
-    """Return (m,) which of the wanted edges to halve first: in each cell one edge, or one edge and all parallel to it.
+    """Return which edges to halve in one pass, so that the mesh conforms: further passes halve the others.
 
-    If an edge of quadrilaterals or hexahedra is halved, so are the parallel edges of its cells, of their neighbours,
-    and so on.
+    In one pass a simplex is halved at one edge. A quadrilateral or hexahedron is halved at one edge and all edges
+    parallel to it. This also halves the edges parallel to these in neighbouring cells, and so on.
 
     Args:
         kind: type of the cells.
-        edges: (n, k) numbers of the k edges of each cell.
-        far: (m,) larger distance of the two ends of each edge from the layer's end; in simplices edges with large
-            distances come first.
-        to_halve: (m,) whether each edge is to be halved.
+        edges: (n, k) numbers, from 0 to m - 1, of the k edges of each cell.
+        far: (m,) distance from the layer's end of that vertex of each edge which is farther from it, lengths. In
+            simplices edges with larger distances come first.
+        to_halve: (m,) whether each edge must be halved.
+
+    Returns:
+        (m,) whether each edge is halved in this pass.
     """
     first, last = np.array(basix.topology(basix.CellType[kind])[1]).T
     edge_label = last - first if is_tensor(kind) else np.arange(len(first))  # parallel edges have one label
@@ -107,18 +110,24 @@ def _conforming_edges(kind: str, edges: IntArray, far: FloatArray, to_halve: Boo
 
 
 def _shapes(kind: str, degree: int, X: FloatArray) -> FloatArray:
-    """Return (..., k) values of the k shape functions of degree 1 or 2 at places X (..., d) of the reference cell."""
+    """Return the values (..., m) of a cell's m Lagrange shape functions at places of the reference cell.
+
+    Args:
+        kind: type of the cell.
+        degree: degree of the shape functions, 1 or 2.
+        X: (..., d) reference coordinates of the places in d dimensions.
+    """
     table = lagrange(kind, degree).tabulate(0, X.reshape(-1, X.shape[-1]))[0, :, :, 0]
     return np.asarray(table.reshape(*X.shape[:-1], -1))
 
 
 def _refined_joint(layers: Joint, parent: IntArray, corners: FloatArray) -> RefinedLayers:
-    """Return the layers with fine cells, with names, normals and reference places taken from the coarse cells.
+    """Return the layers with fine cells; regions, facet sets, normals and `reference` come from the coarse cells.
 
     Args:
         layers: the layers with coarse cells.
-        parent: (n,) number of the coarse cell of each fine cell.
-        corners: (n, k, d) coordinates, in the reference cell of the coarse cell, of the k vertices of each fine cell.
+        parent: (n,) number of the coarse cell that has each fine cell.
+        corners: (n, k, d) reference coordinates, in its coarse cell, of the k vertices of each fine cell.
     """
     band, kind = layers.band, layers.cell_type
     assert band is not None

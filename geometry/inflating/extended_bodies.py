@@ -1,4 +1,4 @@
-"""Motion for bodies="extended": bodies give up the space of the layers; their nodes follow by a harmonic motion."""
+"""Motion of nodes for bodies="extended": bodies give way to the layers, and their inner nodes follow harmonically."""
 
 from __future__ import annotations
 
@@ -22,19 +22,21 @@ CG_TOLERANCE = 1e-12  # relative residual of the linear solve for the harmonic m
 
 
 def face_motion(joint: Joint, copies: NodeCopies, depths: tuple[FloatArray, FloatArray]) -> tuple[IntArray, FloatArray]:
-    """Return the copies of nodes of S that are on bodies, and the motion of each into its body as the layers open.
+    """Return the motion of the nodes between bodies and layers: how far each copy of a node of S moves into its body.
 
-    The motion d is the shortest with n . d = g for each facet of S around the copy. The normal n points into the body,
-    and g is the thickness that the body gives up there. With many facets it is the least-squares solution. At the end
-    of S it is tangential to the outer faces of the body.
+    The motion d of a copy is the shortest vector with n . d = g at each facet of S around it. There n is the unit
+    normal of S that points into the body, and g is the thickness that the body gives up. If the facets are too many for
+    an exact solution, d is that of least squares. Where S ends, d is tangential to the outer faces of the body.
 
     Args:
         joint: the joint as drawn, before S is opened.
         copies: copies of its nodes, one on each body.
-        depths: g of the body below and g of the body above, each (n_S, k) at the k nodes of each facet of S, lengths.
+        depths: values of g for the bodies below S and for those above S, each (n_S, k) at the k nodes of each facet of
+            S, lengths.
 
     Returns:
-        (n,) numbers of the copies, and (n, d) their motion in d dimensions.
+        (n,) numbers of the copies that are on bodies, not on a rigid base, and (n, d) their motion in d dimensions,
+        lengths.
 
     Raises:
         InputError: S is folded; an outer face touches S nearly parallel to it; layers of different thickness meet
@@ -77,14 +79,17 @@ def face_motion(joint: Joint, copies: NodeCopies, depths: tuple[FloatArray, Floa
 
 
 def _outer_moments(joint: Joint, cells: IntArray) -> tuple[FloatArray, IntArray]:
-    """Return for every node the sum of m m^T over the unit normals m of the outer faces there, and their number.
+    """Return for each node the sum of m m^T, where m are the unit normals of the outer facets with this node.
 
-    Facets of S are no outer faces.
+    Facets of S are not counted as outer facets.
 
     Args:
         joint: the joint as drawn, before S is opened.
-        cells: (n_cells, k) numbers of the k nodes of its cells; where bodies have parted, each copy counts the faces of
-            its own body.
+        cells: (n_cells, k) numbers of the k nodes of its cells. If bodies have copies of nodes, each copy counts the
+            facets of its own body.
+
+    Returns:
+        (n_nodes, d, d) the sums, in d dimensions, and (n_nodes,) the numbers of their terms.
     """
     table, outer = joint.table, joint.outer_rows
     m = facet_normals(joint.points, table.nodes(outer, joint.cells, joint.cell_type), joint.cell_type)
@@ -95,16 +100,16 @@ def _outer_moments(joint: Joint, cells: IntArray) -> tuple[FloatArray, IntArray]
 def extended_motion(
     joint: Joint, body_cells: IntArray, n_nodes: int, face_nodes: IntArray, values: FloatArray, fixed: IntArray
 ) -> FloatArray:
-    """Return the motion (n_nodes, d) of the bodies' nodes in d dimensions, given that of the nodes next to layers.
+    """Return the motion (n_nodes, d) of all nodes of the bodies, if nodes between bodies and layers move as prescribed.
 
     The other nodes follow by a discrete harmonic motion, and slide along flat outer faces.
 
     Args:
-        joint: the joint as drawn, before S is opened.
-        body_cells: (n_cells, k) numbers of the k nodes of its cells, each body with its own copies of nodes of S.
+        joint: the joint as drawn, before S is opened, in d dimensions.
+        body_cells: (n_cells, k) numbers of the k nodes of its cells, where each body has its own copies of nodes of S.
         n_nodes: number of nodes with copies.
         face_nodes: (n,) numbers of the nodes between bodies and layers.
-        values: (n, d) prescribed motion of these nodes.
+        values: (n, d) prescribed motion of these nodes, lengths.
         fixed: numbers of nodes that do not move, such as nodes of periodic sides.
     """
     d, k = joint.dim, joint.corners.shape[1]
@@ -135,9 +140,9 @@ def _laplacian(x: FloatArray, corners: IntArray, cell_type: str, n: int) -> scip
 
     Args:
         x: (n_cells, k, d) coordinates of the k vertices of each straight-sided cell in d dimensions.
-        corners: (n_cells, k) numbers of these vertices.
+        corners: (n_cells, k) numbers of these vertices, from 0 to n - 1.
         cell_type: type of the cells.
-        n: number of rows of the matrix.
+        n: number of rows and columns of the matrix.
     """
     element = lagrange(cell_type, 1)
     at = element.points if is_tensor(cell_type) else element.points[:1]
@@ -151,7 +156,11 @@ def _laplacian(x: FloatArray, corners: IntArray, cell_type: str, n: int) -> scip
 
 
 def _solve(matrix: scipy.sparse.csr_matrix, b: FloatArray) -> FloatArray:
-    """Solve a symmetric linear system by conjugate gradients on this rank; raise InputError without convergence."""
+    """Return the solution x of `matrix` x = `b`, with a symmetric positive definite matrix, by conjugate gradients.
+
+    Raises:
+        InputError: the iteration does not converge.
+    """
     scaled = scipy.sparse.diags(1 / matrix.diagonal())
     solution, status = scipy.sparse.linalg.cg(matrix, b, rtol=CG_TOLERANCE, atol=0.0, maxiter=50_000, M=scaled)
     if status:

@@ -1,8 +1,8 @@
 """Cells that fill junctions: the polygon that opens there is divided into blocks, and each block into a grid.
 
-A polygon has a quadrilateral block at each corner: between the corner, the middles of its two sides, and the centre.
-Each node of the grid is identified by bilinear integer weights on these four key points. Blocks share a node if it has
-the same weights on the same key points.
+A polygon has a quadrilateral block at each corner. The four key points of a block are the corner, the middles of the
+two sides that meet there, and the polygon's centre. Each node of the block's grid is a bilinear interpolation of the
+key points with integer weights. Nodes of two blocks are the same node if they have equal weights on equal key points.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ class JunctionCells(NamedTuple):
 
     Attributes:
         cells: (n, k) numbers of the k nodes of each cell.
-        corners: (n,) number of the row of `JunctionCorners`, a polygon's corner, in whose block each cell lies.
-        values: (n_new, d) values at the new nodes, such as their motion in d dimensions.
-        nodes: (n_new,) the node of S at which the polygon of each new node opens.
+        corners: (n,) row of `JunctionCorners` of the corner whose block contains each cell.
+        values: (n_new, d) values at the n_new added nodes, such as their motion in d dimensions.
+        nodes: (n_new,) for each added node the node of S at which its polygon opens.
     """
 
     cells: IntArray
@@ -36,15 +36,17 @@ class JunctionCells(NamedTuple):
 def junction_cells(
     joint: Joint, lines: NodeLines, corners: JunctionCorners, values: FloatArray, nodes: IntArray
 ) -> JunctionCells:
-    """Return the cells in junctions; numbers of their new nodes follow those of the nodes inside node lines.
+    """Return the cells that fill all junctions.
+
+    The nodes that they add are numbered after the last node inside the lines of nodes.
 
     Args:
         joint: the joint as drawn, before S is opened.
-        lines: all lines of nodes through the layers; those at junctions have one even number of cells.
+        lines: all lines of nodes through the layers. Those at junctions have an even number of cells, the same for all.
         corners: corners of the polygons at the vertices of each junction.
-        values: (n, d) values at nodes and copies, such as their motion in d dimensions; new nodes get bilinear
-            interpolations.
-        nodes: (n,) the node of S of each copy, and of other nodes their own number.
+        values: (n, d) values at nodes and copies, such as their motion in d dimensions; the added nodes get bilinear
+            interpolations of them.
+        nodes: (n,) for each copy the node of S that it copies; for each other node its own number.
     """
     half, k = int(lines.top[corners.sides.flat[0]]) // 2, corners.copies.shape[1]
     copies, sides, polygons = corners.copies.ravel(), corners.sides.reshape(-1, 2), corners.polygons.ravel()
@@ -82,14 +84,18 @@ def junction_cells(
 
 
 def _halved(quads: IntArray, is_reversed: BoolArray) -> IntArray:
-    """Return triangles (n, k, 2 m, 3) from the quadrilaterals (n, k, m, 4) of blocks, halved from corner to centre.
+    """Return triangles that halve the quadrilaterals of blocks, each along its diagonal from the corner to the centre.
 
-    This suits corners of all angles. Vertices are in the same order wherever triangles share an edge; along node lines
-    this is the order of the levels.
+    In a triangle the vertices have such an order that two triangles with a common edge have its ends in the same order.
+    Along lines of nodes this is the order of levels.
 
     Args:
-        quads: numbers of the vertices of m quadrilaterals in each of n blocks, at each of k vertices of a junction.
-        is_reversed: (n, 2) whether the node lines at the block's two outer sides lead towards its corner.
+        quads: (n, k, m, 4) vertices of the m quadrilaterals of each of n blocks at each of the k vertices of its
+            junction.
+        is_reversed: (n, 2) whether the two lines of nodes at sides of each block lead towards its corner.
+
+    Returns:
+        (n, k, 2 m, 3) numbers of the vertices of the triangles.
     """
     n_side = round(quads.shape[2] ** 0.5)
     p, q = np.divmod(np.arange(n_side * n_side), n_side)
@@ -101,10 +107,17 @@ def _halved(quads: IntArray, is_reversed: BoolArray) -> IntArray:
 
 
 def _extruded(triangles: IntArray) -> IntArray:
-    """Return cells over the triangles (n, k, m, 3) of n blocks at the k vertices of junctions, 1 in 2D, 2 in 3D.
+    """Return the cells of blocks from the triangles of their cross sections.
 
-    In 2D these are the triangles. In 3D they are tetrahedra of prisms between triangles at two vertices, split as in
-    bands.
+    In 2D, k = 1, the cells are the triangles. In 3D, k = 2, the prism between a triangle at the first vertex and one at
+    the second is split into three tetrahedra.
+
+    Args:
+        triangles: (n, k, m, 3) numbers of the vertices of the m triangles of each of n blocks, at each of the k
+            vertices of its junction.
+
+    Returns:
+        (n, m, 3) in 2D, (n, 3 m, 4) in 3D: numbers of the vertices of the cells of each block.
     """
     if triangles.shape[1] == 1:
         return triangles[:, 0]

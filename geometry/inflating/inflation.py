@@ -1,4 +1,4 @@
-"""Opening of S: layers become bands of cells between bodies, with junctions where they meet, or gaps without cells."""
+"""Opening of S: layers become cells between bodies, with further cells in junctions where they meet; gaps stay empty."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def inflate(
 ) -> Joint:
     """Return the joint with S opened to layers of the given thickness, meshed with cells.
 
-    Arguments that differ between seams are written as {name of a seam: value}.
+    Each of `eps`, `profile` and `fractions` is one value for all seams or {name of a seam: value}.
 
     Args:
         joint: the joint as drawn, in which S is a surface.
@@ -48,23 +48,23 @@ def inflate(
         fractions: thickness of each sublayer over the layer's thickness, from the lower to the upper face, with sum 1;
             () for a layer without sublayers.
         bodies: "kept": the bodies keep their shape and move apart by eps at each facet of S, with the least jumps along
-            S. On a rigid base the body stays, and the layer lies below it. The thickness must be uniform, and S must
-            allow this motion, as planar seams of running bonds, crossings and stacks do. "extended": the outer shape of
-            the whole is kept. Each body gives up half of the thickness, on a rigid base all of it. Its other nodes
-            follow by a harmonic motion that slides along the outer faces.
+            S. A body on a rigid base stays in place, and the layer lies below it. The thickness must be uniform, and S
+            must allow such a motion; planar seams of running bonds, crossings and stacks do. "extended": the outer
+            shape of the whole is kept. Each body gives up half of the thickness, on a rigid base all of it. The other
+            nodes of the body follow by a harmonic motion and slide along its outer faces.
         junctions: names of seams in the order of priority for the cells of junctions, where layers meet; other seams
             follow in the joint's order. A junction's cells belong to the first seam in this order that ends there and
             is no gap.
-        gaps: names of seams that get no cells: their thickness is left empty between the bodies. Layers that pass the
-            end of a gap continue; the junction there is filled like others. A junction is empty where two neighbouring
-            seams are gaps, because the body between them would touch its cells at a corner only.
+        gaps: names of seams that get no cells, so that the space between their bodies stays empty. If a gap ends
+            between layers, the junction there has cells. But where two neighbouring seams at a junction are gaps, the
+            junction stays empty: the body between them would touch its cells at a corner only.
 
     Returns:
         A joint with the layer's cells in the region "LAYER", with sublayers in "LAYER/1", "LAYER/2", ... from the lower
         to the upper face. The facets between layer and bodies are the sets "LOWER_FACE" ("BASE" on a rigid base) and
-        "UPPER_FACE". Outer facets of the layer that continue an outer facet set NAME of the bodies are the set
-        "NAME/LAYER". With several seams, regions are "LAYER/SEAM", "LAYER/SEAM/1", ..., and faces "SEAM/LOWER_FACE",
-        "SEAM/UPPER_FACE". Cells where three or more bodies meet are the region "LAYER/JUNCTIONS"
+        "UPPER_FACE". For an outer facet set NAME of the bodies, "NAME/LAYER" is the set of outer facets of the layer
+        that continue it. With several seams, regions are "LAYER/SEAM", "LAYER/SEAM/1", ..., and faces
+        "SEAM/LOWER_FACE", "SEAM/UPPER_FACE". Cells where three or more bodies meet are the region "LAYER/JUNCTIONS"
         ("LAYER/JUNCTIONS/SEAM" where they belong to different seams). Body cells keep their numbers and the order of
         their nodes; curved cells stay curved.
 
@@ -131,8 +131,8 @@ def inflate(
 def without_bodies(inflated: Joint) -> Joint:
     """Return the layers of a joint with meshed layers as a joint of their own, without bodies.
 
-    Outer facets of the layers in the set "NAME/LAYER", which continue an outer facet set NAME of the bodies, are also
-    in a set NAME.
+    For an outer facet set NAME of the bodies, "NAME/LAYER" is the set of outer facets of the layers that continue it.
+    In the result these facets are also the set NAME.
     """
     band = inflated.band
     assert band is not None
@@ -153,13 +153,13 @@ def without_bodies(inflated: Joint) -> Joint:
 
 
 class _BandCells(NamedTuple):
-    """Cells of layers.
+    """Cells of layers, with their regions and the normals of S.
 
     Attributes:
         cells: (n, k) numbers of the k nodes of each cell.
-        region: (n,) number of each cell's region; in the result of `_junctions` number of a seam.
-        director: (n, m, d) unit normal of S in d dimensions at each of a cell's m vertices; zero in junctions of layers
-            with different normals.
+        region: (n,) number of each cell's region; for cells that `_junctions` returns, the position of a seam instead.
+        director: (n, m, d) unit normal of S in d dimensions below or above each of a cell's m vertices; zero in
+            junctions of layers with different normals.
     """
 
     cells: IntArray
@@ -170,9 +170,9 @@ class _BandCells(NamedTuple):
 def _junctions(
     joint: Joint, lines: NodeLines, footing: FacetLines, corners: JunctionCorners, claims: Names, filled: JunctionCells
 ) -> _BandCells:
-    """Return the cells of junctions; `region` is here the number of the seam whose layer gets the junction's cells.
+    """Return the cells of junctions, except of those where two neighbouring seams are gaps.
 
-    Junctions are left out where two gaps are neighbours.
+    In the result, `region` is the position in `joint.seams` of the seam that a junction's cells belong to.
 
     Args:
         joint: the joint as drawn, before S is opened.
@@ -201,13 +201,17 @@ def _junctions(
 def _bands(
     joint: Joint, lines: NodeLines, footing: FacetLines, layers: Layering
 ) -> tuple[_BandCells, dict[str, tuple[str, ...]]]:
-    """Return the cells of all bands, and seam -> names of its regions from the lower to the upper face; without gaps.
+    """Return the cells of all layers, without those of junctions, and the names of their regions.
 
     Args:
         joint: the joint as drawn, before S is opened.
         lines: all lines of nodes through the thickness.
         footing: the lines at the nodes of each facet of S.
         layers: checked arguments for the layers.
+
+    Returns:
+        The cells; and name of a seam -> names of the regions of its sublayers, from the lower to the upper face. Gaps
+        are left out.
     """
     bands: list[_BandCells] = []
     names: dict[str, tuple[str, ...]] = {}
@@ -225,14 +229,17 @@ def _bands(
 
 
 def _motion(joint: Joint, copies: NodeCopies, thickness: FloatArray, bodies: str, fixed: IntArray) -> FloatArray:
-    """Return the motion of the bodies' nodes and of nodes on a rigid base when the layers open: (n, d) in d dimensions.
+    """Return (n_nodes, d) the motion of all nodes and copies in d dimensions as the layers open, lengths.
 
     Args:
         joint: the joint as drawn, before S is opened.
-        copies: copies of its nodes, one on each body.
-        thickness: (n_S, k) thickness at the k nodes of each facet of S.
+        copies: copies of its nodes, one on each body and on a rigid base.
+        thickness: (n_S, k) thickness of the layer at the k nodes of each facet of S, lengths.
         bodies: "kept" or "extended".
-        fixed: numbers of nodes that must not move; "kept" disregards them.
+        fixed: numbers of nodes that must not move if `bodies` is "extended"; "kept" disregards them.
+
+    Raises:
+        InputError: the bodies cannot make room in this way.
     """
     n_nodes = len(joint.points) + len(copies.new)
     if bodies == "extended":
@@ -264,10 +271,10 @@ def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int
 
 
 def with_gaps(joint: Joint, eps: Sizes, *, profile: Profiles = None) -> Joint:
-    """Return the joint with bodies that gave up the layers' thickness, but without cells in the layers.
+    """Return the joint with bodies that gave up the layers' thickness, but with empty space in place of the layers.
 
-    Bodies make room by `inflate(..., bodies="extended")`. Cells, names and numbers stay, and so do `points`, in which S
-    is one surface. `Joint.parted` has the coordinates of the nodes of each cell after parting.
+    The bodies make room as in `inflate(..., bodies="extended")`. Only `Joint.parted` changes: it has the new
+    coordinates of the nodes of each cell. In `Joint.points` the bodies still meet on S.
 
     Args:
         joint: the joint as drawn, in which S is a surface.
@@ -284,7 +291,14 @@ def with_gaps(joint: Joint, eps: Sizes, *, profile: Profiles = None) -> Joint:
 
 
 def points_on_middle(joint: Joint) -> FloatArray:
-    """Return (n_points, d) `points` in d dimensions, those on S midway between parted bodies; seams must not meet."""
+    """Return the points (n_points, d) of a joint, in which those on S are midway between bodies that moved apart.
+
+    Other points are those of `joint.points`, and so are all if bodies have not moved apart. Seams of the joint must not
+    meet.
+
+    Args:
+        joint: the joint, in d dimensions.
+    """
     if joint.parted is None:
         return joint.points
     x = joint.points.copy()
@@ -293,9 +307,13 @@ def points_on_middle(joint: Joint) -> FloatArray:
 
 
 def offset_to_middle(joint: Joint) -> FloatArray:
-    """Return (n_cells, k, d) vectors from the nodes on S to the middle between parted bodies; zero for other nodes.
+    """Return for the nodes of each cell the vector from nodes on S to the middle between bodies that moved apart.
 
-    The vectors have d components in d dimensions; k is the number of nodes of each cell.
+    Args:
+        joint: the joint, such as that of `with_gaps`, in d dimensions.
+
+    Returns:
+        (n_cells, k, d) vectors at the k nodes of each cell, lengths; zero at nodes that are not on S.
     """
     offsets, face_points = np.zeros_like(joint.cell_points), joint.faces()
     for cells, face in zip(joint.surface_cells.T, face_points, strict=True):

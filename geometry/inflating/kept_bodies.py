@@ -1,4 +1,4 @@
-"""Motion for bodies="kept": pieces of the bodies are translated apart as layers open, if they have room to move."""
+"""Motion of bodies for bodies="kept": the bodies are translated until S is open, without a change of shape."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ RAY_OFFSETS = np.array([1.0, 1.3, 1.7, 2.3])
 
 
 def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
-    """Return the translations of the bodies' connected pieces that open each facet of S by its thickness.
+    """Return the translations of the pieces into which S cuts the joint that open S by the thickness of each layer.
 
-    Of all such motions, it is the one with the least tangential jumps on S. The middle of S does not move, and neither
-    do bodies on a rigid base: there the base moves. On a shallow arc the thickness is right in the mean; a RangeWarning
-    gives its range.
+    Of all such translations, they are those with the least jumps along S. Bodies on a rigid base do not move: there the
+    base moves. Elsewhere the mean of both sides of S does not move. If S is a shallow arc, the mean thickness is the
+    given one, and a RangeWarning tells the least and the largest.
 
     Args:
         joint: the joint as drawn, before S is opened.
@@ -40,7 +40,7 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
         piece.
 
     Raises:
-        InputError: no such motion exists.
+        InputError: no such translations exist.
     """
     pieces, cells, n, d = joint.split_mesh.pieces, joint.surface_cells, joint.interface_normals, joint.dim
     count = int(pieces.max()) + 1
@@ -85,17 +85,21 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
 
 
 def _translations(pair: IntArray, part: IntArray, jump: FloatArray, P_n: FloatArray, area: FloatArray) -> FloatArray:
-    """Return translations with the least tangential jumps for prescribed normal jumps: (count, d) in d dimensions.
+    """Return the translations of pieces that have prescribed jumps normal to S and the least jumps along S.
 
-    A translation of all pieces together remains free. The method is an augmented Lagrangian, which also converges for
-    redundant constraints.
+    Pieces in one connected part may still be translated together: the result fixes this arbitrarily. The method is an
+    augmented Lagrangian, which also converges for redundant constraints.
 
     Args:
         pair: (n, 2) numbers of the pieces below and above each of n layers.
-        part: (count,) number of the connected part of the joint that each piece is in.
-        jump: (n, d) prescribed jump across each layer, in its normal directions.
-        P_n: (n, d, d) projector onto these normal directions. A bent layer has several.
+        part: (n_pieces,) number of the connected part of the joint that each piece is in.
+        jump: (n, d) prescribed jump across each layer in d dimensions, lengths.
+        P_n: (n, d, d) projector onto the directions in which each layer prescribes the jump. For a plane layer this is
+            its normal; a bent layer has several normals.
         area: (n,) area of S between the two pieces.
+
+    Returns:
+        (n_pieces, d) translation of each piece, lengths.
     """
     (n, d), count = jump.shape, len(part)
     low, up = (scipy.sparse.csr_matrix((np.ones(n), (np.arange(n), end)), shape=(n, count)) for end in pair.T)
@@ -117,12 +121,12 @@ def _translations(pair: IntArray, part: IntArray, jump: FloatArray, P_n: FloatAr
 
 
 def require_room(joint: Joint, translation: FloatArray) -> None:
-    """Raise InputError if translated bodies, or a rigid base and bodies, run into each other on their way.
+    """Raise InputError if two bodies, or a body and the rigid base, run into each other while they are translated.
 
     Args:
         joint: the joint as drawn, before S is opened.
-        translation: (n_pieces, d) translation of each of its connected pieces, and last of the rigid base if there is
-            one.
+        translation: (n_pieces, d) translation of each piece into which S cuts the joint, and last that of the rigid
+            base if there is one, lengths.
     """
     table, cells = joint.table, joint.surface_cells
     outer = np.union1d(np.flatnonzero(table.cells[:, 1] < 0), joint.surface_rows)
@@ -149,14 +153,16 @@ def require_room(joint: Joint, translation: FloatArray) -> None:
 
 
 def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, direction: FloatArray, eps: float) -> FloatArray | None:
-    """Return the first of some points that hits a facet on a straight way, or None if none does.
+    """Return the coordinates (d,) of one of the points `x` that passes through a facet while all move along a line.
+
+    None means that no point passes through a facet.
 
     Args:
         joint: the joint as drawn, before S is opened.
         x: (n, d) coordinates of the points in d dimensions.
-        rows: row numbers in `joint.table` of the facets.
+        rows: row numbers in `joint.table` of the facets, which do not move.
         direction: (d,) unit vector along which the points move.
-        eps: length of the way.
+        eps: length by which they move.
     """
     nodes = joint.table.nodes(rows, joint.corners, joint.cell_type)
     if is_tensor(joint.cell_type) and joint.dim == 3:

@@ -1,4 +1,4 @@
-"""Checked arguments of `inflate` for each seam's layer, and the facet sets of the joint with meshed layers."""
+"""Checks of the arguments of `inflate`, these arguments for each seam, and the facet sets of a joint with meshed layers."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ Profiles = Profile | Mapping[str, Profile | None] | None
 def value_by_seam(
     joint: Joint, value: ValueType | Mapping[str, ValueType], what: str, *default: ValueType
 ) -> dict[str, ValueType]:
-    """Return the value of each seam, as name -> value, from one value for all seams or {name of a seam: value}.
+    """Return name of a seam -> its value, for all seams of a joint.
 
     Args:
         joint: the joint with the seams.
-        value: one value, or values by name.
+        value: one value for all seams, or {name of a seam: value}.
         what: name of the argument, for messages.
-        default: value for seams without a value; if it is not given, all need one.
+        default: at most one value, for seams that `value` does not name; without it, each seam must be named.
 
     Raises:
         InputError: a value for an unknown seam, or none for a seam.
@@ -49,7 +49,7 @@ def value_by_seam(
 
 
 def check_layering(n_cells: int, bodies: str) -> None:
-    """Raise InputError unless n_cells >= 1 and `bodies` is "kept" or "extended"."""
+    """Raise InputError unless `n_cells`, through the thickness, is at least 1 and `bodies` is "kept" or "extended"."""
     require_known("way to make room for the layer (bodies=...)", bodies, BODY_CHOICES)
     require(is_integer(n_cells, 1), "cells_through", n_cells, "the layer needs a whole number >= 1 of cells")
 
@@ -61,11 +61,11 @@ class Layering(NamedTuple):
         eps: name of a seam -> thickness of its layer, a length.
         fractions: name of a seam -> thickness of each sublayer over the layer's, from the lower to the upper face; ()
             for no sublayers.
-        heights: for each seam the heights of the levels of nodes over the thickness, from 0 to 1.
+        heights: for each seam the heights of the levels of nodes, as fractions of the thickness from 0 to 1.
         thickness: (n_S, k) thickness at the k nodes of each facet of S, lengths.
         varying: names of the seams with a profile.
-        claims: names of the seams with cells, in order of priority for the cells of junctions.
-        with_cells: (n_S,) whether each facet of S gets cells, and no gap.
+        claims: names of the seams that get cells, in order of priority for the cells of junctions.
+        with_cells: (n_S,) whether the seam of each facet of S gets cells; False in gaps.
     """
 
     eps: dict[str, float]
@@ -80,14 +80,16 @@ class Layering(NamedTuple):
     def of(
         cls, joint: Joint, eps: Sizes, profile: Profiles, through: int, fractions: Shares, junctions: Names, gaps: Names
     ) -> Self:
-        """Return the checked arguments of `inflate`.
+        """Return the checked arguments of `inflate` with values for each seam.
 
         Args:
             joint: the joint as drawn, in which S is a surface.
-            eps: thickness of the layers, a length, or {name of a seam: thickness}.
-            profile: function of coordinates (d, n) that multiplies eps, or {name of a seam: function}; None: 1.
+            eps: thickness of the layers, a length > 0, or {name of a seam: thickness}.
+            profile: function of coordinates (d, n) of n points in d dimensions that returns n factors of eps > 0; or
+                {name of a seam: function}; None: all factors are 1.
             through: number of cells through the thickness.
-            fractions: thickness of each sublayer over the layer's, or {name of a seam: these}; () for no sublayers.
+            fractions: thickness of each sublayer over the layer's, () for no sublayers; or {name of a seam: such
+                fractions}.
             junctions: names of the first seams in the order of priority for the cells of junctions.
             gaps: names of the seams that get no cells.
 
@@ -123,9 +125,9 @@ class Layering(NamedTuple):
 
 
 def check_junctions(joint: Joint, lines: NodeLines, layers: Layering) -> None:
-    """Raise InputError if layers meet that cannot be meshed there.
+    """Raise InputError if layers meet at a junction that cannot be meshed.
 
-    This holds for layers with sublayers, a varying thickness, curved cells or an odd number of cells.
+    Such layers have sublayers, a varying thickness, curved cells or an odd number of cells through the thickness.
 
     Args:
         joint: the joint as drawn, before S is opened.
@@ -147,15 +149,20 @@ def check_junctions(joint: Joint, lines: NodeLines, layers: Layering) -> None:
 def moved_facets(
     joint: Joint, copies: NodeCopies, layers: Layering, cells: IntArray, n_bands: int, foot: IntArray
 ) -> tuple[dict[str, IntArray], tuple[str, ...]]:
-    """Return the facet sets of the joint with meshed layers, and the names of the sets between bodies and layers.
+    """Return the facet sets of the joint with meshed layers.
 
     Args:
         joint: the joint as drawn, before S is opened.
         copies: copies of its nodes, one on each body.
         layers: checked arguments for the layers.
-        cells: (n, m) numbers of the m vertices of each of the layers' cells, cells of bands before those of junctions.
-        n_bands: number of cells of bands.
-        foot: for each node of the new joint the node of the drawn joint that it is, or on S lies above or below.
+        cells: (n, m) numbers of the m vertices of each of the layers' cells, those of junctions last.
+        n_bands: number of the layers' cells that are not in junctions.
+        foot: (n_nodes,) for each node of the joint with layers a node of the joint as drawn: the one on S at which it
+            lies in a layer or is a copy, else the node itself.
+
+    Returns:
+        Name of a set -> (n, k) numbers of the k vertices of each of its n facets; and the names of the sets of facets
+        between bodies and layers.
     """
     is_filled, order = layers.with_cells, np.argsort(joint.surface[:, : joint.table.vertices.shape[1]], axis=1)
     above, below = (np.take_along_axis(side, order, axis=1) for side in (copies.above, copies.below))
