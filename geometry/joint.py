@@ -47,8 +47,7 @@ def _digest(*arrays: IntArray) -> str:
 class InflatedBand:
     """Description of the meshed layers of a joint: thickness, regions, and how the bodies made room for them.
 
-    To inflate a joint is to open its surface S to the thickness of the layers. `base` is the joint as drawn, before
-    this.
+    To inflate a joint is to open its surface S to the thickness of the layers.
 
     Attributes:
         eps: name of a seam -> thickness of its layer or gap, a length. If a profile is given, the thickness is eps
@@ -59,13 +58,13 @@ class InflatedBand:
         of_seam: name of a seam -> regions of its sublayers, from the lower to the upper face. Seams without cells
             (gaps) are left out.
         junctions: name of a region of junctions -> name of the seam that its cells belong to.
-        aligned: names of the regions of junctions where all layers that meet at a junction have one normal. An example
-            is a bed joint that passes open head joints.
+        aligned: names of those regions of junctions in which all layers that meet at a junction have one normal. An
+            example is a bed joint of mortar that passes empty head joints.
         faces: names of the facet sets between bodies and layers.
-        base: the joint as drawn.
+        base: the joint as drawn, before it was inflated.
         reference: (n_points, d) place of each point in `base`, in d dimensions. For points of the layers it is the
             place on S below or above them.
-        director: (n_band_cells, n_corners, d) unit normal of S at each corner of the layers' cells, from the lower to
+        director: (n_band_cells, n_corners, d) unit normal of S at each vertex of the layers' cells, from the lower to
             the upper body. In junctions of layers with different normals it is the unit vector along y.
     """
 
@@ -99,9 +98,9 @@ class Joint:
         regions: names of the cell regions.
         facets: name -> (n, m) numbers of the m vertices, in any order, of each of the n facets in the set. The seams
             are among these sets. The facets of seams are removed from the other sets.
-        seams: name of a seam -> choice of its upper side. None of several seams may be named "S", which stands for all
-            of them.
-        band: description of the meshed layers; None while S is a surface without thickness.
+        seams: name of a seam -> choice of its upper side. The name "S" is allowed for a single seam only; if there are
+            several, "S" stands for all of them.
+        band: description of the meshed layers; None if S is a surface without thickness.
         periods: pairs of sides that are identified with each other, if the joint is a periodic cell; None: it is not.
         parted: (n_cells, k, d) coordinates of the nodes of each cell if the bodies have moved apart but the layers have
             no cells, see `inflating.inflation.with_gaps`. None: the nodes are at `points`.
@@ -142,7 +141,7 @@ class Joint:
             self.periods.check(self.points, self.corners, self.cell_type, self.table.vertices[outer])
 
     def __getstate__(self) -> dict[str, object]:
-        """Return the attributes for pickling, with `split_mesh.pieces`, so that other ranks need not compute it."""
+        """Return the attributes for pickling, among them `split_mesh.pieces`, which other ranks then need not compute."""
         if self.band is None:
             _ = self.split_mesh.pieces
         return self.__dict__
@@ -171,7 +170,10 @@ class Joint:
 
     @cached_property
     def masters(self) -> IntArray:
-        """(n_points,) lowest number of the nodes that periodicity identifies with each node, itself included."""
+        """(n_points,) for each node the lowest number among the nodes that are identified with it, itself included.
+
+        Nodes are identified by the periods of a periodic cell.
+        """
         return self.periods.masters(len(self.points)) if self.periods else np.arange(len(self.points))
 
     @property
@@ -196,19 +198,22 @@ class Joint:
 
     @property
     def cell_points(self) -> FloatArray:
-        """(n_cells, k, d) coordinates of the k nodes of each cell in d dimensions, after bodies have parted."""
+        """(n_cells, k, d) coordinates of the k nodes of each cell in d dimensions, lengths; those of `parted` if it is given."""
         return self.points[self.cells] if self.parted is None else self.parted
 
     @property
     def bodies(self) -> tuple[str, ...]:
-        """Names of the regions of bodies (not layers), those below seams first, then those above, then others."""
+        """Names of the regions of bodies, not of layers.
+
+        Regions that seams name as lower come first, then those that they name as upper, then all others.
+        """
         side_regions = [seam.lower for seam in self.seams.values()] + [seam.upper for seam in self.seams.values()]
         layer_regions = self.band.regions if self.band else ()
         return tuple(name for name in dict.fromkeys(chain(*side_regions, self.regions)) if name not in layer_regions)
 
     @property
     def reference(self) -> FloatArray:
-        """(n_points, d) place of each point in d dimensions in the joint as drawn, before S was opened to layers."""
+        """(n_points, d) place of each point in the joint as drawn, before S was opened to the layers' thickness."""
         return self.band.reference if self.band else self.points
 
     @cached_property
@@ -218,7 +223,7 @@ class Joint:
 
     # ---------------------------------------------------------------- S
     def rows_of(self, name: str) -> IntArray:
-        """Return the ascending row numbers in `table` of the facets of the seam `name`; of all seams if it is "S"."""
+        """Return the row numbers in `table`, ascending, of the facets of the seam `name`; "S" stands for all seams."""
         if name != S:
             require_known("seam", name, self.seams)
         names = self.seams if name == S else (name,)
@@ -226,12 +231,12 @@ class Joint:
 
     @cached_property
     def surface_rows(self) -> IntArray:
-        """(n_S,) row numbers in `table` of the n_S facets of S, ascending, so in lexicographic order of vertices."""
+        """(n_S,) row numbers in `table` of the facets of S, ascending."""
         return self.rows_of(S)
 
     @cached_property
     def seam_numbers(self) -> IntArray:
-        """(n_S,) for each of the n_S facets of S the position of its seam in `seams`."""
+        """(n_S,) for each facet of S, in the order of `surface_rows`, the position of its seam in `seams`."""
         numbers = np.empty(len(self.surface_rows), np.int64)
         for number, name in enumerate(self.seams):
             numbers[np.searchsorted(self.surface_rows, self.rows_of(name))] = number
@@ -239,7 +244,9 @@ class Joint:
 
     @cached_property
     def surface_cells(self) -> IntArray:
-        """(n_S, 2) numbers of the cell below and the cell above each of the n_S facets of S; -1 below for a rigid base.
+        """(n_S, 2) numbers of the cell below and of the cell above each facet of S, in the order of `surface_rows`.
+
+        If the facet is on a rigid base, the number below is -1.
 
         Raises:
             InputError: a seam lies partly on the outer boundary, or does not determine its upper side.
@@ -277,15 +284,15 @@ class Joint:
 
     @cached_property
     def outer_rows(self) -> IntArray:
-        """Ascending row numbers in `table` of the facets on the outer boundary that are not in S."""
+        """(n,) row numbers in `table`, ascending, of the facets on the outer boundary that are not in S."""
         return np.setdiff1d(np.flatnonzero(self.table.cells[:, 1] < 0), self.surface_rows)
 
     @cached_property
     def outer_beside_s(self) -> tuple[IntArray, IntArray]:
-        """Outer facets that share a ridge (a vertex in 2D, an edge in 3D) with S, and the ridges that they share.
+        """Outer facets that share a ridge (a vertex in 2D, an edge in 3D) with S, and the shared ridges.
 
-        First (n,) their row numbers in `table`. Second (n, m) for each of their m ridges a number that identifies it,
-        see `ridge_keys`, or -1 if the ridge is not in S.
+        These are (n,) row numbers of the facets in `table`, and (n, m) keys of the m ridges of each facet, as from
+        `ridge_keys`. The key is -1 for ridges that are not in S.
         """
         keys = keys_of_ridges(self.table.vertices[self.outer_rows], self.dim - 1)
         keys[~np.isin(keys, ridge_keys(ridges(self.surface, self.cell_type)[0]))] = -1
@@ -294,19 +301,21 @@ class Joint:
 
     @cached_property
     def split_mesh(self) -> Splitting:
-        """Connectivity of the mesh after it is cut along S."""
+        """The mesh cut along S, with the components into which the cut divides the cells around each vertex or edge."""
         return self.split_along(self.surface_rows)
 
     def components_at(self, cells: IntArray, nodes: IntArray, cut: Splitting | None = None) -> IntArray:
-        """Return (n, k) number of the component, around each of k nodes of n cells, that contains the cell.
+        """Return the component that contains each given cell, among the cells around each of its given nodes.
 
-        At a node on a cut, the cells around it form components: groups of cells that are connected by uncut facets
-        there. The result is -1 for cells < 0.
+        Cells around a node on a cut form components: groups of cells that are connected by uncut facets at the node.
 
         Args:
             cells: (n,) numbers of cells; a number < 0 stands for no cell.
             nodes: (n, k) numbers of k nodes of each cell.
             cut: the mesh with its cuts; None: cut along all seams.
+
+        Returns:
+            (n, k) number of the component, from 0 at each node; -1 where there is no cell.
         """
         position = (self.cells[cells][:, None, :] == nodes[:, :, None]).argmax(axis=2)
         of_nodes = (cut or self.split_mesh).of_nodes[cells]
@@ -314,10 +323,11 @@ class Joint:
 
     @cached_property
     def pairs(self) -> IntArray:
-        """(n_S, k) key at each of the k vertices of each facet of S, unique for vertex, seam, lower and upper body.
+        """(n_S, k) integer for each of the k vertices of each facet of S that identifies the vertex with its two bodies.
 
-        The n_S facets are those of `surface_rows`. Periodic images count as one vertex. A body is here a component: the
-        cells around the vertex that are connected by facets not in S.
+        Integers are equal only if vertex, seam, lower body and upper body are the same. Vertices that a periodic cell
+        identifies count as one. A body is here a component: the cells around the vertex that are connected by facets
+        not in S. Facets are in the order of `surface_rows`.
         """
         vertices = self.table.vertices[self.surface_rows]
         below, above = (self.components_at(cells, vertices) for cells in self.surface_cells.T)
@@ -326,9 +336,12 @@ class Joint:
         return np.asarray(self.masters[vertices] * (codes.max() + 1) + codes, np.int64)
 
     def split_along(self, rows: IntArray) -> Splitting:
-        """Return the connectivity of the mesh after a cut along facets, given by their row numbers in `table`.
+        """Return the mesh cut along some facets, with the components into which the cut divides the cells at each node.
 
-        Cells on identified sides of a periodic cell are neighbours.
+        Cells on identified sides of a periodic cell count as neighbours.
+
+        Args:
+            rows: (n,) row numbers in `table` of the facets.
         """
         if self.periods is None:
             return Splitting(self.cells, self.cell_type, self.table, rows)
@@ -338,18 +351,23 @@ class Joint:
 
     @cached_property
     def surface(self) -> IntArray:
-        """(n_S, k) numbers of the k nodes of each of the n_S facets of S, in the order of the facets' own element."""
+        """(n_S, k) numbers of the k nodes of each facet of S, in the order of a facet's Lagrange element.
+
+        Facets are in the order of `surface_rows`.
+        """
         return self.table.nodes(self.surface_rows, self.cells, self.cell_type)
 
     def faces(self, cell_points: FloatArray | None = None) -> FloatArray:
-        """Return (2, n_S, k, d) coordinates of the nodes of S, first in the cells below S, then in the cells above.
+        """Return the coordinates of the nodes of S, first on its lower and then on its upper side.
 
-        S has n_S facets with k nodes each, in d dimensions. The two differ where bodies have parted. A rigid base stays
-        at S.
+        They differ only if bodies have moved apart. The lower side of a seam on a rigid base stays in place.
 
         Args:
-            cell_points: (n, m, d) coordinates of the m nodes of each cell, for at least all cells of the joint; None:
-                `Joint.cell_points`.
+            cell_points: (n, m, d) coordinates of the m nodes of each cell in d dimensions, lengths. Its first rows
+                belong to the joint's cells; further rows are not used. None: `Joint.cell_points`.
+
+        Returns:
+            (2, n_S, k, d) coordinates of the k nodes of each of the n_S facets of S, lengths.
         """
         places = self.cell_points if cell_points is None else cell_points
         below, above = self.surface_cells.T
@@ -357,14 +375,22 @@ class Joint:
         return np.stack([np.where((below >= 0)[:, None, None], lower, self.points[self.surface]), upper])
 
     def on_surface(self, cells: IntArray) -> IntArray:
-        """Return (n_S, k) local numbers of the k nodes of each facet of S in one cell at each facet, `cells` (n_S,)."""
+        """Return the positions of the nodes of each facet of S within one cell at the facet.
+
+        Args:
+            cells: (n_S,) number of a cell at each facet of S, such as the one above it.
+
+        Returns:
+            (n_S, k) position in the cell of each of the facet's k nodes.
+        """
         return np.asarray((self.cells[cells][:, None, :] == self.surface[:, :, None]).argmax(axis=2))
 
     @cached_property
     def branch_vertices(self) -> IntArray:
-        """(n,) vertices where seams meet, or where more than two facets of S meet in a ridge (vertex or edge).
+        """(n,) numbers of the vertices where seams meet, or where S branches.
 
-        Of vertices that periodicity identifies, the lowest number stands for all.
+        S branches at a ridge (a vertex in 2D, an edge in 3D) that more than two of its facets share. Of vertices that a
+        periodic cell identifies, only the one with the lowest number is included.
         """
         ridge_vertices, counts = ridges(self.masters[self.surface], self.cell_type)
         vertices = self.masters[self.table.vertices[self.surface_rows]]
@@ -374,12 +400,12 @@ class Joint:
 
     @property
     def seams_meet(self) -> bool:
-        """Whether two seams have a vertex in common, or more than two facets of S meet in a vertex (2D), edge (3D)."""
+        """Whether two seams share a vertex, or more than two facets of S share a vertex in 2D, an edge in 3D."""
         return len(self.branch_vertices) > 0
 
     @cached_property
     def tips(self) -> IntArray:
-        """(n, 1 or 2) numbers of the vertices of the points (2D) or edges (3D) where S ends inside the bodies."""
+        """(n, 1) vertices in 2D, (n, 2) vertices of edges in 3D, where S ends inside the bodies."""
         ridge_vertices, counts = ridges(self.surface, self.cell_type)
         outer_ridges, _ = ridges(self.table.nodes(self.outer_rows, self.corners, self.cell_type), self.cell_type)
         free_ridges = ridge_vertices[counts == 1]
@@ -392,7 +418,7 @@ class Joint:
 
     @cached_property
     def node_normals(self) -> FloatArray:
-        """(n_S, k, d) unit normals of S in d dimensions at the k nodes of each of its n_S facets, to the upper side."""
+        """(n_S, k, d) unit normals of S at the k nodes of each facet in d dimensions, from the lower to the upper side."""
         above = self.surface_cells[:, 1]
         normals = facet_normals(self.points, self.surface, self.cell_type)
         upwards = self.points[self.corners[above]].mean(axis=1) - self.points[self.surface].mean(axis=1)
@@ -400,7 +426,7 @@ class Joint:
 
     @cached_property
     def interface_normals(self) -> FloatArray:
-        """(n_S, d) unit vector of the mean normal of each of the n_S facets of S in d dimensions, to the upper side."""
+        """(n_S, d) mean normal of each facet of S in d dimensions, a unit vector from the lower to the upper side."""
         mean = self.node_normals.mean(axis=1)
         return np.asarray(mean / np.linalg.norm(mean, axis=1, keepdims=True), float)
 
@@ -410,7 +436,9 @@ class Joint:
         return bool(np.ptp(self.node_normals.reshape(-1, self.dim), axis=0).max() <= PLANAR_TOLERANCE)
 
     def relative_thickness(self, profile: Profile | None, name: str = S) -> FloatArray:
-        """Return (n_points,) thickness divided by eps: the profile at vertices of S, linear in between, 1 outside S.
+        """Return the layer's thickness divided by eps at each node of S, and 1 at all other nodes, as (n_points,).
+
+        This is the profile at vertices of S, and linear in between.
 
         Args:
             profile: function of the coordinates (d, n) of n points in d dimensions that returns n numbers > 0; None: 1
@@ -437,7 +465,7 @@ class Joint:
         return values
 
     def rotated(self, angle: float) -> Joint:
-        """Return the joint rotated by an angle in radians, counter-clockwise, in 3D about the third axis."""
+        """Return the joint rotated by `angle` (radians), counter-clockwise about the origin, in 3D about the axis z."""
         require(is_finite(angle), "angle", angle, "it must be a number, in radians")
         rotation = np.eye(self.dim)
         rotation[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
@@ -445,7 +473,7 @@ class Joint:
         return replace(self, points=self.points @ rotation.T, seams=seams)
 
     def moved(self, by: Sequence[float]) -> Joint:
-        """Return the joint translated by a vector, for example to turn a rectangle into the wall of a tube.
+        """Return the joint translated by a vector, for example to make a rectangle the wall of an axisymmetric tube.
 
         Args:
             by: translation, one length per dimension.
@@ -462,9 +490,10 @@ class Joint:
         return replace(self, seams={name: seam.reversed() for name, seam in self.seams.items()})
 
     def identity(self) -> dict[str, object]:
-        """Return data that identify the joint, ready for JSON: counts, names, sums of coordinates, hashes of cells.
+        """Return data that identify the joint, as a dictionary that can be written to JSON.
 
-        Joints with equal data count as the same mesh, as when a stored result is read.
+        The data are counts, names, weighted sums of coordinates, and hashes of cells. Joints with equal data count as
+        the same mesh, for example when a stored result is read.
         """
         x = self.points if self.parted is None else np.concatenate([self.points, np.concatenate(self.parted)])
         weights = np.cos(np.arange(x.size)).reshape(x.shape)
@@ -485,10 +514,13 @@ class Joint:
         return f"Joint({cells}; facets: {facets})"
 
     def nearest_point(self, x: Sequence[float]) -> int:
-        """Return the number of the mesh vertex at the place x, given by its coordinates in the joint as drawn.
+        """Return the number of the mesh vertex at a place, in the joint as drawn.
+
+        Args:
+            x: coordinates of the place, one length per dimension.
 
         Raises:
-            InputError: no vertex is within 1e-6 of the mesh's size from x; the message names the nearest one.
+            InputError: no vertex is within 1e-6 of the mesh's size from `x`; the message names the nearest one.
         """
         vertices = np.unique(self.corners)
         if finite_values(x, (self.dim,)) is None:

@@ -1,4 +1,4 @@
-"""The default MPI communicator, and work that rank 0 does for all ranks."""
+"""The default MPI communicator, and functions that rank 0 runs for all ranks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _DEFAULT_COMM: ContextVar[MPI.Intracomm] = ContextVar("_DEFAULT_COMM", default=M
 
 
 def default_comm() -> MPI.Intracomm:
-    """Return the communicator for calls that get none: MPI.COMM_WORLD, or the one set by `use_comm`."""
+    """Return the communicator of calls in which the user gives none: MPI.COMM_WORLD, or the one set by `use_comm`."""
     return _DEFAULT_COMM.get()
 
 
@@ -41,11 +41,11 @@ def use_comm(comm: MPI.Intracomm) -> Iterator[None]:
 def on_root(comm: Comm, build: Callable[[], ResultType]) -> ResultType:
     """Run a function on rank 0 only; return its result, or raise its exception, on every rank. Collective.
 
-    The ranks of one machine share the large arrays of the result, which are read-only there. The exception has an
-    attribute `on_all_ranks`, which shows that no rank is left waiting.
+    The ranks of one machine share the large arrays of the result in memory, and these arrays are read-only. An
+    exception gets the attribute `on_all_ranks` = True, by which callers know that every rank raises it.
 
     Args:
-        comm: the ranks; None: the default communicator.
+        comm: communicator of the ranks; None: the default communicator.
         build: the function, without arguments; its result must be picklable if there are several ranks.
     """
     comm = default_comm() if comm is None else comm
@@ -67,7 +67,7 @@ def on_root(comm: Comm, build: Callable[[], ResultType]) -> ResultType:
 
 
 def _broadcast(comm: MPI.Intracomm, result: ResultType) -> ResultType:
-    """Return the result of rank 0 on every rank; ranks of one machine share its large arrays. Collective."""
+    """Return the `result` of rank 0 on every rank; ranks of one machine share its large arrays. Collective."""
     large_buffers: list[memoryview] = []
 
     def is_small(buffer: pickle.PickleBuffer) -> bool:
@@ -83,12 +83,13 @@ def _broadcast(comm: MPI.Intracomm, result: ResultType) -> ResultType:
 
 
 def _shared_copies(comm: MPI.Intracomm, sources: list[memoryview], sizes: list[int]) -> list[memoryview]:
-    """Copy buffers of rank 0 to memory that ranks of one machine share; return read-only views of it. Collective.
+    """Return on every rank read-only copies of buffers of rank 0, which the ranks of one machine share. Collective.
 
-    The memory is freed when its last view is gone.
+    Memory is freed when the last view of it is deleted. If a machine does not let ranks share memory, each rank has its
+    own copies.
 
     Args:
-        comm: the ranks.
+        comm: communicator of the ranks.
         sources: the buffers, on rank 0; other ranks do not use this argument.
         sizes: sizes of the buffers in bytes, on every rank.
     """

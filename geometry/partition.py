@@ -17,10 +17,12 @@ Partitioner = Callable[..., dolfinx.cpp.graph.AdjacencyList_int32]
 
 
 def bisected(x: FloatArray, parts: int) -> Indices:
-    """Divide n places into equal groups by bisection across the longest extent, and return (n,) the group of each.
+    """Return (n,) the group of each of n places, after the places are halved repeatedly across their longest extent.
+
+    Groups have equal numbers of places, as far as possible.
 
     Args:
-        x: (n, d) coordinates, or multiples of them, in d dimensions.
+        x: (n, d) coordinates in d dimensions, in any unit, as only their order and ratios matter.
         parts: number of groups; they are numbered from 0.
     """
     part = np.zeros(len(x), np.int32)
@@ -38,15 +40,15 @@ def bisected(x: FloatArray, parts: int) -> Indices:
 
 
 def column_numbers(joint: Joint) -> tuple[IntArray, FloatArray]:
-    """Number the columns of a layer: the cells above each other through its thickness, over one facet of S.
+    """Return the number of the column that contains each cell of the layers, and the centres of all columns.
 
-    In a joint without meshed layers, each facet of S is a column. Cells of a junction with the same place in the joint
-    as drawn also form a column.
+    A column is the set of cells above each other through a layer's thickness, over one facet of S. Cells of a junction
+    over the same part of S also form a column. In a joint without meshed layers, each facet of S is a column.
 
     Returns:
-        Column number of each cell of a joint with meshed layers, -1 outside the layers; of a joint without, of each
-        facet in `Joint.table`, -1 outside S. And the centres of the columns on S in the joint as drawn, one row each,
-        one coordinate per dimension.
+        (n_cells,) number of the column of each cell, -1 in bodies; without meshed layers, (n_facets,) number of the
+        column of each facet in `Joint.table`, -1 outside S. And (n_columns, d) centres of the columns on S in the joint
+        as drawn, lengths.
     """
     if joint.band is None:
         rows = joint.surface_rows
@@ -63,14 +65,15 @@ def column_numbers(joint: Joint) -> tuple[IntArray, FloatArray]:
 
 
 def destinations(joint: Joint, parts: int) -> tuple[IntArray, Indices]:
-    """Choose the ranks that get each cell of a joint: its owner and the ranks that have it as a ghost.
+    """Return the ranks that get each of the n cells of a joint: its owner, and the ranks that have it as a ghost.
 
     Args:
-        joint: the joint, with n cells.
+        joint: the joint.
         parts: number of ranks.
 
     Returns:
-        (n + 1,) position in the second array where the ranks of each cell begin; and these ranks, the owner first.
+        (n + 1,) position in the second array where the ranks of each cell begin; and these ranks for all cells, for
+        each cell the owner first.
     """
     owner = bisected(sum(joint.points[corner] for corner in joint.corners.T), parts)  # faster than means of short rows
     if joint.band is not None:  # columns of cells of layers stay whole, as laws may need their means
@@ -84,14 +87,24 @@ def destinations(joint: Joint, parts: int) -> tuple[IntArray, Indices]:
 
 
 def rows_of_rank(rows: npt.NDArray[Scalar], rank: int, ranks: int) -> npt.NDArray[Scalar]:
-    """Return the rows, of points or cells, that `rank` passes to DOLFINx: one of `ranks` nearly equal blocks."""
+    """Return the consecutive rows of an array that one of several ranks passes to DOLFINx.
+
+    Args:
+        rows: array with one row for each point, or for each cell.
+        rank: number of the rank.
+        ranks: number of ranks; each gets nearly the same number of rows.
+    """
     return rows[len(rows) * rank // ranks : len(rows) * (rank + 1) // ranks]
 
 
 def partitioner(joint: Joint, comm: MPI.Intracomm) -> Partitioner | None:
-    """Return DOLFINx's partitioner, which sends each cell to its owner and as a ghost to others; None for one rank.
+    """Return the function by which DOLFINx's `create_mesh` distributes a joint's cells; None for one rank. Collective.
 
-    The cells that a rank sends are those of `rows_of_rank`. Ghosts are the neighbours across facets. Collective.
+    It sends each cell that this rank passes to its owner, and as a ghost to the owners of its neighbours across facets.
+
+    Args:
+        joint: the joint; each rank passes the cells in `rows_of_rank`.
+        comm: communicator of the mesh.
     """
     if comm.size == 1:
         return None

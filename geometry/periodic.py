@@ -1,4 +1,4 @@
-"""Periodic joints: cells that repeat in space, with opposite sides identified."""
+"""Periodic joints: cells that repeat in space, whose opposite sides are identified with each other."""
 
 from __future__ import annotations
 
@@ -47,13 +47,29 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
 
 
 def with_periods_of(inflated: Joint, periods: Periods) -> Joint:
-    """Return a joint with meshed layers, made periodic like the joint as drawn; its periodic sides have not moved."""
+    """Return a joint with meshed layers as a periodic cell, with the same identified sides as the joint as drawn.
+
+    Args:
+        inflated: the joint with meshed layers; its periodic sides must not have moved.
+        periods: pairs of identified sides of the joint as drawn.
+    """
     pairs = tuple(_matching_nodes(inflated, *names) for names in periods.sides)
     return replace(inflated, periods=Periods(periods.sides, pairs))
 
 
 def _matching_nodes(joint: Joint, first: str, second: str) -> IntArray:
-    """Return (n, 2) each node on the side `first` and the node of `second` onto which the translation maps it."""
+    """Return the pairs of nodes on two sides that a translation of one side onto the other brings together.
+
+    Args:
+        joint: the joint.
+        first, second: names of the outer facet sets that are the two sides.
+
+    Returns:
+        (n, 2) number of each node on the first side, and of the node on the second side that matches it.
+
+    Raises:
+        InputError: nodes or facets of the two sides do not match.
+    """
     rows = [_outer_rows(joint, name) for name in (first, second)]
     nodes = [np.unique(joint.table.nodes(row, joint.cells, joint.cell_type)) for row in rows]
     x = [joint.points[node] for node in nodes]
@@ -77,7 +93,11 @@ def _matching_nodes(joint: Joint, first: str, second: str) -> IntArray:
 
 
 def _outer_rows(joint: Joint, name: str) -> IntArray:
-    """Return the row numbers in the joint's table of the outer side `name`; raise InputError for other sets."""
+    """Return the row numbers in `joint.table` of the facets in the outer facet set `name`.
+
+    Raises:
+        InputError: the set is unknown, is a seam or has facets inside.
+    """
     if name in joint.seams:
         raise InputError(f"the seam {name!r} cannot be a periodic side: {CUT_ADVICE}")
     require_known("side", name, joint.facets.keys() - joint.seams.keys())

@@ -1,4 +1,4 @@
-"""Errors of geometry, and texts for their messages."""
+"""Functions that raise the errors of this package, and texts for their messages."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def require_known(kind: str, name: object, allowed: Collection[str], context: st
 
 
 def refuse(bad: BoolArray | np.bool_, x: FloatArray, message: str) -> None:
-    """Raise InputError if any of n items, such as cells, is bad.
+    """Raise InputError if any of n items, such as cells, is marked as bad.
 
     Args:
         bad: (n,) whether each item is bad.

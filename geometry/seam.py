@@ -1,4 +1,4 @@
-"""Seam: choice of the upper side of a surface that stands for a layer; names of regions and facets of layers."""
+"""The classes `Seam`, which chooses the upper side of a surface that stands for a layer, and `FacetName`."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ MIN_COSINE = 0.02  # least cosine of the angle between a facet's normal and a di
 
 
 class FacetName(NamedTuple):
-    """Name of a facet set, which as text is "NAME" or "NAME/REGION".
+    """Name of a facet set or of a part of it, written as "NAME" or "NAME/PART".
 
-    Tags, supports and loads refer to facet sets by these texts.
+    Domains, supports and loads refer to facet sets by this text.
 
     Attributes:
         whole: name that users or builders gave to the set, or name of a seam.
-        region: cell region to which the set is restricted; "" for the whole set. `LAYER` stands for the outer facets of
-            the meshed layer that continue the set. For a seam it is "LOWER_FACE" or "UPPER_FACE".
+        region: the part: name of the cell region to whose cells the part belongs; or "LAYER" for those outer facets of
+            the meshed layer that continue the set; or, for a seam, "LOWER_FACE" or "UPPER_FACE". "": the whole set.
     """
 
     whole: str
@@ -37,7 +37,7 @@ class FacetName(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> FacetName:
-        """Return the facet name that is written as `text`."""
+        """Return the name that is written as `text`, "NAME" or "NAME/PART"."""
         return cls(*text.split("/", 1))
 
     def __str__(self) -> str:
@@ -45,7 +45,7 @@ class FacetName(NamedTuple):
 
     @property
     def continued(self) -> str:
-        """Text of `whole` for facets of the layer that continue a set ("NAME/LAYER"); else the text of this name."""
+        """Name of the set that this set continues on a layer's side, NAME for "NAME/LAYER"; else this name, as text."""
         return self.whole if self.region == LAYER else str(self)
 
 
@@ -74,7 +74,7 @@ class Seam:
         """Return the seam with lower and upper side exchanged.
 
         Raises:
-            InputError: the seam has neither regions nor a direction; its sides then follow the order of the regions.
+            InputError: the seam has neither regions nor a direction, so that its sides follow the order of the regions.
         """
         if self == Seam():
             raise InputError("a seam whose sides follow the order of regions cannot be reversed; name its sides")
@@ -104,7 +104,7 @@ class Seam:
                 raise InputError(f"direction is {self.direction}; it needs {dim} components, not all zero")
 
     def along_direction(self, name: str, x: FloatArray, normals: FloatArray, to_second: FloatArray) -> BoolArray:
-        """Return (n,) whether `direction` puts the second of the two cells at each of n facets on the upper side.
+        """Return (n,) whether the second of the two cells at each facet is on the upper side, judged by `direction`.
 
         Args:
             name: name of the seam, for messages.
@@ -121,7 +121,7 @@ class Seam:
         return np.asarray((to_second * normals).sum(axis=1) * cosine > 0)
 
     def between_regions(self, name: str, x: FloatArray, region: IntArray, regions: Sequence[str]) -> BoolArray:
-        """Return (n,) whether the regions of the two cells at each of n facets put the second cell on the upper side.
+        """Return (n,) whether the second of the two cells at each facet is on the upper side, judged by their regions.
 
         Args:
             name: name of the seam, for messages.

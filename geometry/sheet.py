@@ -1,4 +1,4 @@
-"""S as a surface of segments (2D) or triangles (3D): area, gradients along S, ends of S, heights of the bodies."""
+"""A seam, or all of S, as straight segments (2D) or triangles (3D): areas, gradients, ends and heights of bodies."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ CORNER_COSINE = 0.7
 
 
 def vectors_from_segments(x: FloatArray, first: FloatArray, last: FloatArray) -> FloatArray:
-    """Return (n, m, d) vectors to each of n places from the nearest point of each of m straight segments.
+    """Return (n, m, d) vectors to each of n places from the nearest point of each of m straight segments, lengths.
 
     Args:
-        x: (n, d) places in d dimensions.
-        first, last: (m, d) ends of the segments.
+        x: (n, d) coordinates of the places in d dimensions.
+        first, last: (m, d) coordinates of the two ends of each segment.
     """
     segments, to = last - first, x[:, None] - first
     fractions = (to * segments).sum(axis=2) / np.maximum((segments**2).sum(axis=1), np.finfo(float).tiny)
@@ -42,14 +42,15 @@ def vectors_from_segments(x: FloatArray, first: FloatArray, last: FloatArray) ->
 
 @dataclass(frozen=True)
 class Rim:
-    """Ridges where S ends: n vertices in 2D, n edges in 3D.
+    """The n ridges where a sheet ends: vertices of S in 2D, edges of S in 3D.
 
-    A simplex is a segment (2D) or triangle (3D) into which the facets of S are divided.
+    A sheet consists of simplices: segments in 2D, triangles in 3D. Each of these ridges bounds one simplex.
 
     Attributes:
-        vertices: (n, 1 or 2) vertices of each ridge, as numbers in the joint.
-        simplex: (n,) number of the simplex of the sheet that ends at each ridge.
-        outward: (n, d) unit vector along S, normal to each ridge and out of S, in d dimensions.
+        vertices: (n, 1) vertex in 2D, or (n, 2) vertices in 3D, of each ridge, as row numbers in `Joint.points`.
+        simplex: (n,) number of the simplex of the sheet that each ridge bounds.
+        outward: (n, d) unit vector that is tangential to S, normal to the ridge, and points away from S, in d
+            dimensions.
         depth: (n,) extent of the simplex along `outward`, a length.
         length: (n,) length of each ridge; 1 in 2D.
     """
@@ -64,15 +65,19 @@ class Rim:
         return Rim(*(getattr(self, f.name)[which] for f in fields(self)))
 
     def on(self, facets: IntArray) -> BoolArray:
-        """Return (n,) whether each ridge is part of one of m facets, given by the numbers of their vertices (m, k)."""
+        """Return (n,) whether each ridge is a part of any of the given facets.
+
+        Args:
+            facets: (m, k) numbers of the k vertices of each of m facets.
+        """
         return np.asarray(np.isin(ridge_keys(self.vertices), keys_of_ridges(facets, self.vertices.shape[1])))
 
     def distance(self, points: FloatArray, x: FloatArray) -> FloatArray:
-        """Return (n,) the distance of each of n places from the nearest ridge; inf if there are no ridges.
+        """Return (n,) the distance of each of n places from the nearest ridge, a length; inf if there are no ridges.
 
         Args:
             points: (n_points, d) coordinates of the joint's points in d dimensions.
-            x: (n, d) the places.
+            x: (n, d) coordinates of the places.
         """
         distance = np.full(len(x), np.inf)
         for ends in points[self.vertices][:, [0, -1], None]:
@@ -81,15 +86,18 @@ class Rim:
 
 
 def continued_ridges(joint: Joint, facets: IntArray) -> IntArray:
-    """Return keys of the ridges at the ends of S where a set of outer facets also covers the side of the meshed layer.
+    """Return the ridges at the ends of S where a facet set, once the layer is meshed, is continued on the layer's side.
 
-    A ridge is a vertex of S in 2D, an edge in 3D; `ridge_keys` gives its key. The set covers the layer's side where all
-    outer facets at the ridge are in it: those of both bodies, or on a rigid base of the only body. A set with facets of
-    one of two bodies ends at S. Where several layers end at one ridge, the facets of all bodies there must be in it.
+    A ridge is a vertex of S in 2D, an edge of S in 3D. The set is continued where all outer facets at the ridge are in
+    it: those of both bodies, or on a rigid base of the only body. A set with facets of only one of two bodies ends at
+    S. Where several layers end at one ridge, the facets of all bodies there must be in the set.
 
     Args:
         joint: the joint, in which S is a surface.
         facets: (n, k) numbers of the k vertices of the outer facets in the set.
+
+    Returns:
+        (m,) keys of the ridges, as from `ridge_keys`.
     """
     rows, keys = joint.outer_beside_s
     is_named = np.isin(rows, joint.table.index(facets))
@@ -112,21 +120,21 @@ class Sheet:
 
     @cached_property
     def facets(self) -> IntArray:
-        """Positions of the seam's facets among the rows of `joint.surface`, the facets of S."""
+        """(n_facets,) row numbers in `joint.surface` of the seam's facets."""
         return np.searchsorted(self.joint.surface_rows, self.joint.rows_of(self.name))
 
     @cached_property
     def simplices(self) -> tuple[IntArray, IntArray]:
-        """The facet of S that each of the n simplices is, or is half of, and which of its vertices the simplex has.
+        """For each of the n simplices the facet of S that contains it, and which of the facet's vertices it has.
 
-        These are (n,) row numbers in `joint.surface`, and (n, 2 or 3) positions in these rows.
+        These are (n,) row numbers in `joint.surface`, and (n, 2) in 2D, (n, 3) in 3D positions in these rows.
         """
         corners = QUADRILATERAL_TRIANGLES if self.joint.cell_type == "hexahedron" else (tuple(range(self.joint.dim)),)
         return np.tile(self.facets, len(corners)), np.repeat(np.array(corners), len(self.facets), axis=0)
 
     @cached_property
     def vertices(self) -> IntArray:
-        """(n, 2 or 3) vertices of each of the n simplices, as numbers in the joint."""
+        """(n, 2) vertices of each segment in 2D, (n, 3) of each triangle in 3D, as row numbers in `Joint.points`."""
         facet, corner = self.simplices
         return np.asarray(self.joint.surface[facet[:, None], corner])
 
@@ -140,7 +148,7 @@ class Sheet:
 
     @property
     def planar(self) -> bool:
-        """Whether all normals of the seam are equal to 1e-5: it lies in one plane, or in parallel planes."""
+        """Whether the seam lies in one plane, or in parallel planes: its normals differ by at most 1e-5."""
         normals = self.joint.node_normals[self.facets].reshape(-1, self.joint.dim)
         return bool(np.ptp(normals, axis=0).max() <= PLANAR_TOLERANCE)
 
@@ -151,22 +159,23 @@ class Sheet:
 
     @cached_property
     def gradients(self) -> FloatArray:
-        """(n, d, d) gradient along S of the linear shape function of each vertex (second axis) of each of n simplices.
+        """(n, d, d) gradients along S of the linear shape functions of each of the n simplices, 1 / length.
 
-        The last axis has the components, in d dimensions. The unit is 1 / length.
+        The second axis is the vertex of the simplex to which the shape function belongs. The third axis is the
+        component of the gradient, in d dimensions.
         """
         others = np.swapaxes(np.linalg.pinv(self._edges), 1, 2)
         return np.concatenate([-others.sum(axis=1, keepdims=True), others], axis=1)
 
     @cached_property
     def areas(self) -> FloatArray:
-        """(n,) areas of the n simplices; in 2D lengths."""
+        """(n,) area of each triangle in 3D, length of each segment in 2D."""
         gram = np.linalg.det(self._edges @ np.swapaxes(self._edges, 1, 2))
         return np.asarray(np.sqrt(gram) / math.factorial(self.joint.dim - 1))
 
     @cached_property
     def rim(self) -> Rim:
-        """Ridges where the seam ends at the outer boundary; not those inside bodies, nor on periodic sides."""
+        """Ridges where the seam ends on the outer boundary; ridges inside bodies or on periodic sides are left out."""
         joint, n_simplices = self.joint, len(self.vertices)
         ridges = np.concatenate([np.delete(self.vertices, k, axis=1) for k in range(joint.dim)])
         _, rows, counts = np.unique(ridge_keys(ridges), return_index=True, return_counts=True)
@@ -185,7 +194,10 @@ class Sheet:
 
     @cached_property
     def tip(self) -> FloatArray | None:
-        """Coordinates of a place where the seam ends inside the bodies and no other seam continues it; else None."""
+        """(d,) coordinates of one place where the seam ends inside the bodies; None if there is none.
+
+        Where another seam continues this seam, it does not end.
+        """
         joint = self.joint
         seam_ridges, _ = ridges(joint.surface[self.facets], joint.cell_type)
         tip_ridges = joint.tips[np.isin(ridge_keys(joint.tips), ridge_keys(seam_ridges))]
@@ -193,7 +205,7 @@ class Sheet:
 
     @cached_property
     def junction(self) -> FloatArray | None:
-        """Coordinates of a place where the seam branches or meets another seam; None if there is no such place."""
+        """(d,) coordinates of one place where the seam branches or meets another seam; None: no such place."""
         joint = self.joint
         surface = joint.masters[joint.surface]
         (s_ridges, counts), (subset, here) = (ridges(rows, joint.cell_type) for rows in (surface, surface[self.facets]))
@@ -203,10 +215,11 @@ class Sheet:
 
     @cached_property
     def heights(self) -> tuple[float, ...]:
-        """Heights of the bodies below and above the seam: volume of the body over area of the seam, lengths.
+        """Heights of the bodies below and above the seam: volume of each body over area of the seam, lengths.
 
         On a rigid base there is no lower height. If both sides are one body, there is one height. If the seam is
-        planar, a height is at most the body's largest distance from it: bodies may extend beyond the ends of the seam.
+        planar, a height is at most the largest distance of the body's points from it: bodies may extend beyond the ends
+        of the seam.
         """
         joint = self.joint
         pieces, cells = joint.split_mesh.pieces, joint.surface_cells[self.facets]
@@ -221,11 +234,13 @@ class Sheet:
 
 
 def volume_of(joint: Joint, inside: BoolArray) -> float:
-    """Return the volume (area in 2D) of whole connected pieces of bodies, which is integrated over their faces.
+    """Return the volume, in 2D the area, of bodies that outer facets and facets of S enclose.
+
+    It is a sum over these facets of the volumes of cones with a common tip.
 
     Args:
-        joint: the joint, with straight-sided cells or taken as such.
-        inside: (n_cells,) whether each cell is part of these pieces.
+        joint: the joint; curved cells count as straight-sided.
+        inside: (n_cells,) whether each cell is part of the bodies. These must be whole pieces of the mesh cut along S.
     """
     facet_rows = np.concatenate([joint.outer_rows, joint.surface_rows, joint.surface_rows])
     cells = np.concatenate([joint.table.cells[joint.outer_rows, 0], *joint.surface_cells.T])
@@ -241,15 +256,14 @@ def volume_of(joint: Joint, inside: BoolArray) -> float:
 
 
 class StraightEnd(NamedTuple):
-    """A straight free end of a planar S, in one connected piece.
+    """A straight free end of a planar S, in one connected piece: a point in 2D, a straight line in 3D.
 
-    In 2D it is a point. In 3D it is a straight edge of S. Vectors have d components in d dimensions.
+    S may lie in several parallel planes; the end is in one of them. Vectors have d components in d dimensions.
 
     Attributes:
         n: unit normal of S.
-        level: least and largest value of n . x for places x in the plane of the end, lengths. S may lie in several
-            parallel planes.
-        m: unit vector in S, normal to the end and out of S.
+        level: least and largest n . x of places x that count as being in the plane of the end, lengths.
+        m: unit vector in the plane of S that is normal to the end and points away from S.
         offset: value of m . x at the end, a length.
         along: unit vector along the end; zero in 2D.
         reach: least and largest value of along . x at points of the end, lengths.
@@ -266,43 +280,57 @@ class StraightEnd(NamedTuple):
 
     @property
     def axes(self) -> FloatArray:
-        """(2, 3) unit vectors in three dimensions: along S away from the end into S, and the normal of S."""
+        """(2, 3) two unit vectors with three components, in 2D with z = 0: from the end into S, and the normal of S."""
         return np.stack([np.pad(vector, (0, 3 - len(vector))) for vector in (-self.m, self.n)])
 
     def distance(self, x: FloatArray) -> FloatArray:
-        """Return the distance of places x of S (..., d) from the straight line through the end; positive inside S."""
+        """Return the distances (...) of places of S from the straight line through the end; positive inside S.
+
+        Args:
+            x: (..., d) coordinates of the places in d dimensions, lengths.
+        """
         return np.asarray(self.offset - x @ self.m)
 
     def contains(self, x: FloatArray) -> BoolArray:
-        """Return (n,) whether each of n places x of S, (n, d) in d dimensions, lies on the end."""
+        """Return (n,) whether each of n places of S lies on the end.
+
+        Args:
+            x: (n, d) coordinates of the places in d dimensions, lengths.
+        """
         return np.asarray((np.abs(self.distance(x)) <= (self.level[1] - self.level[0]) / 2) & self._is_beside(x))
 
     def adjoins(self, x: FloatArray) -> BoolArray:
-        """Return (n,) whether each of n places x of S lies on the end, or in the strip of S that begins at the end.
+        """Return (n,) whether each of n places of S lies on the end or in front of it, as `is_in_front` says.
 
         Args:
-            x: (n, d) the places, in d dimensions.
+            x: (n, d) coordinates of the places in d dimensions, lengths.
         """
         return self.contains(x) | self.is_in_front(x)
 
     def is_in_front(self, x: FloatArray) -> BoolArray:
-        """Return (n,) whether each of n places x of S lies in the strip of S that begins at the end, not on the end.
+        """Return (n,) whether each of n places of S is in the strip that leads from the end, normal to it, into S.
 
-        The strip has the width of the end and is normal to it. Only places in the plane of the end are in it.
+        The strip is as wide as the end and in its plane. Places on the end itself are not counted.
 
         Args:
-            x: (n, d) the places, in d dimensions.
+            x: (n, d) coordinates of the places in d dimensions, lengths.
         """
         return np.asarray((self.distance(x) > 0) & self._is_beside(x))
 
     def _is_beside(self, x: FloatArray) -> BoolArray:
-        """Return (n,) whether places x (n, d) are in the plane of the end and, along it, in the range `reach`."""
+        """Return (n,) whether each of n places is in the plane of the end, and along . x there is in the range `reach`.
+
+        Args:
+            x: (n, d) coordinates of the places in d dimensions, lengths.
+        """
         at, (low, high), (bottom, top), level = x @ self.along, self.reach, self.level, x @ self.n
         return np.asarray((at >= low) & (at <= high) & (level >= bottom) & (level <= top))
 
 
 def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
-    """Return the straight ends of S that the ridges of `rim` form: connected ridges on one straight line are one end.
+    """Return the straight ends of S that the ridges of a rim form.
+
+    Connected ridges on one straight line form one end.
 
     Args:
         rim: the ridges.
@@ -338,11 +366,11 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
 
 
 def share_within(d: FloatArray, length: float) -> FloatArray:
-    """Return (n,) fraction of the length of each segment, or area of each triangle, where a function is < `length`.
+    """Return (n,) the fraction of each segment's length, or triangle's area, in which a linear function is < `length`.
 
     Args:
-        d: (n, 2 or 3) values at the corners of this function, such as a distance, which is linear in between.
-        length: bound of the function.
+        d: (n, 2) or (n, 3) values of the function, such as a distance, at the vertices of each segment or triangle.
+        length: bound of the function, in its unit.
     """
     low, *middle, high = np.sort(d, axis=1).T
     if not middle:

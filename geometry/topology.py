@@ -1,8 +1,8 @@
-"""Cells and facets as plain arrays: facets of a mesh, meshes with cuts, sorting orders of places.
+"""Cells and facets as plain arrays: facets of a mesh, meshes with cuts, and orders in which places are sorted.
 
-A cut mesh falls into components around a vertex, an edge or a face: groups of cells that uncut facets connect there.
-Around a vertex on a cut there are two components. Around a vertex at the tip of a cut there is one, around a vertex
-where three cuts meet there are three.
+In a mesh that is cut along some facets, the cells around a vertex, edge or face form components. A component is a group
+of cells that are connected there by uncut facets. Around a vertex inside a cut there are two components. Around a
+vertex at the tip of a cut there is one, and where three cuts meet there are three.
 """
 
 from __future__ import annotations
@@ -34,23 +34,39 @@ FACET_TYPES = dict(zip(CELL_TYPES, ("interval", "interval", "triangle", "quadril
 
 @cache
 def lagrange(cell_type: str, degree: int) -> basix.finite_element.FiniteElement:
-    """Return the scalar Lagrange element of Basix whose nodes are the geometry nodes of a cell, vertices first."""
+    """Return Basix's scalar Lagrange element whose nodes are the geometry nodes of a cell, vertices first.
+
+    Args:
+        cell_type: type of the cell, such as "triangle".
+        degree: polynomial degree of the cell's geometry.
+    """
     return basix.create_element(basix.ElementFamily.P, basix.CellType[cell_type], degree)
 
 
 @cache
 def sub_entities(cell_type: str) -> list[list[list[list[int]]]]:
-    """Return Basix's table [dimension of an entity][entity][lower dimension] -> its vertices, edges, ... in a cell."""
+    """Return Basix's table of the entities (vertices, edges, ...) of a reference cell that touch each other.
+
+    Its entry [i][j][k] is the list of numbers of the entities of dimension k in entity j of dimension i, or if k > i
+    those that contain it.
+
+    Args:
+        cell_type: type of the cell, such as "triangle".
+    """
     return basix.cell.sub_entity_connectivity(basix.CellType[cell_type])
 
 
 def corner_count(cell_type: str) -> int:
-    """Return the number of vertices of a cell or facet of this type."""
+    """Return the number of vertices of a cell or facet of the type `cell_type`, such as "triangle"."""
     return int(lagrange(cell_type, 1).dim)
 
 
 def geometry_degree(cell_type: str, n_nodes: int) -> int:
-    """Return the polynomial degree, 1 or 2, of cells with `n_nodes` nodes; raise InputError for other numbers."""
+    """Return the polynomial degree, 1 or 2, of the geometry of cells of type `cell_type` that have `n_nodes` nodes.
+
+    Raises:
+        InputError: no degree has this number of nodes.
+    """
     allowed = {int(lagrange(cell_type, degree).dim): degree for degree in (1, 2)}
     if n_nodes not in allowed:
         raise InputError(f"a {cell_type} has {n_nodes} nodes; allowed: {', '.join(map(str, allowed))} (degree 1 or 2)")
@@ -58,12 +74,17 @@ def geometry_degree(cell_type: str, n_nodes: int) -> int:
 
 
 def local_facets(cell_type: str, degree: int = 1) -> IntArray:
-    """Return (n_facets, m) numbers, in a cell, of the m nodes of each facet, in the order of the facet's element."""
+    """Return (n_facets, m) positions in a cell of the m nodes of each of its facets, as a Lagrange element orders them.
+
+    Args:
+        cell_type: type of the cell, such as "triangle".
+        degree: polynomial degree of the cell's geometry.
+    """
     return np.array(lagrange(cell_type, degree).entity_closure_dofs[-2], np.int64)
 
 
 def sum_by_number(number: IntArray, values: FloatArray, n: int) -> FloatArray:
-    """Return n sums, along the first axis, of the values that have the same number.
+    """Return `n` sums along a new first axis: sum j is that of all values whose number is j.
 
     Args:
         number: integers from 0 to n - 1, an array of any shape.
@@ -76,7 +97,7 @@ def sum_by_number(number: IntArray, values: FloatArray, n: int) -> FloatArray:
 
 
 def positions(items: IntArray | Indices, n: int) -> IntArray:
-    """Return (n,) the position in `items` of each number from 0 to n - 1; -1 for numbers that are not in it.
+    """Return (n,) the position in `items` of each number from 0 to n - 1; -1 for numbers that are not among them.
 
     Args:
         items: distinct numbers from 0 to n - 1.
@@ -88,13 +109,17 @@ def positions(items: IntArray | Indices, n: int) -> IntArray:
 
 
 def is_tensor(cell_type: str) -> bool:
-    """Whether cells are quadrilaterals or hexahedra."""
+    """Return whether cells of the type `cell_type` are quadrilaterals or hexahedra."""
     return cell_type in ("quadrilateral", "hexahedron")
 
 
 @cache
 def weights_between(cell_type: str) -> FloatArray:
-    """Return (m, k) values of the k linear shape functions of a cell at its m nodes of degree 2 other than vertices."""
+    """Return (m, k) values of a cell's k linear shape functions at those nodes of degree 2 that are not vertices.
+
+    Args:
+        cell_type: type of the cell, with k vertices and m further nodes.
+    """
     edge_points = lagrange(cell_type, 2).points[corner_count(cell_type) :]
     return np.asarray(lagrange(cell_type, 1).tabulate(0, edge_points)[0, :, :, 0])
 
@@ -105,7 +130,7 @@ class FacetTable:
 
     Attributes:
         vertices: (n_facets, k) numbers of the k vertices of each facet, ascending. Rows are in lexicographic order.
-        cells: (n_facets, 2) numbers of the cells that meet there; -1 in the second column on the outer boundary.
+        cells: (n_facets, 2) numbers of the two cells at each facet; on the outer boundary the second is -1.
         local: (n_facets, 2) number of the facet within each of these cells; -1 where there is no cell.
     """
 
@@ -157,7 +182,7 @@ class FacetTable:
         return np.where(self._keys[at] == wanted_keys, at, -1)
 
     def nodes(self, rows: IntArray, cells: IntArray, cell_type: str) -> IntArray:
-        """Return (n, m) numbers of the m nodes of n facets, in the order of the facet's own element.
+        """Return (n, m) numbers of the m nodes of n facets, as a facet's Lagrange element orders them.
 
         Args:
             rows: (n,) row numbers of the facets in this table.
@@ -169,7 +194,14 @@ class FacetTable:
 
 
 def sorted_columns(columns: Sequence[IntArray]) -> list[IntArray]:
-    """Sort each row of a table; the table is given and returned by its columns, which is faster than `np.sort`."""
+    """Return a table with each row sorted in ascending order; for few columns this is faster than `np.sort`.
+
+    Args:
+        columns: the columns of the table, arrays of one length.
+
+    Returns:
+        The columns of the sorted table.
+    """
     out = list(columns)
     for end in range(len(out) - 1, 0, -1):
         for k in range(end):
@@ -178,11 +210,13 @@ def sorted_columns(columns: Sequence[IntArray]) -> list[IntArray]:
 
 
 def _is_new_row(columns: Sequence[IntArray], order: IntArray) -> BoolArray:
-    """Return (n,) whether a row differs from the row before it, in the order `order` of rows; True for the first.
+    """Return (n,) whether each row of a table differs from the row before it, with rows in a given order.
+
+    The result is True for the first row.
 
     Args:
-        columns: the columns of the table of rows.
-        order: (n,) row numbers.
+        columns: the columns of the table.
+        order: (n,) row numbers in this order.
     """
     changed = np.ones(len(order), bool)
     changed[1:] = reduce(np.logical_or, (np.diff(column[order]) != 0 for column in columns))
@@ -190,7 +224,11 @@ def _is_new_row(columns: Sequence[IntArray], order: IntArray) -> BoolArray:
 
 
 def _keys(rows: IntArray) -> npt.NDArray[np.void]:
-    """Return (n,) each row of integers from 0 to 2^31 - 1 as bytes that sort in the lexicographic order of the rows."""
+    """Return (n,) a string of bytes for each row of integers; bytes sort in the lexicographic order of the rows.
+
+    Args:
+        rows: (n, k) integers from 0 to 2^31 - 1.
+    """
     return np.ascontiguousarray(rows, ">i4").view(f"V{4 * rows.shape[1]}").ravel()
 
 
@@ -198,29 +236,30 @@ def ridges(facets: IntArray, cell_type: str) -> tuple[IntArray, IntArray]:
     """Return the ridges of facets (vertices in 2D, edges in 3D), each once, and the number of facets at each.
 
     Args:
-        facets: (n_facets, m) numbers of the m nodes of each facet, in the order of the facet's own element.
-        cell_type: type of the cells.
+        facets: (n_facets, m) numbers of the m nodes of each facet, as a facet's Lagrange element orders them.
+        cell_type: type of the mesh's cells.
 
     Returns:
-        (n, 1 or 2) ascending numbers of the vertices of each ridge, and (n,) the numbers of facets.
+        (n, 1) vertex in 2D, or (n, 2) ascending vertices in 3D, of each ridge; and (n,) the numbers of facets.
     """
     rows = np.concatenate([facets[:, ridge] for ridge in local_facets(FACET_TYPES[cell_type])])
     return np.unique(np.sort(rows, axis=1), axis=0, return_counts=True)
 
 
 def ridge_keys(rows: IntArray) -> IntArray:
-    """Return (n,) integers that identify n ridges by their vertices.
+    """Return (n,) an integer key for each ridge, which is the same for ridges with the same vertices only.
 
     Args:
-        rows: (n, 1 or 2) numbers of the vertices of each ridge, a point in 2D or an edge in 3D, in any order.
+        rows: (n, 1) vertex in 2D, or (n, 2) vertices in 3D, in any order, of each ridge.
     """
     return np.asarray((rows.min(axis=1) << KEY_BITS) + rows.max(axis=1))
 
 
 def keys_of_ridges(facets: IntArray, k: int) -> IntArray:
-    """Return (n, m) integers that identify the ridges of n facets by their vertices, as `ridge_keys` does.
+    """Return (n, m) integer keys, as from `ridge_keys`, of the ridges of n facets.
 
-    There is one for each of the m sets of k vertices; for quadrilaterals the diagonals are among these.
+    A key is returned for each of the m sets of `k` vertices of a facet. For quadrilateral facets these include the two
+    diagonals, which are no ridges.
 
     Args:
         facets: (n, l) numbers of the l vertices of each facet, in any order.
@@ -230,9 +269,10 @@ def keys_of_ridges(facets: IntArray, k: int) -> IntArray:
 
 
 def node_jacobians(points: FloatArray, cells: IntArray, cell_type: str) -> FloatArray:
-    """Return (n_cells, n_nodes) Jacobian determinants at the nodes of cells; both signs in one row mean a folded cell.
+    """Return (n_cells, n_nodes) determinants of the Jacobian at the nodes of cells, in length ** d.
 
-    For straight-sided simplices, whose determinant is constant, the shape is (n_cells, 1).
+    For straight-sided simplices, whose determinant is constant, the shape is (n_cells, 1). A cell with determinants of
+    both signs is folded.
 
     Args:
         points: (n_points, d) coordinates in d dimensions, lengths.
@@ -254,8 +294,8 @@ def facet_normals(points: FloatArray, nodes: IntArray, cell_type: str) -> FloatA
 
     Args:
         points: (n_points, d) coordinates, lengths.
-        nodes: (n_facets, n_nodes) numbers of the nodes of each facet, in the order of the facet's own element.
-        cell_type: type of the cells.
+        nodes: (n_facets, n_nodes) numbers of the nodes of each facet, as a facet's Lagrange element orders them.
+        cell_type: type of the mesh's cells.
     """
     facet_type = FACET_TYPES[cell_type]
     element = lagrange(facet_type, geometry_degree(facet_type, nodes.shape[1]))
@@ -270,7 +310,7 @@ class Splitting:
     """A mesh that is cut along some facets, and the components into which the cut divides the cells around each entity.
 
     An entity is a vertex, edge, face or cell. A component is a group of cells around it that uncut facets there
-    connect. The cut does not depend on the numbering of cells.
+    connect.
 
     Attributes:
         cells: (n_cells, k) numbers of the k nodes of each cell, vertices first.
@@ -293,7 +333,9 @@ class Splitting:
         return self.cells[:, : len(self._topology[0])]
 
     def entities(self, dim: int, corners: IntArray) -> IntArray:
-        """Return (n, m) a number for each of the m entities of dimension `dim` of n cells; equal for shared entities.
+        """Return (n, m) a number for each of the m entities of one dimension of each of n cells.
+
+        An entity that several cells share has one number.
 
         Args:
             dim: dimension of the entities, such as 1 for edges.
@@ -310,9 +352,9 @@ class Splitting:
 
     @cached_property
     def keys(self) -> list[IntArray]:
-        """For each dimension, the numbers (n_cells, m) of the m entities of each cell in the cut mesh.
+        """For each dimension from 0 an array (n_cells, m): numbers of the m entities of each cell in the cut mesh.
 
-        An entity that the cut divides has a different number in each component. Numbers of different dimensions differ.
+        An entity that the cut divides has a different number in each component. No number occurs in two dimensions.
         """
         out, start = [], 0
         for dim in range(len(self._topology)):
@@ -401,14 +443,17 @@ class Splitting:
 
     @cached_property
     def valence(self) -> IntArray:
-        """(n_points,) number of groups into which cuts divide the cells around a vertex (1: none); 0 at other nodes."""
+        """(n_points,) number of components into which the cut divides the cells around each vertex; 1 where there is no cut.
+
+        At nodes that are not vertices it is 0.
+        """
         out = np.zeros(int(self.cells.max(initial=-1)) + 1, np.int64)
         np.maximum.at(out, self._corners.ravel(), self.of_vertices.ravel() + 1)
         return out
 
 
 def unique_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the distinct rows of an array in lexicographic order, and for each row its number among them."""
+    """Return the distinct rows of an array in lexicographic order, and (n,) the position among them of each of its n rows."""
     unique, number = np.unique(rows, axis=0, return_inverse=True)
     return unique, number.ravel()
 
@@ -428,26 +473,26 @@ DISTANCE_TOLERANCE = 1e-9  # distance, over the size of the whole, below which t
 
 
 def by_place(x: FloatArray, size: float) -> IntArray:
-    """Return the numbers of places in the order of their first coordinate; where it is equal, of the next.
+    """Return (n,) the numbers of n places, sorted by their first coordinate; where it is equal, by the next, and so on.
 
     Args:
-        x: (n, d) places in d dimensions.
-        size: extent of the whole; coordinates that differ by less than about 1e-9 of it count as equal.
+        x: (n, d) coordinates of the places in d dimensions, lengths.
+        size: extent of all places, a length; coordinates that differ by less than about 1e-9 of it count as equal.
     """
     return np.lexsort(np.rint(x[:, ::-1] / (DISTANCE_TOLERANCE * size)).T)
 
 
 def along(x: FloatArray, pairs: IntArray, size: float) -> IntArray:
-    """Return the numbers of places in their order along curves, which links between neighbouring places form.
+    """Return (n,) the numbers of n places in their order along the curves that links between neighbouring places form.
 
-    Curves follow one another, each from its lower end; low means first in the order of `by_place`. A closed curve
-    starts at its lowest place, towards the lower of its neighbours. If a curve ends where another begins, the other
-    comes next, as with the parts of a bed joint, brick by brick.
+    Curves follow one another. An open curve starts at the end that comes first in the order of `by_place`. A closed
+    curve starts at the place that comes first, and continues to that neighbour which comes first. If another curve
+    begins where one ends, it comes next; an example is the layers of mortar under the bricks of one course.
 
     Args:
-        x: (n, 2) coordinates of the places.
+        x: (n, 2) coordinates of the places, lengths.
         pairs: (m, 2) numbers of the two places of each link.
-        size: extent of the whole; coordinates that differ by less than about 1e-9 of it count as equal.
+        size: extent of all places, a length; coordinates that differ by less than about 1e-9 of it count as equal.
     """
     order = by_place(x, size)
     rank = np.argsort(order)

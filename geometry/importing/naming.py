@@ -249,7 +249,11 @@ class NamedGroups(NamedTuple):
         return joint
 
     def _disjoint(self) -> Groups:
-        """Return the groups of cells that become regions; raise InputError if a cell is in none of them or in several."""
+        """Return the groups of cells that become regions.
+
+        Raises:
+            InputError: a cell is in none of them or in several, or a name is unknown or names cells and facets.
+        """
         regions, cells, default_seam = self.regions, self.cells, self.sides.default_seam
         side_names = default_seam.upper + default_seam.lower
         side_names += tuple(name for seam in self.sides.seams.values() for name in seam.lower + seam.upper)

@@ -1,4 +1,4 @@
-"""Nodes and cells of the layers that open: copies of the nodes of S, lines of nodes between copies, cells between lines."""
+"""Nodes and cells of layers: copies of the nodes of S, lines of nodes between copies, and cells between lines."""
 
 from __future__ import annotations
 
@@ -107,11 +107,11 @@ class NodeLines:
         return int((self.top - 1).sum())
 
     def number(self, lines: IntArray, level: IntArray | int) -> IntArray:
-        """Return the numbers of the nodes at given levels of given lines, in the shape to which both arguments broadcast.
+        """Return the numbers of the nodes at given levels of given lines.
 
         Args:
             lines: numbers of the lines, an array of any shape.
-            level: levels on these lines.
+            level: level on each line; shapes of `lines` and `level` are broadcast as in numpy.
         """
         second = np.where(level == self.top[lines], self.ends[lines, 1], self.start[lines] + np.asarray(level) - 1)
         return np.where(np.asarray(level) == 0, self.ends[lines, 0], second)

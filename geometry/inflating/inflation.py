@@ -1,4 +1,4 @@
-"""Opening of S: layers become cells between bodies, with further cells in junctions where they meet; gaps stay empty."""
+"""Opening of S: layers become cells between bodies, with further cells at junctions, where layers meet."""
 
 from __future__ import annotations
 

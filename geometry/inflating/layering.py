@@ -1,4 +1,4 @@
-"""Checks of the arguments of `inflate`, these arguments for each seam, and the facet sets of a joint with meshed layers."""
+"""Checked arguments of `inflate` for each seam's layer, and facet sets of the joint with meshed layers."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Shapes that are drawn and meshed with gmsh or on grids, with smaller cells towards S."""
+"""Shapes of joints, which are drawn and meshed with gmsh, or meshed as grids; cells are smaller near S."""

@@ -1,4 +1,4 @@
-"""Stacked boxes; walls of bricks in running bond, and the periodic cell of such a wall. Grids are made without gmsh."""
+"""Stacked boxes, walls of bricks in running bond, and the periodic cell of such a wall; grids are made without gmsh."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ SIDE_PLANES = {"LEFT": (0, 0), "RIGHT": (0, -1), "BOTTOM": (1, 0), "TOP": (1, -1
 
 @dataclass(frozen=True)
 class Boxes(Prism):
-    """One rectangle, or two on top of each other, in 3D boxes; S is at y = 0, below the upper one.
+    """One rectangle, or two stacked along y, or boxes in 3D; S is the bottom side of the upper (or only) one, at y = 0.
 
     Attributes:
         width: size along x, a length > 0.
-        bodies: name and height, a length > 0, of each body, the lower body first.
+        bodies: name and height (a length > 0) of each body, the lower body first.
     """
 
     width: float
@@ -37,16 +37,16 @@ class Boxes(Prism):
 
     @property
     def lengths(self) -> dict[str, float]:
-        """Width, heights and, in 3D, depth, by name for messages."""
+        """Name of a length in messages -> length: the width, the heights and, in 3D, the depth."""
         return {"width": self.width, **{f"height of {name}": height for name, height in self.bodies}, **super().lengths}
 
     @property
     def extent(self) -> SizeLengths:
-        """Lengths for the cell sizes: the smallest side, the longest side of S, and the distance from S."""
+        """Lengths from which the cell sizes follow: the smallest side of the bodies and the longest side of S."""
         return SizeLengths(min(self.lengths.values()), max(self.width, self.depth or 0.0), "abs(y)")
 
     def draw_plane(self) -> Drawing:
-        """Draw the rectangles in the current gmsh model; grids do not use this drawing."""
+        """Draw the rectangles in the current gmsh model and return their entities by name; not used for grids."""
         kernel = gmsh.model.geo
         heights = [*(-height for _, height in self.bodies[:-1]), 0.0, self.bodies[-1][1]]
         corners = [[kernel.addPoint(x, y, 0) for x in (0.0, self.width)] for y in heights]
@@ -62,12 +62,12 @@ class Boxes(Prism):
         return Drawing(bodies, curves, surfaces, {})
 
     def _build(self, unit: float) -> Joint:
-        """Return the joint on a grid, if one is asked for; else with gmsh's mesh.
+        """Return the joint on a grid if one is requested, else with gmsh's mesh.
 
         Cells of a grid grow from h_S at S to h away from it. Along S they grow from h_ends at its ends to h_S.
 
         Args:
-            unit: factor on the coordinates.
+            unit: factor by which all coordinates are multiplied.
         """
         if not self.gridded:
             return super()._build(unit)
@@ -91,8 +91,9 @@ class BoxGrid:
 
     Attributes:
         axes: for each axis the increasing coordinates of the grid's points, lengths.
-        kind: type of the cells.
-        arrangement: which diagonals halve the rectangles in the x-y plane, one of `ARRANGEMENTS`.
+        kind: type of the cells, such as "triangle".
+        arrangement: which diagonals halve the rectangles in the x-y plane: "Right", "Left", "AlternateRight" or
+            "AlternateLeft", as in `block`.
     """
 
     axes: Sequence[FloatArray]
@@ -101,12 +102,12 @@ class BoxGrid:
 
     @property
     def points(self) -> FloatArray:
-        """(n, d) coordinates of all points of the grid in d dimensions; those with equal x come one after the other."""
+        """(n, d) coordinates of all points of the grid in d dimensions, sorted by x, then by y, then by z."""
         return np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1).reshape(-1, len(self.axes))
 
     @cached_property
     def _numbers(self) -> IntArray:
-        """Number of each point in `points`, an array with one index for each axis."""
+        """Number in `points` of each point of the grid, as an array with one index for each axis."""
         return np.arange(len(self.points)).reshape([len(axis) for axis in self.axes])
 
     @cached_property
@@ -117,16 +118,16 @@ class BoxGrid:
 
     @cached_property
     def places(self) -> IntArray:
-        """(m, d) position along each of the d axes, counted from 0, of the box that each of the m cells is in."""
+        """(m, d) position along each of the grid's d axes, from 0, of the box that contains each of the m cells."""
         boxes = np.indices([len(axis) - 1 for axis in self.axes]).reshape(len(self.axes), -1).T
         return np.tile(boxes, (len(self.cells) // len(boxes), 1))
 
     def plane(self, axis: int, place: int) -> IntArray:
-        """Return (n, k) numbers of the k points of the facets on the plane that is normal to an axis.
+        """Return (n, k) numbers of the k points of each facet in one plane of the grid, normal to an axis.
 
         Args:
-            axis: number of the axis.
-            place: position in the coordinates of this axis, -1 for the last.
+            axis: number of the axis, from 0.
+            place: position of the plane among the coordinates of this axis, -1 for the last.
         """
         if axis == 2:
             return self._plane(self._numbers[:, :, place])
@@ -135,11 +136,18 @@ class BoxGrid:
         return rows if len(self.axes) == 2 else self._swept(rows)
 
     def sides(self) -> dict[str, IntArray]:
-        """Return for each outer side of the grid, by name, (n, k) numbers of the k points of its facets."""
+        """Return name of an outer side -> (n, k) numbers of the k points of each of its n facets.
+
+        The names are "LEFT", "RIGHT", "BOTTOM", "TOP", and in 3D "BACK" and "FRONT".
+        """
         return {name: self.plane(axis, end) for name, (axis, end) in SIDE_PLANES.items() if axis < len(self.axes)}
 
     def _plane(self, numbers: IntArray) -> IntArray:
-        """Return the rectangles, or triangles that halve them, of an array (n_x, n_y) of increasing point numbers."""
+        """Return (n, k) points of each of the n rectangles, or triangles that halve them, in a plane of the grid.
+
+        Args:
+            numbers: (n_x, n_y) numbers of the points in the plane, by their positions along its two axes.
+        """
         ends = slice(None, -1), slice(1, None)
         o, x, y, xy = (numbers[ends[i], ends[j]].ravel() for i, j in ((0, 0), (1, 0), (0, 1), (1, 1)))
         if is_tensor(self.kind):
@@ -150,10 +158,11 @@ class BoxGrid:
         return np.concatenate([np.where(is_left, flipped, plain).T for plain, flipped in halves])
 
     def _swept(self, rows: IntArray) -> IntArray:
-        """Return the cells above some facets at z = 0, in all layers of the grid.
+        """Return the cells, or facets, that lie above each other over the given ones at z = 0, up to the largest z.
 
         Args:
-            rows: (n, k) numbers of the k points of each facet; points above each other have consecutive numbers.
+            rows: (n, k) numbers of the k points of each facet, or edge, at z = 0. Points above each other have
+                consecutive numbers.
         """
         below = (rows[:, None] + np.arange(len(self.axes[2]) - 1)[:, None]).reshape(-1, rows.shape[1])
         if is_tensor(self.kind):
@@ -162,7 +171,9 @@ class BoxGrid:
 
 
 def running_bond(cells: MeshOptions, size: Sequence[float], bricks: int, courses: int) -> Joint:
-    """Return the joint of a wall of bricks: courses are shifted by half a brick in turn, with half bricks at the ends.
+    """Return the joint of a wall of bricks in running bond: courses are shifted in turn by half a brick.
+
+    Shifted courses begin and end with half a brick.
 
     Args:
         cells: requested cell size and type.
@@ -190,7 +201,7 @@ def repeated_bond(cells: MeshOptions, size: Sequence[float], cut: tuple[float, f
         cut: place of the lower left corner in a brick, as fractions of the brick's width and height, between 0 and 1.
 
     Raises:
-        InputError: sizes are out of range, or the cut is along a joint of mortar.
+        InputError: sizes are out of range, or the cut is along a layer of mortar.
     """
     n_half, n_high, *others = _counts(cells, size, 2)
     if np.shape(cut) != (2,) or not all(is_finite(c) and 0 < c < 1 for c in cut):
@@ -202,12 +213,12 @@ def repeated_bond(cells: MeshOptions, size: Sequence[float], cut: tuple[float, f
 
 
 def _counts(cells: MeshOptions, size: Sequence[float], least: int) -> list[int]:
-    """Return the numbers of cells in half a brick along x, in its height and, in 3D, in its depth.
+    """Return the numbers of cells in half the width of a brick, in its height and, in 3D, in its depth.
 
     Args:
         cells: requested cell size and type.
         size: sizes of a brick along each axis, lengths.
-        least: least number of cells in half a brick and in its height.
+        least: least number of cells in half the width of a brick and in its height.
     """
     names = ("width", "height", "depth")
     cells.check({f"{name} of a brick": a for name, a in zip(names, size, strict=False)}, len(size))
@@ -217,13 +228,14 @@ def _counts(cells: MeshOptions, size: Sequence[float], least: int) -> list[int]:
 
 
 def _joint(cells: MeshOptions, lengths: Sequence[float], counts: list[int], brick: Pair, start: Pair = (0, 0)) -> Joint:
-    """Return the joint of a brickwork grid, with the seams BED between courses and HEAD between bricks of a course.
+    """Return the joint of a grid of bricks, with the seams "BED" between courses and "HEAD" between bricks of a course.
 
     Args:
         cells: requested cell type.
-        lengths, counts: size of the grid, a length, and number of cells along each axis.
-        brick: numbers of cells in half a brick along x, and in its height.
-        start: place in a brick of the grid's lower left corner, as numbers of cells along x and y.
+        lengths: size of the grid along each axis, lengths.
+        counts: number of the grid's cells along each axis.
+        brick: number of cells in half the width of a brick, and in its height.
+        start: number of cells along x and y from the lower left corner of a brick to that of the grid.
     """
     d, (n_half, n_high) = len(lengths), brick
     cell_type = cells.cell or {2: "quadrilateral", 3: "hexahedron"}[d]

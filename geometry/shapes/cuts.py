@@ -1,4 +1,4 @@
-"""A rectangle that is cut along straight lines: into grains, or by faults that may cross and end inside."""
+"""Rectangles that are cut along straight lines into regions: grains, or blocks between faults."""
 
 from __future__ import annotations
 
@@ -57,26 +57,40 @@ class CutRectangle(Shape):
 
     @property
     def lengths(self) -> dict[str, float]:
-        """Width and height, by name."""
+        """Name of a length in messages -> length: width and height."""
         return {"width": self.width, "height": self.height}
 
     @property
     def extent(self) -> SizeLengths:
-        """Lengths for the cell sizes: `feature_size`, and the longer side."""
+        """Lengths from which the cell sizes follow: `feature_size`, and the longer side of the rectangle."""
         return SizeLengths(self.feature_size, max(self.width, self.height))
 
     @property
     def lines(self) -> FloatArray:
-        """(4 + n, 2, 2) coordinates of the two ends of the four sides and of the n lines."""
+        """(4 + n, 2, 2) coordinates of the two ends of each line: first the four sides, then the n lines of `cuts`."""
         corners = np.array([[0.0, 0.0], [self.width, 0.0], [self.width, self.height], [0.0, self.height]])
         return np.concatenate([np.stack([corners, np.roll(corners, -1, axis=0)], axis=1), self.cuts])
 
     def inside(self, x: FloatArray, margin: float) -> BoolArray:
-        """Return (n,) whether places x (n, 2) lie inside the rectangle, farther than the length `margin` from sides."""
+        """Return (n,) whether each of n places lies in the rectangle and is farther than `margin` from its sides.
+
+        Args:
+            x: (n, 2) coordinates of the places, lengths.
+            margin: the distance, a length; if negative, places up to this distance outside are included.
+        """
         return np.asarray(((x > margin) & (x < np.array([self.width, self.height]) - margin)).all(axis=1))
 
     def draw(self) -> Drawing:
-        """Draw the parts of the rectangle in the current gmsh model, with pieces of lines that end inside a part."""
+        """Draw the parts of the rectangle and the lines between them in the current gmsh model.
+
+        A line that ends inside a part is drawn in full.
+
+        Returns:
+            The regions, and the facet sets of the sides and seams, by name.
+
+        Raises:
+            InputError: a fault lies outside the rectangle.
+        """
         kernel, tolerance = gmsh.model.occ, DISTANCE_TOLERANCE * self.extent.span
         gmsh.option.setNumber("Geometry.ToleranceBoolean", tolerance)
         ends = [kernel.addPoint(x, y, 0.0) for x, y in np.round(self.lines, COORDINATE_DECIMALS).reshape(-1, 2)]
@@ -100,9 +114,9 @@ class CutRectangle(Shape):
         return Drawing(bodies, facets, [], {}, self.seams)
 
     def require_apart(self, what: str, remedy: str) -> Self:
-        """Return this shape; raise InputError if a line ends close to another line or a side without touching it.
+        """Return this shape; raise InputError if a line ends near another line, or near a side, without touching it.
 
-        Close is nearer than half the cell size there.
+        A line is near if its distance is less than half the cell size at ends of S.
 
         Args:
             what: noun for the lines, for the message.
@@ -122,12 +136,16 @@ class CutRectangle(Shape):
 
 
 def faulted_rectangle(cells: MeshOptions, width: float, height: float, faults: Mapping[str, Places]) -> CutRectangle:
-    """Return a block that is cut by faults; raise InputError for sizes, faults or names listed in `builders.faults`.
+    """Return a block that is cut by faults.
 
     Args:
         cells: requested cell sizes.
         width, height: size of the block, lengths > 0.
         faults: name of a fault -> points (x, y) from one of its ends to the other.
+
+    Raises:
+        InputError: sizes or faults are out of range; a fault turns back, or ends near another fault or a side without
+            touching it.
     """
     cells.check({"width": width, "height": height}, 2)
     if not isinstance(faults, Mapping) or not faults:
@@ -141,14 +159,31 @@ def faulted_rectangle(cells: MeshOptions, width: float, height: float, faults: M
 
 
 def _points(points: object, what: str) -> FloatArray:
-    """Return two or more finite points as an array (n, 2); raise InputError for others, which `what` names."""
+    """Return points (x, y) as an array (n, 2), n >= 2.
+
+    Args:
+        points: the points, as the user gave them.
+        what: noun for the points, for the message.
+
+    Raises:
+        InputError: these are not two or more finite points.
+    """
     if (x := finite_values(points, (-1, 2))) is None or len(x) < 2:
         raise InputError(f"{what} is {points!r}; it must be two points (x, y) or more")
     return x
 
 
 def _path(name: str, points: object) -> FloatArray:
-    """Return the points of a fault as an array (n, 2); raise InputError if a piece leads away from the last point."""
+    """Return the points of a fault as an array (n, 2), from its first to its last end.
+
+    Args:
+        name: name of the fault, for messages.
+        points: its points (x, y), as the user gave them.
+
+    Raises:
+        InputError: these are not two or more finite points, or the fault turns back: a piece of it does not lead
+            towards the last point.
+    """
     x = _points(points, f"the fault {name!r}")
     way, chord = np.diff(x, axis=0), x[-1] - x[0]
     back = way @ chord <= MIN_COSINE * np.linalg.norm(way, axis=1) * np.linalg.norm(chord)
@@ -159,7 +194,7 @@ def _path(name: str, points: object) -> FloatArray:
 def grain_rectangle(
     cells: MeshOptions, width: float, height: float, grains: int | Places, seed: int, seams: SeamNames | None
 ) -> CutRectangle:
-    """Return a rectangle of Voronoi grains; raise InputError for sizes, points or names listed in `builders.grains`.
+    """Return a rectangle that is filled with Voronoi grains.
 
     Args:
         cells: requested cell sizes.
@@ -167,6 +202,10 @@ def grain_rectangle(
         grains: number of grains at random points, or the points (x, y) of the grains.
         seed: whole number >= 0 for random points; the same seed gives the same grains.
         seams: function of the numbers, from 1, of two grains that touch; it returns the name of their seam. None: "S".
+
+    Raises:
+        InputError: sizes or numbers are out of range; points lie outside, or two coincide; a side of a grain is too
+            short.
     """
     cells.check({"width": width, "height": height}, 2)
     size = max(width, height)
@@ -186,7 +225,15 @@ def grain_rectangle(
 
 
 def _grain_points(points: object, width: float, height: float) -> FloatArray:
-    """Return points of grains as an array (n, 2); raise InputError if one is outside or two coincide."""
+    """Return the points of grains as an array (n, 2).
+
+    Args:
+        points: points (x, y), as the user gave them.
+        width, height: size of the rectangle, lengths.
+
+    Raises:
+        InputError: a point is not inside the rectangle, or two points coincide.
+    """
     x = _points(points, "grains")
     box = f"the rectangle (0, {width:g}) x (0, {height:g})"
     refuse(~((x > 0) & (x < (width, height))).all(axis=1), x, f"the point {{at}} of a grain is not inside {box}")
@@ -196,14 +243,15 @@ def _grain_points(points: object, width: float, height: float) -> FloatArray:
 
 
 def _ridges(points: FloatArray, box: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return the sides between the Voronoi cells of points in a rectangle.
+    """Return the straight lines between the Voronoi cells of points in a rectangle.
 
     Args:
         points: (n, 2) coordinates of the points.
-        box: width and height of the rectangle, with a corner at the origin.
+        box: width and height of the rectangle, whose lower left corner is the origin.
 
     Returns:
-        (m, 2, 2) coordinates of the two ends of each side, and (m, 2) numbers of the cells on both sides of it.
+        (m, 2, 2) coordinates of the two ends of each line, and (m, 2) numbers, from 0, of the cells on both sides of
+        it.
     """
     cells = _voronoi(points, box)
     pairs = np.sort(cells.ridge_points, axis=1)
@@ -215,11 +263,13 @@ def _ridges(points: FloatArray, box: FloatArray) -> tuple[FloatArray, IntArray]:
 
 
 def _voronoi(points: FloatArray, box: FloatArray) -> Voronoi:
-    """Return the Voronoi cells of points and of their mirror images at the four sides, so that the sides bound cells.
+    """Return a Voronoi diagram in which the sides of a rectangle bound the cells of the points in it.
+
+    It has also the cells of the points' mirror images at the four sides, which come after those of the points.
 
     Args:
-        points: (n, 2) coordinates of points in a rectangle.
-        box: width and height of the rectangle, with a corner at the origin.
+        points: (n, 2) coordinates of points in the rectangle.
+        box: width and height of the rectangle, whose lower left corner is the origin.
     """
     mirrors = [(axis, side) for axis in (0, 1) for side in (0.0, box[axis])]
     images = [np.where(np.arange(2) == axis, 2 * side - points, points) for axis, side in mirrors]
@@ -227,10 +277,14 @@ def _voronoi(points: FloatArray, box: FloatArray) -> Voronoi:
 
 
 def _relaxed_points(points: FloatArray, box: FloatArray) -> FloatArray:
-    """Return points whose Voronoi cells are more regular, in a rectangle of size `box` with a corner at the origin.
+    """Return (n, 2) points that are moved until their Voronoi cells in a rectangle have no short sides.
 
-    Points first move to the centres of their cells a few times. Then two points move towards each other if the side
-    between their cells is short, which makes this side longer.
+    Points move to the centroids of their cells a few times. Then, if the side between two cells is short, their points
+    move towards each other, which makes the side longer. This ends after a largest number of steps.
+
+    Args:
+        points: (n, 2) coordinates of the points.
+        box: width and height of the rectangle, whose lower left corner is the origin.
     """
     n, size = len(points), float(np.sqrt(box.prod() / len(points)))
     for _ in range(LLOYD_STEPS):
@@ -250,7 +304,12 @@ def _relaxed_points(points: FloatArray, box: FloatArray) -> FloatArray:
 
 
 def _centres(points: FloatArray, box: FloatArray) -> FloatArray:
-    """Return (n, 2) centroids of the Voronoi cells of n points in a rectangle of size `box`, a corner at the origin."""
+    """Return (n, 2) centroids of the Voronoi cells of n points in a rectangle.
+
+    Args:
+        points: (n, 2) coordinates of the points.
+        box: width and height of the rectangle, whose lower left corner is the origin.
+    """
     cells, n = _voronoi(points, box), len(points)
     first, other = cells.ridge_points.T
     cell, ends = np.concatenate([first, other]), np.tile(cells.ridge_vertices, (2, 1))

@@ -1,4 +1,4 @@
-"""Shapes that gmsh meshes: draw with names for bodies and facets, set cell sizes, mesh, and read the arrays."""
+"""The class `Shape`, which draws a joint in gmsh and meshes it, and functions for gmsh's surfaces and curved grids."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ UNIT_DECADES = 3  # powers of ten between units of length such as mm and m
 
 
 class Drawing(NamedTuple):
-    """The entities of a gmsh model by name, and what a grid on them needs.
+    """The entities of a gmsh model by name, and what is needed to mesh them as a grid.
 
     Attributes:
         bodies: name of a cell region -> tags of its surfaces (2D) or volumes (3D); the lower body comes first.
         facets: name of a facet set -> tags of its curves (2D) or surfaces (3D).
-        base_tags: tags of the surfaces on which a grid is made; in 3D these are the surfaces that were swept to volumes.
+        base_tags: tags of the surfaces on which a grid is made; in 3D they were then swept to volumes.
         gradings: tag of each curve around these surfaces -> the sizes of cells along it.
-        seams: name of a seam -> choice of its upper side. {}: one seam "S", whose upper side is the last body and whose
-            lower side is all others.
-        circles: for a polar grid, the numbers of the two coordinates in the circles' plane, and the radius, a length,
+        seams: name of a seam -> choice of its upper side. {}: one seam "S"; the last of `bodies` is above it, and all
+            others are below.
+        circles: for a polar grid, the numbers of the two coordinates in the circles' plane, and the radius (a length)
             up to which cells stay straight. None for other shapes.
     """
 
@@ -56,13 +56,13 @@ class Drawing(NamedTuple):
 
 
 class SizeLengths(NamedTuple):
-    """Lengths from which the cell sizes of a shape follow.
+    """Lengths, and formulas in gmsh's language, from which the cell sizes of a shape follow.
 
     Attributes:
         min_width: the default cell size is a fraction of this length, such as a tenth.
         span: length of S in 2D, of the longest curve around S in 3D.
-        distance: distance from S in a shape in 3D, a formula in x, y and z for gmsh.
-        limit: further upper bound of the cell size, a formula in x, y and z for gmsh; "": none.
+        distance: distance from S in a shape in 3D, a formula in x, y and z.
+        limit: upper bound of the cell size besides h, a formula in x, y and z; "": none.
     """
 
     min_width: float
@@ -96,7 +96,7 @@ class Shape(ABC):
     @property
     @abstractmethod
     def lengths(self) -> dict[str, float]:
-        """Name for messages -> length. Each must be > 0, and no cell size may exceed the largest of them."""
+        """Name of a length in messages -> length of the shape, > 0; no cell size may exceed the largest of these."""
 
     @property
     @abstractmethod
@@ -104,7 +104,7 @@ class Shape(ABC):
         """Lengths from which the default cell size and the growth of cells away from S follow."""
 
     def scaled(self, factor: float) -> Self:
-        """Return the shape with all lengths, including cell sizes, multiplied by a factor."""
+        """Return the shape with all lengths, including cell sizes, multiplied by `factor`."""
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in self.angles}
         return replace(self, **{name: _scaled(value, factor) for name, value in values.items()})
 
@@ -124,7 +124,7 @@ class Shape(ABC):
 
     @property
     def sizes(self) -> tuple[float, float, float]:
-        """Largest cell size h, size h_S at S and size h_ends at the ends of S, with defaults filled in; lengths."""
+        """Largest cell size h, cell size h_S at S, and h_ends at the ends of S, lengths, with defaults filled in."""
         h = float(self.cells.h or self.extent.min_width / DEFAULT_CELLS_ACROSS[self.dim])
         h_S = float(self.cells.h_S or h)
         return h, h_S, float(self.cells.h_ends or h_S)
@@ -146,7 +146,7 @@ class Shape(ABC):
         return self.scaled(10.0**-digits)._build(10.0**digits)
 
     def _build(self, unit: float) -> Joint:
-        """Draw and mesh the shape as it is; return the joint with gmsh's coordinates multiplied by `unit`."""
+        """Draw and mesh the shape in its own units; return the joint with all coordinates multiplied by `unit`."""
         gmsh.initialize(interruptible=False)
         try:
             gmsh.option.setNumber("General.Terminal", 0)
@@ -167,7 +167,7 @@ class Shape(ABC):
         return joint()  # now that gmsh's memory is free
 
     def sweep(self, surfaces: Sequence[int], way: tuple[float, float, float], grading: Grading) -> dict[int, list[int]]:
-        """Extrude surfaces to volumes; with a grid, in layers of cells.
+        """Extrude surfaces of the current gmsh model to volumes; if a grid is requested, in layers of cells.
 
         Args:
             surfaces: tags of the surfaces.
@@ -185,7 +185,13 @@ class Shape(ABC):
         return {tag: [swept[k][1], swept[k - 1][1]] for tag, k in zip(surfaces, volumes, strict=True)}
 
     def _set_grid(self, drawing: Drawing) -> None:
-        """Prescribe a grid of quadrilaterals, or of their halves, on the surfaces `base_tags`; `sweep` sets its layers."""
+        """Prescribe a grid of quadrilaterals, or of triangles that halve them, on the surfaces `drawing.base_tags`.
+
+        The layers of cells in swept volumes are prescribed by `sweep`.
+
+        Args:
+            drawing: entities by name.
+        """
         for curve, grading in drawing.gradings.items():
             grading.set_on_curve(curve)
         for surface in drawing.base_tags:
@@ -194,7 +200,7 @@ class Shape(ABC):
                 gmsh.model.mesh.setRecombine(2, surface)
 
     def _set_sizes(self, s_entities: Sequence[int]) -> None:
-        """Prescribe cell sizes: h_ends where S ends or branches, h_S on S, and growth to h away from S.
+        """Prescribe the cell sizes to gmsh: h_ends where S ends or branches, h_S on S, and growth to h away from S.
 
         Args:
             s_entities: tags of the curves (2D) or surfaces (3D) of S.
@@ -225,11 +231,13 @@ class Shape(ABC):
             gmsh.option.setNumber(f"Mesh.MeshSize{option}", 0)
 
     def _read(self, drawing: Drawing, unit: float) -> Callable[[], Joint]:
-        """Read gmsh's arrays, and return a function that makes the joint from them without gmsh.
+        """Read the mesh from gmsh's memory, and return a function without arguments that makes the joint from it.
+
+        The function does not need gmsh, whose memory can be freed before.
 
         Args:
             drawing: entities by name.
-            unit: factor on gmsh's coordinates.
+            unit: factor by which all coordinates are multiplied.
         """
         nodes, x, _ = gmsh.model.mesh.getNodes()
         bodies = [self._elements(self.kind, tags) for tags in drawing.bodies.values()]
@@ -249,7 +257,7 @@ class Shape(ABC):
         return partial(Joint, points * unit, cells, self.kind, region, tuple(drawing.bodies), facets, drawing.seams)
 
     def _elements(self, kind: str, tags: Sequence[int]) -> IntArray:
-        """Return (n, k) gmsh's numbers of the k nodes, in gmsh's order, of the elements of one type on some entities.
+        """Return (n, k) gmsh's numbers of the k nodes of each element of one type on some entities, in gmsh's order.
 
         Args:
             kind: type of the elements, such as "triangle".
@@ -278,7 +286,7 @@ class Prism(Shape):
 
     @property
     def lengths(self) -> dict[str, float]:
-        """The depth under its name, or {} in 2D."""
+        """Name of a length in messages -> length: {"depth": depth}, or {} in 2D."""
         return {} if self.depth is None else {"depth": self.depth}
 
     @abstractmethod
@@ -299,7 +307,13 @@ class Prism(Shape):
 
 
 def _scaled(value: Any, factor: float) -> Any:
-    """Return a length, or each length in an array, tuple or mesh options, times a factor; other values as they are."""
+    """Return the value of a field of a shape with all lengths in it multiplied by `factor`.
+
+    Args:
+        value: a length, array, tuple or `MeshOptions`, whose lengths are multiplied; any other value is returned as it
+            is.
+        factor: the factor.
+    """
     if isinstance(value, MeshOptions):
         return value.scaled(factor)
     if isinstance(value, tuple):
@@ -310,7 +324,12 @@ def _scaled(value: Any, factor: float) -> Any:
 
 
 def swept_surfaces(curves: Sequence[int], surfaces: Sequence[int]) -> list[int]:
-    """Return the tags of the surfaces that some curves on the boundary swept when `surfaces` were swept to volumes."""
+    """Return the tags of the surfaces that curves have swept, after the surfaces they bound were swept to volumes.
+
+    Args:
+        curves: tags of the curves, on the outer boundary of the swept surfaces.
+        surfaces: tags of the surfaces before they were swept, which are left out of the result.
+    """
     return [int(tag) for curve in curves for tag in gmsh.model.getAdjacencies(1, curve)[0] if tag not in surfaces]
 
 
@@ -325,16 +344,20 @@ def plane_surface(sides: Sequence[int]) -> int:
 
 
 def curve_grid(points: FloatArray, cells: IntArray, kind: str, axes: list[int], r_core: float) -> FloatArray:
-    """Return the points of a polar grid of degree 2 with nodes moved onto circles, and less towards a straight core.
+    """Return the points of a polar grid of degree 2, with nodes between vertices moved onto circles about the axis.
 
-    gmsh itself curves only cells that touch a circle of the drawing, and would fold thin cells.
+    Towards the core of the grid, nodes move less, and inside the core not at all. gmsh itself curves only cells that
+    touch a circle of the drawing, which would fold thin cells.
 
     Args:
         points: (n_points, d) coordinates in d dimensions, lengths.
         cells: (n_cells, n_nodes) numbers of the nodes of each cell, vertices first.
         kind: "quadrilateral" or "hexahedron".
         axes: numbers of the two coordinates in the circles' plane.
-        r_core: radius up to which nodes do not move, a length; 0: all circles are fully curved.
+        r_core: radius of the core, a length; 0: there is no core, and all nodes move onto their circles.
+
+    Returns:
+        (n_points, d) coordinates, lengths.
     """
     corners = corner_count(kind)
     radius = np.hypot(*points[:, axes].T)

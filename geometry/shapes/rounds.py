@@ -1,4 +1,4 @@
-"""Round shapes, drawn as arcs about an axis and radial lines: concentric rings, stacked discs, fibre in its matrix."""
+"""Round shapes: concentric rings, stacked discs, and a fibre in its matrix, drawn with arcs and radial lines."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ CORE_RADIUS_RATIO = 0.65  # half the diagonal of the square grid in the middle o
 
 
 class PolarLines(NamedTuple):
-    """Arcs about the origin, and the radial lines (spokes) and surfaces between them, as tags in the gmsh model.
+    """Arcs about the origin, spokes (radial lines between arcs) and the surfaces between them, as tags in gmsh.
 
-    All lists begin at the innermost arc, and within a ring at the first spoke, on the first axis.
+    Each attribute has one list of tags for each arc or ring, the innermost first. Each list begins at the first spoke,
+    on the positive x axis.
 
     Attributes:
         arcs: for each radius the curves from each spoke to the next.
@@ -34,7 +35,7 @@ class PolarLines(NamedTuple):
 
     @classmethod
     def drawn(cls, radii: Sequence[float], angle: float, plane: str, *, chords: bool = False) -> PolarLines:
-        """Draw arcs and spokes in the current gmsh model.
+        """Draw arcs, spokes and the surfaces between them in the current gmsh model, and return their tags.
 
         Args:
             radii: radii of the arcs, increasing lengths > 0.
@@ -66,7 +67,7 @@ class PolarLines(NamedTuple):
 
 @dataclass(frozen=True)
 class Rings(Prism):
-    """Two concentric rings about the origin, or sectors of them, in 3D tubes; S is where they meet.
+    """Two concentric rings about the origin, or sectors of them; S is where they meet. In 3D they are tubes.
 
     Attributes:
         inner, interface, outer: radius of the hole, of S and of the outside, increasing lengths > 0.
@@ -88,21 +89,26 @@ class Rings(Prism):
 
     @property
     def lengths(self) -> dict[str, float]:
-        """The radii and, in 3D, the depth, by name."""
+        """Name of a length in messages -> length: the three radii and, in 3D, the depth."""
         return {"inner": self.inner, "interface": self.interface, "outer": self.outer, **super().lengths}
 
     @property
     def extent(self) -> SizeLengths:
-        """Lengths for the cell sizes, with a bound by which cells follow the circle at any radius."""
+        """Lengths from which the cell sizes follow.
+
+        `limit` bounds the angle that a cell subtends at the axis, at any radius, so that about 20 cells or more go
+        round a circle.
+        """
         thin = min(self.interface - self.inner, self.outer - self.interface, self.depth or self.outer)
         r = "sqrt(x*x + y*y)"
         to_s = f"abs({r} - {float(self.interface)!r})"
         return SizeLengths(thin, max(self.angle * self.interface, self.depth or 0.0), to_s, f"{MAX_CELL_ANGLE!r} * {r}")
 
     def draw_plane(self) -> Drawing:
-        """Draw both rings, divided by radial lines that end at S, and set the cell sizes of a polar grid.
+        """Draw both rings in the current gmsh model and return their entities, with cell sizes for a polar grid.
 
-        Cells of a polar grid grow from h_S at S to h away from it. Along S they grow from h_ends at its ends to h_S.
+        Radial lines divide the rings. Cells of a polar grid grow from h_S at S to h away from it. Along S they grow
+        from h_ends at its ends to h_S.
         """
         web = PolarLines.drawn((self.inner, self.interface, self.outer), self.angle, "xy")
         gmsh.model.geo.synchronize()
@@ -125,11 +131,11 @@ class Rings(Prism):
 
 @dataclass(frozen=True)
 class Discs(Shape):
-    """Two discs on top of each other, with the y axis as common axis; S is where they meet, at y = 0.
+    """Two cylinders, stacked along the y axis, which is the axis of both; S is where they meet, at y = 0.
 
     Attributes:
-        radius: radius of both discs, a length > 0.
-        lower, upper: heights of the two discs, lengths > 0.
+        radius: radius of both cylinders, a length > 0.
+        lower, upper: heights of the two cylinders, lengths > 0.
         hole: radius of a hole along the axis, a length less than the radius; 0: no hole.
     """
 
@@ -152,21 +158,25 @@ class Discs(Shape):
 
     @property
     def lengths(self) -> dict[str, float]:
-        """The radius and the heights, by name for messages."""
+        """Name of a length in messages -> length: the radius and the two heights."""
         return {"radius": self.radius, "height of LOWER": self.lower, "height of UPPER": self.upper}
 
     @property
     def extent(self) -> SizeLengths:
-        """Lengths for the cell sizes, with a bound by which cells follow the circle, with a hole at any radius."""
+        """Lengths from which the cell sizes follow.
+
+        `limit` bounds the angle that a cell at the outer circle subtends at the axis, so that about 20 cells or more go
+        round it. If there is a hole, this holds at any radius.
+        """
         radius = "sqrt(x*x + z*z)" if self.hole else repr(float(self.radius))
         thinnest = min(self.radius - self.hole, self.lower, self.upper)
         return SizeLengths(thinnest, tau * self.radius, "abs(y)", f"{MAX_CELL_ANGLE!r} * {radius}")
 
     def draw(self) -> Drawing:
-        """Draw the disc S in the plane y = 0, sweep it to both sides, and set the cell sizes of a grid.
+        """Draw both cylinders in the current gmsh model and return their entities, with cell sizes for a grid.
 
-        A grid is polar, around a square grid if there is no hole. Its cells grow from h_ends at the circles that bound
-        S to h_S between them.
+        The disc S in the plane y = 0 is swept to both sides. A grid is polar, and has a square grid in the middle if
+        there is no hole. Along S its cells grow from h_ends at the circles that bound S to h_S.
         """
         h, h_S, h_ends = self.sizes
         r_core = CORE_RADIUS_RATIO * self.radius if self.gridded and not self.hole else 0.0
@@ -190,7 +200,7 @@ class Discs(Shape):
 
 @dataclass(frozen=True)
 class Fibre(Shape):
-    """A fibre, which is a disc about the origin, in a larger disc or a rectangle; S is the circle between them.
+    """A fibre, which is a disc about the origin, in a matrix; S is the circle between them.
 
     Attributes:
         radius: radius of the fibre, a length > 0.
@@ -212,29 +222,37 @@ class Fibre(Shape):
 
     @property
     def is_round(self) -> bool:
-        """Whether the matrix is a disc."""
+        """Whether the outer boundary of the matrix is a circle, not a rectangle."""
         return len(self.around) == 1
 
     @property
     def gap(self) -> float:
-        """Least width of the matrix between fibre and outside, a length."""
+        """Least width of the matrix between the fibre and the outer boundary, a length."""
         return (self.around[0] if self.is_round else min(self.around) / 2) - self.radius
 
     @property
     def lengths(self) -> dict[str, float]:
-        """Radius of the fibre, and radius or sides of the matrix, by name for messages."""
+        """Name of a length in messages -> length: the fibre's radius, and the radius, or width and height, of the matrix."""
         names = ("radius of the matrix",) if self.is_round else ("width", "height")
         return {"radius": self.radius} | dict(zip(names, self.around, strict=True))
 
     @property
     def extent(self) -> SizeLengths:
-        """Lengths for the cell sizes, with a bound by which cells follow the circle at any radius outside S."""
+        """Lengths from which the cell sizes follow.
+
+        `limit` bounds the angle that a cell outside the fibre subtends at the origin, so that about 20 cells or more go
+        round a circle.
+        """
         radius = repr(float(self.radius))
         limit = f"{MAX_CELL_ANGLE!r} * ({radius} + abs(sqrt(x*x + y*y) - {radius}))"
         return SizeLengths(min(self.radius, self.gap), tau * self.radius, limit=limit)
 
     def draw(self) -> Drawing:
-        """Draw the fibre and its matrix; set the cell sizes of a grid, polar around a square, from h_S at S to h."""
+        """Draw fibre and matrix in the current gmsh model and return their entities, with cell sizes for a grid.
+
+        A grid is polar, around a square grid in the middle of the fibre. Its cells grow from h_S at S to h at the outer
+        circle.
+        """
         h, h_S, _ = self.sizes
         r_core = CORE_RADIUS_RATIO * self.radius
         radii = (*([r_core] if self.gridded else []), self.radius, *(self.around if self.is_round else ()))
@@ -253,7 +271,14 @@ class Fibre(Shape):
         return Drawing(bodies, {S: circle} | sides, fibre + matrix, gradings, circles=circles)
 
     def _rectangle(self, hole: Sequence[int]) -> tuple[dict[str, list[int]], list[int]]:
-        """Draw a rectangle; return its sides by name and the surface between it and the curves `hole`, as tags."""
+        """Draw the matrix as a rectangle about the origin with a hole, in the current gmsh model.
+
+        Args:
+            hole: tags of the curves around the hole, one after the other.
+
+        Returns:
+            Name of each side -> [tag of its line], and [tag of the surface].
+        """
         kernel = gmsh.model.geo
         x, y = (length / 2 for length in self.around)
         corners = [kernel.addPoint(*at, 0.0) for at in ((-x, -y), (x, -y), (x, y), (-x, y))]

@@ -1,4 +1,4 @@
-"""Cell sizes and types of a shape, sizes of cells along a line, and the module gmsh, imported on first use."""
+"""Requested cell sizes and types of a shape, sizes of cells along a line, and gmsh, which is imported on first use."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ MIN_SIZE_RATIO = 1e-5  # smallest cell size allowed, over the size of the shape
 
 
 class _Gmsh:
-    """The module gmsh, imported on first use: the import takes a third of a second, and only one rank needs it."""
+    """Stand-in for the module gmsh, which imports it on first use.
+
+    The import takes a third of a second, and only one rank needs it.
+    """
 
     def __getattr__(self, name: str) -> Any:
         return getattr(import_optional("gmsh"), name)
@@ -30,19 +33,25 @@ gmsh = _Gmsh()
 
 
 class SizeArgs(TypedDict, total=False):
-    """Keyword arguments of builders for cell sizes: h_S at S, h_ends at the ends of S, lengths; None: the default."""
+    """Keyword arguments of builders for cell sizes.
+
+    Attributes:
+        h_S: cell size at S, a length; None: the default.
+        h_ends: cell size at the ends of S, a length; None: the default.
+    """
 
     h_S: float | None
     h_ends: float | None
 
 
 class GridArgs(SizeArgs, total=False):
-    """Keyword arguments of builders for the cells of boxes, with those of `SizeArgs`.
+    """Keyword arguments of builders for the cells of boxes, in addition to those of `SizeArgs`.
 
     Attributes:
         cell: type of the cells; None for the default.
         structured: whether triangles or tetrahedra divide the cells of a grid.
-        arrangement: which diagonals halve a grid's rectangles in the x-y plane, one of `ARRANGEMENTS`.
+        arrangement: which diagonals halve a grid's rectangles in the x-y plane: "Right", "Left", "AlternateRight" or
+            "AlternateLeft", as in `block`.
     """
 
     cell: str | None
@@ -51,7 +60,7 @@ class GridArgs(SizeArgs, total=False):
 
 
 class CurvedArgs(SizeArgs, total=False):
-    """Keyword arguments of builders for the cells of round shapes, with those of `SizeArgs`.
+    """Keyword arguments of builders for the cells of round shapes, in addition to those of `SizeArgs`.
 
     Attributes:
         cell: type of the cells; None for the default.
@@ -63,12 +72,14 @@ class CurvedArgs(SizeArgs, total=False):
 
 
 def scaled_length(length: float, factor: float) -> float:
-    """Return a length times a factor, rounded to 15 digits, unless the factor is 1."""
+    """Return `length` * `factor`, rounded to 15 significant digits; with the factor 1, return `length` unchanged."""
     return length if factor == 1 else float(f"{length * factor:.15g}")
 
 
 def require_width(part_name: str, size: float, largest: float) -> None:
-    """Raise InputError if a part of a shape is thinner than 1e-6 of the largest length: gmsh could merge its points.
+    """Raise InputError if a part of a shape is so thin that gmsh could merge points on its two sides.
+
+    The least width is 1e-6 of the shape's largest length.
 
     Args:
         part_name: name of the part, for the message.
@@ -82,14 +93,15 @@ def require_width(part_name: str, size: float, largest: float) -> None:
 
 
 class MeshOptions(NamedTuple):
-    """Requested cells of a shape.
+    """Cell sizes, type and geometry that the user requests for a shape.
 
     Attributes:
         h, h_S, h_ends: largest cell size, cell size at S and at the ends of S, lengths; None for the default.
         cell: "triangle", "quadrilateral", "tetrahedron" or "hexahedron"; None: the shape's default.
         degree: degree of the cells' geometry, 1 (straight) or 2 (curved).
         structured: whether triangles or tetrahedra divide the cells of a grid.
-        arrangement: which diagonals halve a grid's rectangles in the x-y plane, one of `ARRANGEMENTS`.
+        arrangement: which diagonals halve a grid's rectangles in the x-y plane: "Right", "Left", "AlternateRight" or
+            "AlternateLeft", as in `block`.
     """
 
     h: float | None
@@ -107,20 +119,20 @@ class MeshOptions(NamedTuple):
         Args:
             h: largest cell size, a length; None for the default.
             options: the keyword arguments.
-            allowed: class with the names that the builder allows.
+            allowed: class whose attributes are the keywords that the builder allows.
 
         Raises:
-            InputError: a keyword is not among these names.
+            InputError: a keyword is not allowed.
         """
         for name in options.keys() - (keywords := get_type_hints(allowed)):
             raise InputError(unknown_name_message("keyword", name, keywords))
         return cls(h, **options)
 
     def check(self, lengths: Mapping[str, float], dim: int) -> None:
-        """Raise InputError if a length of the shape is not > 0, or if the cells do not suit its size or dimension.
+        """Raise InputError if a length of the shape is not > 0, or if the options do not suit its lengths or dimension.
 
         Args:
-            lengths: name for messages -> length of the shape.
+            lengths: name of a length in messages -> length of the shape.
             dim: number of dimensions, 2 or 3.
         """
         for argument, value in lengths.items():
@@ -138,7 +150,7 @@ class MeshOptions(NamedTuple):
         require_known("arrangement", self.arrangement, ARRANGEMENTS)
 
     def scaled(self, factor: float) -> MeshOptions:
-        """Return the options with all cell sizes multiplied by a factor."""
+        """Return the options with all cell sizes multiplied by `factor`."""
         h, h_S, h_ends = (size and scaled_length(size, factor) for size in (self.h, self.h_S, self.h_ends))
         return self._replace(h=h, h_S=h_S, h_ends=h_ends)
 
@@ -194,11 +206,11 @@ class Grading(NamedTuple):
         return [*(np.cumsum(sizes) / sizes.sum())[:-1].tolist(), 1.0]
 
     def along(self, length: float) -> FloatArray:
-        """Return (n + 1,) positions of the ends of the n cells along a line of this length, from 0."""
+        """Return (n + 1,) positions of the ends of the n cells along a line of this `length`, from 0 to `length`."""
         return length * np.array([0.0, *self.layers])
 
     def set_on_curve(self, curve: int) -> None:
-        """Prescribe these cells on the curve of the gmsh model with this tag."""
+        """Prescribe these cells on the curve of the current gmsh model that has the tag `curve`."""
         progression = ("Progression", 1 / self.growth if self.backwards else self.growth)
         if self.symmetric and self.first != self.last:
             progression = ("Bump", self.first / self.last)
