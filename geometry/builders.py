@@ -351,8 +351,8 @@ def faults(
     Args:
         width, height: size, lengths > 0.
         faults: name -> points (x, y) of a fault, from one end to the other, joined by straight lines. Parts outside the
-            block are cut off. If the first or last point of a fault is within 1e-6 of the block's size from another
-            fault, the fault ends there, as a branch of the other one.
+            block are cut off. If the first or last point of a fault lies on another fault, to 1e-6 of the block's
+            size, the fault ends there: it is a branch of the other one.
         h: largest cell size, a length (default: a tenth of the smallest side).
         h_S: cell size at S, a length (default: h).
         h_ends: cell size, a length, where faults meet and end (default: h_S).

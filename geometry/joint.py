@@ -141,7 +141,7 @@ class Joint:
             self.periods.check(self.points, self.corners, self.cell_type, self.table.vertices[outer])
 
     def __getstate__(self) -> dict[str, object]:
-        """Return the attributes for pickling, among them `split_mesh.pieces`, which other ranks then need not compute."""
+        """Return the attributes for pickling, among them `split_mesh.pieces`, so that other ranks have it already."""
         if self.band is None:
             _ = self.split_mesh.pieces
         return self.__dict__
@@ -198,7 +198,7 @@ class Joint:
 
     @property
     def cell_points(self) -> FloatArray:
-        """(n_cells, k, d) coordinates of the k nodes of each cell in d dimensions, lengths; those of `parted` if it is given."""
+        """(n_cells, k, d) coordinates of the k nodes of each cell in d dimensions: `parted` if given, else from `points`."""
         return self.points[self.cells] if self.parted is None else self.parted
 
     @property
@@ -323,7 +323,7 @@ class Joint:
 
     @cached_property
     def pairs(self) -> IntArray:
-        """(n_S, k) integer for each of the k vertices of each facet of S that identifies the vertex with its two bodies.
+        """(n_S, k) integers that identify each of the k vertices of each facet of S together with its two bodies.
 
         Integers are equal only if vertex, seam, lower body and upper body are the same. Vertices that a periodic cell
         identifies count as one. A body is here a component: the cells around the vertex that are connected by facets
@@ -418,7 +418,7 @@ class Joint:
 
     @cached_property
     def node_normals(self) -> FloatArray:
-        """(n_S, k, d) unit normals of S at the k nodes of each facet in d dimensions, from the lower to the upper side."""
+        """(n_S, k, d) unit normals of S, from the lower to the upper side, at the k nodes of each facet in d dimensions."""
         above = self.surface_cells[:, 1]
         normals = facet_normals(self.points, self.surface, self.cell_type)
         upwards = self.points[self.corners[above]].mean(axis=1) - self.points[self.surface].mean(axis=1)

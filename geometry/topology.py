@@ -45,10 +45,10 @@ def lagrange(cell_type: str, degree: int) -> basix.finite_element.FiniteElement:
 
 @cache
 def sub_entities(cell_type: str) -> list[list[list[list[int]]]]:
-    """Return Basix's table of the entities (vertices, edges, ...) of a reference cell that touch each other.
+    """Return Basix's table of the entities (vertices, edges, ...) of a reference cell that belong to each other.
 
-    Its entry [i][j][k] is the list of numbers of the entities of dimension k in entity j of dimension i, or if k > i
-    those that contain it.
+    Its entry [i][j][k], for k <= i, lists the numbers of the entities of dimension k in entity j of dimension i. For k
+    > i it lists those that contain entity j.
 
     Args:
         cell_type: type of the cell, such as "triangle".
@@ -443,9 +443,9 @@ class Splitting:
 
     @cached_property
     def valence(self) -> IntArray:
-        """(n_points,) number of components into which the cut divides the cells around each vertex; 1 where there is no cut.
+        """(n_points,) number of components into which the cut divides the cells around each vertex.
 
-        At nodes that are not vertices it is 0.
+        It is 1 at vertices away from the cut, and 0 at nodes that are not vertices.
         """
         out = np.zeros(int(self.cells.max(initial=-1)) + 1, np.int64)
         np.maximum.at(out, self._corners.ravel(), self.of_vertices.ravel() + 1)
@@ -453,7 +453,14 @@ class Splitting:
 
 
 def unique_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the distinct rows of an array in lexicographic order, and (n,) the position among them of each of its n rows."""
+    """Return the distinct rows of an array, and for each of its rows the position among the distinct ones.
+
+    Args:
+        rows: (n, k) integers.
+
+    Returns:
+        (m, k) distinct rows, in lexicographic order, and (n,) positions.
+    """
     unique, number = np.unique(rows, axis=0, return_inverse=True)
     return unique, number.ravel()
 

@@ -123,8 +123,8 @@ class NodeLines:
             values: (n_nodes, d) values at nodes and copies, such as a motion in d dimensions.
 
         Returns:
-            (m, d) values at the m nodes inside the lines, in the order of their numbers, and (m,) the node of S on
-            whose line each lies.
+            (m, d) values at the m nodes inside the lines, in the order of their numbers; and (m,) the node of S to
+            whose line each belongs.
         """
         line = np.repeat(np.arange(len(self.top)), self.top - 1)
         height_start = np.cumsum([0, *map(len, self.heights)])[self.seam_no[line]]
@@ -258,8 +258,8 @@ def _tensor_pattern(cell_type: str, degree: int, n: int) -> list[Pattern]:
         n: number of facets.
 
     Returns:
-        A list of one pair: (n, k) the position in the facet of the node below each of the cell's k nodes, and (k,) the
-        number of levels by which each lies above the cell's first level.
+        A list of one pair. First (n, k): for each of the cell's k nodes the position, in the facet, of the facet's node
+        below it. Second (k,): number of levels from the facet's side of the cell to each node.
     """
     cell, facet = lagrange(cell_type, degree).points, lagrange(FACET_TYPES[cell_type], degree).points
     distance = np.linalg.norm(cell[:, None, :-1] - facet[None], axis=2)
@@ -269,10 +269,10 @@ def _tensor_pattern(cell_type: str, degree: int, n: int) -> list[Pattern]:
 def _simplex_pattern(cell_type: str, degree: int, order: IntArray) -> list[Pattern]:
     """Return the places of the nodes of the triangles or tetrahedra over each of n_S facets of S.
 
-    The space over a facet, between two levels, is split into d simplices in d dimensions. The split follows the order
-    of vertex numbers, so that neighbours split their common sides alike. If the d vertices of a facet are sorted and
-    numbered from 0, simplex j has vertices 0 to j at the lower level, and vertices j to d - 1 at the upper one. The
-    node in the middle of an edge lies over the middle of the edge's projection onto S.
+    The space over a facet, between two levels, is split into d simplices in d dimensions. Let the d vertices of the
+    facet be sorted by their numbers, so that neighbours split their common sides alike. Simplex j, from 0, has vertices
+    0 to j at the lower level, and vertices j to d - 1 at the upper one. The node in the middle of an edge lies over the
+    middle of the edge's projection onto S.
 
     Args:
         cell_type: "triangle" or "tetrahedron".
@@ -280,8 +280,8 @@ def _simplex_pattern(cell_type: str, degree: int, order: IntArray) -> list[Patte
         order: (n_S, d) positions of each facet's vertices, in the order of their numbers.
 
     Returns:
-        A pair for each simplex: (n_S, k) the position in the facet of the node below each of the simplex's k nodes, and
-        (k,) the number of levels by which each lies above the lower level.
+        A pair for each simplex. First (n_S, k): for each of its k nodes the position, in the facet, of the facet's node
+        below it. Second (k,): number of levels from the lower level to each node.
     """
     n = order.shape[1]
     edge_nodes = np.diag(np.arange(n))

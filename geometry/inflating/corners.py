@@ -113,8 +113,8 @@ def _polygons(sides: IntArray, of: IntArray) -> IntArray:
     """Return the number of the polygon that has each corner, as (n, k); polygons with the same sides are one polygon.
 
     Args:
-        sides: (n, k, 2) numbers of the two lines of nodes from each corner to its neighbours, for n corners at the k
-            vertices of their junctions.
+        sides: (n, k, 2) numbers of the two lines of nodes from each corner to its neighbours. There are n rows of
+            corners, at the k vertices of their junctions.
         of: (n,) number of the junction of each row.
     """
     k, count = sides.shape[1], np.bincount(of)

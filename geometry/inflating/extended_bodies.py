@@ -25,14 +25,14 @@ def face_motion(joint: Joint, copies: NodeCopies, depths: tuple[FloatArray, Floa
     """Return the motion of the nodes between bodies and layers: how far each copy of a node of S moves into its body.
 
     The motion d of a copy is the shortest vector with n . d = g at each facet of S around it. There n is the unit
-    normal of S that points into the body, and g is the thickness that the body gives up. If the facets are too many for
-    an exact solution, d is that of least squares. Where S ends, d is tangential to the outer faces of the body.
+    normal of S that points into the body, and g is the thickness that the body gives up. If no d is exact at all
+    facets, it is that of least squares. Where S ends, d is tangential to the outer faces of the body.
 
     Args:
         joint: the joint as drawn, before S is opened.
         copies: copies of its nodes, one on each body.
-        depths: values of g for the bodies below S and for those above S, each (n_S, k) at the k nodes of each facet of
-            S, lengths.
+        depths: values of g for the bodies below S, and for those above S. Each array is (n_S, k) at the k nodes of each
+            facet of S, lengths.
 
     Returns:
         (n,) numbers of the copies that are on bodies, not on a rigid base, and (n, d) their motion in d dimensions,

@@ -109,12 +109,12 @@ def _halved(quads: IntArray, is_reversed: BoolArray) -> IntArray:
 def _extruded(triangles: IntArray) -> IntArray:
     """Return the cells of blocks from the triangles of their cross sections.
 
-    In 2D, k = 1, the cells are the triangles. In 3D, k = 2, the prism between a triangle at the first vertex and one at
-    the second is split into three tetrahedra.
+    In 2D, k = 1, the cells are the triangles. In 3D, k = 2, a junction is an edge, and a block has the same triangles
+    at its two ends. Each prism between them is split into three tetrahedra.
 
     Args:
-        triangles: (n, k, m, 3) numbers of the vertices of the m triangles of each of n blocks, at each of the k
-            vertices of its junction.
+        triangles: (n, k, m, 3) numbers of the vertices of m triangles for each of n blocks at each of k vertices of its
+            junction.
 
     Returns:
         (n, m, 3) in 2D, (n, 3 m, 4) in 3D: numbers of the vertices of the cells of each block.

@@ -232,7 +232,7 @@ class Fibre(Shape):
 
     @property
     def lengths(self) -> dict[str, float]:
-        """Name of a length in messages -> length: the fibre's radius, and the radius, or width and height, of the matrix."""
+        """Name of a length in messages -> length: radius of the fibre, and radius or width and height of the matrix."""
         names = ("radius of the matrix",) if self.is_round else ("width", "height")
         return {"radius": self.radius} | dict(zip(names, self.around, strict=True))
 
