@@ -35,15 +35,16 @@ def block(
         h_ends: cell size, a length, at the ends of S, in 3D at the edges of S (default: h_S).
         cell: "triangle" (default) or "quadrilateral", in 3D "tetrahedron" (default) or "hexahedron"; quadrilaterals and
             hexahedra are always structured.
-        structured: whether triangles or tetrahedra come from a grid, whose cells they divide (default: no). The sizes
-            of a grid's cells vary along each axis independently.
+        structured: whether triangles or tetrahedra are parts of the rectangles or boxes of a grid (default: no). The
+            sizes of these vary along each axis independently.
         arrangement: which diagonals halve the grid's rectangles in the x-y plane: "Right" (default, from lower left to
-            upper right), "Left" (from upper left to lower right), or both in turn. Then "AlternateLeft" begins with
-            "Right" in the lower left corner, "AlternateRight" with "Left".
+            upper right), "Left" (from upper left to lower right), "AlternateLeft" (both in turn, "Right" in the lower
+            left corner) or "AlternateRight" (both in turn, "Left" in the lower left corner).
         comm: communicator whose rank 0 runs gmsh (default: MPI.COMM_WORLD).
 
     Returns:
-        Region "BODY"; facets "S", "TOP", "LEFT", "RIGHT", in 3D "BACK" (z = 0) and "FRONT" (z = depth) too.
+        A joint with the region "BODY" and the facet sets "S", "TOP", "LEFT", "RIGHT", in 3D also "BACK" (z = 0) and
+        "FRONT" (z = depth).
 
     Raises:
         InputError: a size is not positive, a keyword, cell type or arrangement is unknown, a cell type is not one of
@@ -80,14 +81,15 @@ def sandwich(
         h_ends: cell size, a length, at the ends of S, in 3D at the edges of S (default: h_S).
         cell: "triangle" (default) or "quadrilateral", in 3D "tetrahedron" (default) or "hexahedron"; quadrilaterals and
             hexahedra are always structured.
-        structured: whether triangles or tetrahedra come from a grid, whose cells they divide (default: no).
+        structured: whether triangles or tetrahedra are parts of the rectangles or boxes of a grid (default: no).
         arrangement: which diagonals halve the grid's rectangles in the x-y plane: "Right" (default, from lower left to
-            upper right), "Left" (from upper left to lower right), or both in turn. Then "AlternateLeft" begins with
-            "Right" in the lower left corner, "AlternateRight" with "Left".
+            upper right), "Left" (from upper left to lower right), "AlternateLeft" (both in turn, "Right" in the lower
+            left corner) or "AlternateRight" (both in turn, "Left" in the lower left corner).
         comm: communicator whose rank 0 runs gmsh (default: MPI.COMM_WORLD).
 
     Returns:
-        Regions "LOWER", "UPPER"; facets "S", "BOTTOM", "TOP", "LEFT", "RIGHT", in 3D "BACK" and "FRONT" too.
+        A joint with the regions "LOWER", "UPPER" and the facet sets "S", "BOTTOM", "TOP", "LEFT", "RIGHT", in 3D also
+        "BACK" (z = 0) and "FRONT" (z = depth).
 
     Raises:
         InputError: a size is not positive, a keyword, cell type or arrangement is unknown, a cell type is not one of
@@ -131,8 +133,8 @@ def disc(
         comm: communicator whose rank 0 runs gmsh (default: MPI.COMM_WORLD).
 
     Returns:
-        Regions "LOWER", "UPPER"; facets "S", "BOTTOM", "TOP", "SIDE", with a hole "HOLE" too. Whatever h is, about 20
-        cells or more go round a circle.
+        A joint with the regions "LOWER", "UPPER" and the facet sets "S", "BOTTOM", "TOP", "SIDE", with a hole also
+        "HOLE". Whatever h is, about 20 cells or more go round a circle.
 
     Raises:
         InputError: a size is not positive, the hole does not fit, a keyword or cell type is unknown, the degree is not
@@ -164,8 +166,8 @@ def ring(
             circle).
         depth: size along z, a length > 0, which makes the rings three-dimensional (default: 2D).
         h_S: cell size at S, a length (default: h).
-        h_ends: cell size, a length, at the ends of S, in 3D at the curves that bound it (default: h_S); a full circle
-            has none.
+        h_ends: cell size, a length, at the ends of S, in 3D at the curves that bound it (default: h_S); in 2D a full
+            circle has none.
         cell: "triangle" (default) or "quadrilateral", in 3D "tetrahedron" (default) or "hexahedron"; quadrilaterals and
             hexahedra form a polar grid, whose cell sizes vary along the radius, along the circles and along z
             independently.
@@ -174,9 +176,9 @@ def ring(
         comm: communicator whose rank 0 runs gmsh (default: MPI.COMM_WORLD).
 
     Returns:
-        Regions "INNER" (the lower body), "OUTER" (the upper body); facets "S", "INSIDE" (r = inner), "OUTSIDE" (r =
-        outer). A sector also has "START" (on the x axis) and "END"; in 3D there are "BACK" (z = 0) and "FRONT" (z =
-        depth) too. Whatever h is, about 20 cells or more go round a circle.
+        A joint with the regions "INNER" (the lower body), "OUTER" (the upper body) and the facet sets "S", "INSIDE" (r
+        = inner), "OUTSIDE" (r = outer). A sector also has "START" (on the x axis) and "END"; in 3D there are also
+        "BACK" (z = 0) and "FRONT" (z = depth). Whatever h is, about 20 cells or more go round a circle.
 
     Raises:
         InputError: a size is not positive, the radii do not grow, or the angle is out of range; a keyword or cell type
@@ -212,8 +214,9 @@ def fibre(
         comm: communicator whose rank 0 runs gmsh (default: MPI.COMM_WORLD).
 
     Returns:
-        Regions "FIBRE" (the lower body), "MATRIX" (the upper body); facets "S", and "OUTSIDE" (round matrix) or
-        "BOTTOM", "TOP", "LEFT", "RIGHT" (rectangle). Whatever h is, about 20 cells or more go round S.
+        A joint with the regions "FIBRE" (the lower body), "MATRIX" (the upper body) and the facet sets "S", and
+        "OUTSIDE" (round matrix) or "BOTTOM", "TOP", "LEFT", "RIGHT" (rectangle). Whatever h is, about 20 cells or more
+        go round S.
 
     Raises:
         InputError: a size is not positive, the fibre has no room, a keyword or cell type is unknown; quadrilaterals are
@@ -241,12 +244,13 @@ def wall(
         comm: communicator whose rank 0 makes the mesh (default: MPI.COMM_WORLD).
 
     Returns:
-        Seams "BED" (mortar between courses, upper side above) and "HEAD" (mortar between bricks of a course, upper side
-        on the right), if there are any; regions "COURSE 1", "COURSE 2", ... from below; facets "BOTTOM", "TOP", "LEFT",
-        "RIGHT", in 3D "BACK" (z = 0) and "FRONT" too.
+        A joint with the seams "BED" (mortar between courses, upper side above) and "HEAD" (mortar between bricks of a
+        course, upper side on the right), as far as they exist. Its regions are "COURSE 1", "COURSE 2", ... from below.
+        Its outer facet sets are "BOTTOM", "TOP", "LEFT", "RIGHT", in 3D also "BACK" (z = 0) and "FRONT" (z = depth).
 
     Raises:
-        InputError: a size is not positive, a number is not whole, a cell type is not one of this dimension.
+        InputError: a size is not positive, bricks or courses is not a whole number >= 1, a cell type is not one of
+            this dimension.
 
     Example:
         >>> from geometry import wall
@@ -280,9 +284,10 @@ def bond_cell(
         comm: communicator whose rank 0 makes the mesh (default: MPI.COMM_WORLD).
 
     Returns:
-        Seams "BED" (mortar between courses, upper side above) and "HEAD" (mortar between bricks of a course, upper side
-        on the right); regions "COURSE 1" (one part at the bottom, the other at the top) and "COURSE 2"; facets
-        "BOTTOM", "TOP", "LEFT", "RIGHT", in 3D "BACK" (z = 0) and "FRONT" too.
+        A joint with the seams "BED" (mortar between courses, upper side above) and "HEAD" (mortar between bricks of a
+        course, upper side on the right). Its regions are "COURSE 1" (one part at the bottom, the other at the top) and
+        "COURSE 2". Its outer facet sets are "BOTTOM", "TOP", "LEFT", "RIGHT", in 3D also "BACK" (z = 0) and "FRONT"
+        (z = depth).
 
     Raises:
         InputError: a size is not positive, a cell type is not one of this dimension, the cut is along a layer
@@ -324,8 +329,8 @@ def grains(
         comm: communicator whose rank 0 runs gmsh (default: MPI.COMM_WORLD).
 
     Returns:
-        Triangles; regions "GRAIN 1", "GRAIN 2", ... in the order of the points; the grain with the larger number is on
-        the upper side; facets "BOTTOM", "TOP", "LEFT", "RIGHT".
+        A joint of triangles with the regions "GRAIN 1", "GRAIN 2", ... in the order of the points. The grain with the
+        larger number is on the upper side of S. The outer facet sets are "BOTTOM", "TOP", "LEFT", "RIGHT".
 
     Raises:
         InputError: a size or number is out of range; points lie outside, or two points coincide; a seam has the name of
@@ -359,9 +364,9 @@ def faults(
         comm: communicator whose rank 0 runs gmsh (default: MPI.COMM_WORLD).
 
     Returns:
-        Triangles; a seam for each fault, its upper side on the left, seen from its first to its last point; regions
-        "BLOCK 1", "BLOCK 2", ..., the parts between faults, numbered by their centroids from left to right, then
-        upwards; facets "BOTTOM", "TOP", "LEFT", "RIGHT".
+        A joint of triangles with a seam for each fault. The upper side of a fault is on the left, seen from its first
+        to its last point. The regions "BLOCK 1", "BLOCK 2", ... are the parts between faults, numbered by their
+        centroids from left to right, then upwards. The outer facet sets are "BOTTOM", "TOP", "LEFT", "RIGHT".
 
     Raises:
         InputError: a size is out of range; a fault has fewer than two points, turns back, lies outside, on another

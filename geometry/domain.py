@@ -36,11 +36,11 @@ NAMES_PER_CODE = 30  # number of names after which combinations are renumbered, 
 def first_accepted(*calls: Callable[[], ResultType]) -> ResultType:
     """Call functions in turn until one does not raise TypeError, and return its result.
 
-    Calls of one task are written for different releases of DOLFINx: a release rejects arguments that it does not have
-    before it does any work. Errors of the last call are raised.
+    Each function does the same task with the arguments of another release of DOLFINx. A release rejects unknown
+    arguments with a TypeError before it does any work. Errors of the last function are raised.
 
     Args:
-        calls: functions without arguments, in the order in which they are tried.
+        calls: functions without arguments, in the order in which they are called.
     """
     for call in calls[:-1]:
         with suppress(TypeError):
@@ -119,7 +119,7 @@ def index_map(comm: MPI.Intracomm, n: int, ghosts: IntArray, owners: Indices) ->
 
 
 def create_connectivity(mesh: dolfinx.mesh.Mesh, dim: int) -> None:
-    """Compute the connectivity from this rank's cells to their entities of dimension `dim`, and back."""
+    """Compute which entities of dimension `dim` this rank's cells have, and which cells these entities have."""
     mesh.topology.create_connectivity(dim, mesh.topology.dim)
     mesh.topology.create_connectivity(mesh.topology.dim, dim)
 
@@ -259,7 +259,7 @@ class Domain:
         return tuple(self.joint.regions.index(name) + 1 for name in regions)
 
     def values(self, name: str, *, layer_sides: bool = False) -> tuple[int, ...]:
-        """Return the values in `facet_tags` whose facets belong to a facet set.
+        """Return all values that `facet_tags` has on the facets of a facet set.
 
         Args:
             name: name of a facet set NAME, or "NAME/REGION" or "NAME/LAYER" for the parts that `Domain` describes.
@@ -303,7 +303,7 @@ class Domain:
         meshed layer. Vertices that a periodic cell identifies with any of these are included.
 
         Args:
-            original: number of the vertex in `joint.points`, or of any other that comes from the same vertex as drawn.
+            original: number in `joint.points` of one of these vertices.
         """
         joint, topology = self.joint, self.mesh.topology
         copies = np.flatnonzero(np.all(joint.reference == joint.reference[original], axis=1))
@@ -318,7 +318,7 @@ class Domain:
 def _local_facets(
     joint: Joint, mesh: dolfinx.mesh.Mesh, original: IntArray, rows: IntArray
 ) -> tuple[Indices, IntArray]:
-    """Return those of the given facets of the joint that this rank has, ghosts included, by their local numbers.
+    """Return which of the given facets of the joint this rank has, ghosts included, and their local numbers.
 
     The vertices and facets of a cell have the same order in the mesh and in the joint.
 

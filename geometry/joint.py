@@ -1,4 +1,4 @@
-"""Joint: mesh of bodies that meet on a surface S, or stand on a rigid base there, as NumPy arrays with names."""
+"""The class `Joint`: mesh of bodies that meet on a surface S, or stand there on a rigid base, as named NumPy arrays."""
 
 from __future__ import annotations
 
@@ -198,7 +198,7 @@ class Joint:
 
     @property
     def cell_points(self) -> FloatArray:
-        """(n_cells, k, d) coordinates of the k nodes of each cell in d dimensions: `parted` if given, else from `points`."""
+        """(n_cells, k, d) coordinates of the k nodes of each cell in d dimensions; `parted` if it is given."""
         return self.points[self.cells] if self.parted is None else self.parted
 
     @property
@@ -305,9 +305,10 @@ class Joint:
         return self.split_along(self.surface_rows)
 
     def components_at(self, cells: IntArray, nodes: IntArray, cut: Splitting | None = None) -> IntArray:
-        """Return the component that contains each given cell, among the cells around each of its given nodes.
+        """Return which component of the cells around each given node contains the given cell at this node.
 
-        Cells around a node on a cut form components: groups of cells that are connected by uncut facets at the node.
+        Components are groups of cells around a node that are connected there by uncut facets. At a node that is not on
+        a cut there is one.
 
         Args:
             cells: (n,) numbers of cells; a number < 0 stands for no cell.
@@ -418,7 +419,7 @@ class Joint:
 
     @cached_property
     def node_normals(self) -> FloatArray:
-        """(n_S, k, d) unit normals of S, from the lower to the upper side, at the k nodes of each facet in d dimensions."""
+        """(n_S, k, d) unit normals of S in d dimensions, towards its upper side, at the k nodes of each facet."""
         above = self.surface_cells[:, 1]
         normals = facet_normals(self.points, self.surface, self.cell_type)
         upwards = self.points[self.corners[above]].mean(axis=1) - self.points[self.surface].mean(axis=1)

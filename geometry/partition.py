@@ -17,13 +17,14 @@ Partitioner = Callable[..., dolfinx.cpp.graph.AdjacencyList_int32]
 
 
 def bisected(x: FloatArray, parts: int) -> Indices:
-    """Return (n,) the group of each of n places, after the places are halved repeatedly across their longest extent.
-
-    Groups have equal numbers of places, as far as possible.
+    """Divide places into groups of nearly equal size by repeated cuts across their longest extent.
 
     Args:
-        x: (n, d) coordinates in d dimensions, in any unit, as only their order and ratios matter.
-        parts: number of groups; they are numbered from 0.
+        x: (n, d) coordinates of n places in d dimensions, in any unit.
+        parts: number of groups, which are numbered from 0.
+
+    Returns:
+        (n,) number of the group of each place.
     """
     part = np.zeros(len(x), np.int32)
     pending: list[tuple[IntArray, int, int]] = [(np.arange(len(x)), 0, parts)]

@@ -45,7 +45,7 @@ class FacetName(NamedTuple):
 
     @property
     def continued(self) -> str:
-        """Name of the set that this set continues on a layer's side, NAME for "NAME/LAYER"; else this name, as text."""
+        """NAME if this is "NAME/LAYER", the facets of a layer that continue the set NAME; else this name, as text."""
         return self.whole if self.region == LAYER else str(self)
 
 

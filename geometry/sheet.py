@@ -86,11 +86,11 @@ class Rim:
 
 
 def continued_ridges(joint: Joint, facets: IntArray) -> IntArray:
-    """Return the ridges at the ends of S where a facet set, once the layer is meshed, is continued on the layer's side.
+    """Return the ridges at the ends of S from which a facet set of the bodies continues on a meshed layer's side.
 
-    A ridge is a vertex of S in 2D, an edge of S in 3D. The set is continued where all outer facets at the ridge are in
-    it: those of both bodies, or on a rigid base of the only body. A set with facets of only one of two bodies ends at
-    S. Where several layers end at one ridge, the facets of all bodies there must be in the set.
+    A ridge is a vertex of S in 2D, an edge of S in 3D. The set continues if all outer facets at the ridge are in it:
+    those of both bodies, or on a rigid base of the only body. A set with facets of only one of two bodies ends at S.
+    Where several layers end at one ridge, the facets of all bodies there must be in the set.
 
     Args:
         joint: the joint, in which S is a surface.
@@ -300,7 +300,9 @@ class StraightEnd(NamedTuple):
         return np.asarray((np.abs(self.distance(x)) <= (self.level[1] - self.level[0]) / 2) & self._is_beside(x))
 
     def adjoins(self, x: FloatArray) -> BoolArray:
-        """Return (n,) whether each of n places of S lies on the end or in front of it, as `is_in_front` says.
+        """Return (n,) whether each of n places of S lies on the end, or in the strip that leads from the end into S.
+
+        `is_in_front` describes this strip.
 
         Args:
             x: (n, d) coordinates of the places in d dimensions, lengths.

@@ -186,7 +186,7 @@ class FacetTable:
 
         Args:
             rows: (n,) row numbers of the facets in this table.
-            cells: (n_cells, k) numbers of the k nodes of all cells of the mesh.
+            cells: (n_cells, k) numbers of the k nodes of all cells of the mesh, in DOLFINx's order.
             cell_type: type of the cells.
         """
         local = local_facets(cell_type, geometry_degree(cell_type, cells.shape[1]))[self.local[rows, 0]]
@@ -247,7 +247,7 @@ def ridges(facets: IntArray, cell_type: str) -> tuple[IntArray, IntArray]:
 
 
 def ridge_keys(rows: IntArray) -> IntArray:
-    """Return (n,) an integer key for each ridge, which is the same for ridges with the same vertices only.
+    """Return (n,) an integer key for each ridge; keys are equal only for ridges with the same vertices.
 
     Args:
         rows: (n, 1) vertex in 2D, or (n, 2) vertices in 3D, in any order, of each ridge.
@@ -368,8 +368,8 @@ class Splitting:
         """Return (n_cells, m) number of the component, around each of a cell's m entities, that contains the cell.
 
         A component is a group of cells around the entity that uncut facets there connect. Components of each entity are
-        numbered from 0, in the order of their cells with the lowest number. All cells around an entity that is not
-        divided have 0.
+        numbered from 0, in the order of the lowest cell number in each. All cells around an entity that is not divided
+        have 0.
 
         Args:
             dim: dimension of the entities, such as 1 for edges.
@@ -406,7 +406,8 @@ class Splitting:
     def of_nodes(self) -> Indices:
         """(n_cells, k) number of the component, around each of a cell's k nodes, that contains the cell.
 
-        A component is a group of cells around the node that uncut facets there connect. The first has number 0.
+        A component is a group of cells around the node that uncut facets there connect. Components of each node are
+        numbered from 0.
         """
         dofs = lagrange(self.cell_type, geometry_degree(self.cell_type, self.cells.shape[1])).entity_dofs
         components = np.zeros(self.cells.shape, np.int32)
@@ -421,7 +422,8 @@ class Splitting:
     def of_vertices(self) -> Indices:
         """(n_cells, k) number of the component, around each of a cell's k vertices, that contains the cell.
 
-        A component is a group of cells around the vertex that uncut facets there connect. The first has number 0.
+        A component is a group of cells around the vertex that uncut facets there connect. Components of each vertex are
+        numbered from 0.
         """
         return self.of_nodes[:, : self._corners.shape[1]]
 
@@ -429,7 +431,7 @@ class Splitting:
     def pieces(self) -> IntArray:
         """(n_cells,) number of the connected piece of the cut mesh that contains each cell.
 
-        Pieces are numbered from 0, in the order of their cells with the lowest number.
+        Pieces are numbered from 0, in the order of the lowest cell number in each.
         """
         corners, split = self._corners.astype(np.int32), self.of_vertices
         where = np.nonzero(split)  # copies of vertices follow after the last one

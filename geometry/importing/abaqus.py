@@ -29,8 +29,8 @@ UNSUPPORTED_KEYWORDS = "SYSTEM", "INSTANCE", "NGEN", "NFILL", "NCOPY", "NMAP", "
 def load(path: Path) -> meshio.Mesh:
     """Return the mesh in an Abaqus .inp file and in the files that it includes.
 
-    The file must describe one part; an instance may not move it. Blocks of one element set are joined. Sets of nodes,
-    surfaces, and sets with the option INTERNAL are left out.
+    The file must describe one part, and an *INSTANCE may not move it. Blocks of one element set are joined. Sets of
+    nodes, surfaces, and sets with the option INTERNAL are left out.
 
     Args:
         path: the .inp file.
@@ -83,8 +83,8 @@ def load(path: Path) -> meshio.Mesh:
 def _blocks(path: Path) -> Iterator[tuple[str, dict[str, str], list[list[str]], str]]:
     """Yield the blocks of the .inp file `path`, also of files that it includes; a block is a keyword with its data.
 
-    Each is yielded as its keyword in capitals, {option: value}, the data lines split at commas, and its line and file
-    as text.
+    A block is yielded as (keyword in capitals, {option: value}, rows of data, place). Each row is a list of the texts
+    between commas. The place is the line and the file, for messages.
     """
     text = re.sub(r"(?m)^[ \t]*\*\*.*", "", path.read_text("utf-8-sig", "replace"))
     preamble, *blocks = re.split(r"(?m)^[ \t]*\*", text)

@@ -138,8 +138,8 @@ class SeamSides(NamedTuple):
     """Choice of the facets of S and of the upper side of each seam, from the arguments of `read`.
 
     Attributes:
-        S: name of the facet set of a single seam; None: all facets between its lower and upper regions, or several
-            seams.
+        S: name of the facet set of a single seam; None: the single seam is all facets between its lower and upper
+            regions, or there are several `seams`.
         default_seam: upper side of a single seam, as far as the user has specified it.
         seams: name -> upper side of each of several seams; {}: a single seam, which `S` and `default_seam` describe.
     """
@@ -313,7 +313,7 @@ class NamedGroups(NamedTuple):
         return table.cells[rows[rows >= 0]]
 
     def regions_at(self, cells: IntArray) -> list[str]:
-        """Return the names of the regions that contain at least one of some cells.
+        """Return the names of all regions to which at least one of the given cells belongs.
 
         Args:
             cells: numbers of the cells; -1 stands for no cell.
@@ -356,7 +356,7 @@ def _require_conforming(joint: Joint) -> None:
 
 
 def _hanging_nodes(points: FloatArray, facets: IntArray) -> IntArray:
-    """Return the ascending numbers of the nodes that lie on a facet of the outer boundary without being its vertices.
+    """Return the numbers, ascending, of the nodes that lie on a facet of the outer boundary but are no vertex of it.
 
     Args:
         points: (n_points, d) coordinates of the nodes in d dimensions.

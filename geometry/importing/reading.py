@@ -68,7 +68,7 @@ def read(
         S: name of the group of facets that becomes the seam "S" (default: the group named "S"); None for all facets
             between the regions `lower` and `upper`. For several seams, the names of their groups, which keep these
             names, or {name: upper side}. The upper side is a vector that points there, or (lower, upper) with names of
-            regions. None: it is in the region that comes later in `Joint.regions`.
+            regions. None: the upper side is in the region that comes later in `Joint.regions`.
         upper: name or names of the regions above a single S. It may be left out only if S is on the outer boundary
             (default: all regions) or `direction` is given (default: the regions `lower`, or if they are not given,
             all).

@@ -1,1 +1,1 @@
-"""Meshed layers: S is opened to bands of cells with the layers' thickness, and the bodies move apart."""
+"""Meshed layers: S is opened to the layers' thickness, layers get cells, and bodies move apart or give way."""

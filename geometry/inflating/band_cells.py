@@ -27,8 +27,8 @@ class NodeCopies(NamedTuple):
 
     Attributes:
         cells: (n_cells, k) numbers of the k nodes of each of the bodies' cells, with copies in place of nodes of S.
-        below, above: (n_S, k) numbers of the copies, on its lower and on its upper side, of the k nodes of each facet
-            of S.
+        below, above: (n_S, k) numbers of the copies of the k nodes of each facet of S, on its lower and on its upper
+            side.
         new: (n,) for each of the n copies with new numbers, in their order, the node of S that it copies.
         base: (n,) whether each of these n copies is on a rigid base.
     """
@@ -74,11 +74,11 @@ class NodeCopies(NamedTuple):
 class NodeLines:
     """Lines of nodes through the thickness of layers: each leads from one copy of a node of S to another copy.
 
-    The nodes of a line are numbered by levels, from 0 at the first copy to the last level at the other copy. Layers
-    with cells of degree 2 also have a level in the middle of each cell.
+    The nodes of a line are counted by levels, from 0 at the first copy to the last level at the other copy. Layers with
+    cells of degree 2 also have a level in the middle of each cell.
 
     Attributes:
-        first_new: number of the first node that is inside a line and so no copy; all copies have smaller numbers.
+        first_new: number of the first node inside a line; the copies at the ends of lines have smaller numbers.
         ends: (n, 2) numbers of the first and of the other copy of each line.
         nodes: (n,) the node of S that both are copies of.
         seam_no: (n,) position in `Joint.seams` of the seam of each line.
@@ -166,6 +166,9 @@ def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) 
         copies: copies of its nodes, one on each body.
         heights: for each seam the heights of the levels of nodes, as fractions of the thickness from 0 to 1.
 
+    Returns:
+        All lines of nodes, and the lines at the nodes of each facet of S.
+
     Raises:
         InputError: one body is on both sides of S at a vertex; two seams share a line but their levels differ; the
             upper side changes along a seam, in 3D or with levels that are not symmetric.
@@ -224,7 +227,7 @@ def band_cells(
 
     Returns:
         (n, k) numbers of the k nodes of each of the n cells; (n,) number of its sublayer, from 0; and (n, m, d) unit
-        normal of S in d dimensions below or above each of the m vertices of each cell.
+        normals of S in d dimensions, at the nodes of S to whose lines the m vertices of each cell belong.
     """
     surface, normals, degree = joint.surface[rows], joint.node_normals[rows], joint.degree
     if is_tensor(joint.cell_type):
@@ -277,7 +280,7 @@ def _simplex_pattern(cell_type: str, degree: int, order: IntArray) -> list[Patte
     Args:
         cell_type: "triangle" or "tetrahedron".
         degree: degree of the cells' geometry.
-        order: (n_S, d) positions of each facet's vertices, in the order of their numbers.
+        order: (n_S, d) positions, in the facet, of its d vertices sorted by their numbers.
 
     Returns:
         A pair for each simplex. First (n_S, k): for each of its k nodes the position, in the facet, of the facet's node

@@ -30,7 +30,7 @@ class JunctionCorners(NamedTuple):
     Attributes:
         copies: (n, k) number of the body's copy of each vertex; the vertices of a junction are in ascending order.
         sides: (n, k, 2) numbers of the two lines of nodes that lead from each corner to its neighbours in the polygon.
-        polygons: (n, k) number of the polygon that has each corner.
+        polygons: (n, k) number of the polygon to which each corner belongs.
         of: (n,) number of the junction of each row.
     """
 
@@ -41,15 +41,18 @@ class JunctionCorners(NamedTuple):
 
 
 def junction_corners(joint: Joint, lines: NodeLines, footing: FacetLines) -> tuple[NodeLines, JunctionCorners | None]:
-    """Return the corners of all junctions, and all lines of nodes, now with those that close polygons.
+    """Return the corners of all junctions, and add the lines of nodes that close their polygons.
 
-    Lines are added only where a junction is on the outer boundary. Without junctions the corners are None.
+    Lines are added only where a junction is on the outer boundary.
 
     Args:
         joint: the joint as drawn, before S is opened.
         lines: all lines of nodes through the thickness, at the nodes of S. All lines at junctions have the same number
             of levels.
         footing: the lines at the nodes of each facet of S.
+
+    Returns:
+        The given lines of nodes, followed by those that are added; and the corners, None if there are no junctions.
 
     Raises:
         InputError: layers meet at a vertex or edge, but the bodies between them touch only there; in 3D, edges where
@@ -110,7 +113,7 @@ def _junction_lines(joint: Joint, lines: NodeLines, footing: FacetLines) -> tupl
 
 
 def _polygons(sides: IntArray, of: IntArray) -> IntArray:
-    """Return the number of the polygon that has each corner, as (n, k); polygons with the same sides are one polygon.
+    """Return (n, k) the number of the polygon to which each corner belongs; polygons with the same sides are one.
 
     Args:
         sides: (n, k, 2) numbers of the two lines of nodes from each corner to its neighbours. There are n rows of

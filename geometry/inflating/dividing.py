@@ -43,12 +43,14 @@ class RefinedLayers(NamedTuple):
 
 
 def refined_towards_ends(layers: Joint, distance: FloatArray, size: float) -> RefinedLayers:
-    """Return layers with smaller cells at their ends: edges there are halved until they are no longer than `size`.
+    """Return layers with smaller cells at their ends, which are parts of the given cells.
+
+    Edges that begin at an end are halved until they reach no farther than `size` from it.
 
     Args:
         layers: meshed layers without bodies.
         distance: (n_points,) distance along S of each point from the nearest end, a length; 0 at ends.
-        size: largest distance from the end that an edge which begins there may reach, a length > 0.
+        size: this largest distance from the end, a length > 0.
     """
     kind = layers.cell_type
     local = np.array(basix.topology(basix.CellType[kind])[1])  # vertices of edges; parallel edges have one order
@@ -85,9 +87,9 @@ def _conforming_edges(kind: str, edges: IntArray, far: FloatArray, to_halve: Boo
     Args:
         kind: type of the cells.
         edges: (n, k) numbers, from 0 to m - 1, of the k edges of each cell.
-        far: (m,) distance from the layer's end of that vertex of each edge which is farther from it, lengths. In
-            simplices edges with larger distances come first.
-        to_halve: (m,) whether each edge must be halved.
+        far: (m,) distance from the layer's end to the farther vertex of each edge, lengths. In simplices edges with
+            larger distances come first.
+        to_halve: (m,) whether each edge must be halved, now or later.
 
     Returns:
         (m,) whether each edge is halved in this pass.

@@ -26,7 +26,7 @@ def face_motion(joint: Joint, copies: NodeCopies, depths: tuple[FloatArray, Floa
 
     The motion d of a copy is the shortest vector with n . d = g at each facet of S around it. There n is the unit
     normal of S that points into the body, and g is the thickness that the body gives up. If no d is exact at all
-    facets, it is that of least squares. Where S ends, d is tangential to the outer faces of the body.
+    facets, it is that of least squares. Where S ends, d is tangential to the outer boundary of the body.
 
     Args:
         joint: the joint as drawn, before S is opened.
@@ -39,7 +39,7 @@ def face_motion(joint: Joint, copies: NodeCopies, depths: tuple[FloatArray, Floa
         lengths.
 
     Raises:
-        InputError: S is folded; an outer face touches S nearly parallel to it; layers of different thickness meet
+        InputError: S is folded; the outer boundary meets S nearly parallel to it; layers of different thickness meet
             nearly in line.
     """
     upper, has_lower = joint.node_normals, joint.surface_cells[:, 0] >= 0
@@ -81,12 +81,12 @@ def face_motion(joint: Joint, copies: NodeCopies, depths: tuple[FloatArray, Floa
 def _outer_moments(joint: Joint, cells: IntArray) -> tuple[FloatArray, IntArray]:
     """Return for each node the sum of m m^T, where m are the unit normals of the outer facets with this node.
 
-    Facets of S are not counted as outer facets.
+    Outer facets are those on the outer boundary, except facets of S.
 
     Args:
         joint: the joint as drawn, before S is opened.
-        cells: (n_cells, k) numbers of the k nodes of its cells. If bodies have copies of nodes, each copy counts the
-            facets of its own body.
+        cells: (n_cells, k) numbers of the k nodes of its cells. If bodies have their own copies of nodes, the sum at a
+            copy is over the facets of its body.
 
     Returns:
         (n_nodes, d, d) the sums, in d dimensions, and (n_nodes,) the numbers of their terms.
@@ -102,7 +102,7 @@ def extended_motion(
 ) -> FloatArray:
     """Return the motion (n_nodes, d) of all nodes of the bodies, if nodes between bodies and layers move as prescribed.
 
-    The other nodes follow by a discrete harmonic motion, and slide along flat outer faces.
+    The other nodes follow by a discrete harmonic motion, and slide along flat parts of the outer boundary.
 
     Args:
         joint: the joint as drawn, before S is opened, in d dimensions.

@@ -86,13 +86,14 @@ def junction_cells(
 def _halved(quads: IntArray, is_reversed: BoolArray) -> IntArray:
     """Return triangles that halve the quadrilaterals of blocks, each along its diagonal from the corner to the centre.
 
-    In a triangle the vertices have such an order that two triangles with a common edge have its ends in the same order.
-    Along lines of nodes this is the order of levels.
+    If two triangles share an edge, its two ends have the same order in both. Along lines of nodes this is the order of
+    levels.
 
     Args:
         quads: (n, k, m, 4) vertices of the m quadrilaterals of each of n blocks at each of the k vertices of its
             junction.
-        is_reversed: (n, 2) whether the two lines of nodes at sides of each block lead towards its corner.
+        is_reversed: (n, 2) whether the lines of nodes at the two sides of each block that meet in its corner lead
+            towards the corner.
 
     Returns:
         (n, k, 2 m, 3) numbers of the vertices of the triangles.

@@ -51,7 +51,7 @@ def inflate(
             S. A body on a rigid base stays in place, and the layer lies below it. The thickness must be uniform, and S
             must allow such a motion; planar seams of running bonds, crossings and stacks do. "extended": the outer
             shape of the whole is kept. Each body gives up half of the thickness, on a rigid base all of it. The other
-            nodes of the body follow by a harmonic motion and slide along its outer faces.
+            nodes of the body follow by a harmonic motion and slide along its outer boundary.
         junctions: names of seams in the order of priority for the cells of junctions, where layers meet; other seams
             follow in the joint's order. A junction's cells belong to the first seam in this order that ends there and
             is no gap.
@@ -71,8 +71,8 @@ def inflate(
     Raises:
         InputError: a size, cells_through or fractions are out of range; S reaches a periodic side, ends inside the
             bodies or is folded; all seams are gaps. With "kept": the thickness varies, or bodies cannot move apart in
-            one piece. With "extended": an outer face touches S nearly parallel to it, or layers of different thickness
-            meet nearly in line. Cells turn inside out, or layers overlap the bodies. A junction has sublayers, a
+            one piece. With "extended": the outer boundary meets S nearly parallel to it, or layers of different
+            thickness meet nearly in line. Cells turn inside out, or layers overlap the bodies. A junction has sublayers, a
             varying thickness, curved cells or an odd number of cells; in 3D junctions meet at a vertex. Bodies touch
             only at a vertex or along an edge.
     """
@@ -291,13 +291,12 @@ def with_gaps(joint: Joint, eps: Sizes, *, profile: Profiles = None) -> Joint:
 
 
 def points_on_middle(joint: Joint) -> FloatArray:
-    """Return the points (n_points, d) of a joint, in which those on S are midway between bodies that moved apart.
+    """Return (n_points, d) coordinates of a joint's points, with those on S midway between bodies that moved apart.
 
-    Other points are those of `joint.points`, and so are all if bodies have not moved apart. Seams of the joint must not
-    meet.
+    All other points are at `joint.points`. If bodies have not moved apart, so are those on S.
 
     Args:
-        joint: the joint, in d dimensions.
+        joint: the joint, in d dimensions; its seams must not meet.
     """
     if joint.parted is None:
         return joint.points
@@ -307,7 +306,7 @@ def points_on_middle(joint: Joint) -> FloatArray:
 
 
 def offset_to_middle(joint: Joint) -> FloatArray:
-    """Return for the nodes of each cell the vector from nodes on S to the middle between bodies that moved apart.
+    """Return the vectors from the nodes on S, in each cell, to the middle between bodies that moved apart.
 
     Args:
         joint: the joint, such as that of `with_gaps`, in d dimensions.

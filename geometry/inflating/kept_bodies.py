@@ -25,11 +25,13 @@ RAY_OFFSETS = np.array([1.0, 1.3, 1.7, 2.3])
 
 
 def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
-    """Return the translations of the pieces into which S cuts the joint that open S by the thickness of each layer.
+    """Return the translations of the bodies that open S by the thickness of each layer.
+
+    Each piece into which S cuts the joint has one translation.
 
     Of all such translations, they are those with the least jumps along S. Bodies on a rigid base do not move: there the
-    base moves. Elsewhere the mean of both sides of S does not move. If S is a shallow arc, the mean thickness is the
-    given one, and a RangeWarning tells the least and the largest.
+    base moves. Among bodies without a base, the mean over S of both sides does not move. If S is a shallow arc, the
+    mean thickness is the given one, and a RangeWarning gives the least and the largest.
 
     Args:
         joint: the joint as drawn, before S is opened.

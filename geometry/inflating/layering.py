@@ -49,7 +49,12 @@ def value_by_seam(
 
 
 def check_layering(n_cells: int, bodies: str) -> None:
-    """Raise InputError unless `n_cells`, through the thickness, is at least 1 and `bodies` is "kept" or "extended"."""
+    """Raise InputError unless the arguments `n_cells` (`cells_through`) and `bodies` of `inflate` are allowed.
+
+    Args:
+        n_cells: number of cells through the thickness, a whole number >= 1.
+        bodies: "kept" or "extended".
+    """
     require_known("way to make room for the layer (bodies=...)", bodies, BODY_CHOICES)
     require(is_integer(n_cells, 1), "cells_through", n_cells, "the layer needs a whole number >= 1 of cells")
 
@@ -157,8 +162,8 @@ def moved_facets(
         layers: checked arguments for the layers.
         cells: (n, m) numbers of the m vertices of each of the layers' cells, those of junctions last.
         n_bands: number of the layers' cells that are not in junctions.
-        foot: (n_nodes,) for each node of the joint with layers a node of the joint as drawn: the one on S at which it
-            lies in a layer or is a copy, else the node itself.
+        foot: (n_nodes,) for each node of the joint with layers the node of the joint as drawn that it comes from. For
+            copies and for nodes inside layers this is a node of S.
 
     Returns:
         Name of a set -> (n, k) numbers of the k vertices of each of its n facets; and the names of the sets of facets

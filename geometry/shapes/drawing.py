@@ -146,7 +146,7 @@ class Shape(ABC):
         return self.scaled(10.0**-digits)._build(10.0**digits)
 
     def _build(self, unit: float) -> Joint:
-        """Draw and mesh the shape in its own units; return the joint with all coordinates multiplied by `unit`."""
+        """Return the joint of this shape, drawn and meshed as it is, with all coordinates then multiplied by `unit`."""
         gmsh.initialize(interruptible=False)
         try:
             gmsh.option.setNumber("General.Terminal", 0)
