@@ -317,8 +317,8 @@ def grains(
         width, height: size, lengths > 0.
         grains: points (x, y) in the rectangle, one for each grain, or the number of grains, at least 2. A grain
             consists of all places nearest to its point. From a number, points are chosen at random and moved to the
-            centroids of their grains three times. In at most 100 further steps, sides of grains are lengthened to 0.12
-            times the square root of the mean area of a grain.
+            centroids of their grains three times. In at most 100 further steps, sides of grains shorter than 0.12 times
+            the square root of the mean area of a grain are lengthened.
         h: largest cell size, a length (default: a tenth of the square root of the mean area of a grain). Grains do not
             depend on it.
         seed: whole number >= 0 for the random points; the same seed gives the same grains.

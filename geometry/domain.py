@@ -119,7 +119,7 @@ def index_map(comm: MPI.Intracomm, n: int, ghosts: IntArray, owners: Indices) ->
 
 
 def create_connectivity(mesh: dolfinx.mesh.Mesh, dim: int) -> None:
-    """Compute which entities of dimension `dim` this rank's cells have, and which cells these entities have."""
+    """Compute and store in `mesh` which entities of dimension `dim` its local cells have, and the inverse relation."""
     mesh.topology.create_connectivity(dim, mesh.topology.dim)
     mesh.topology.create_connectivity(mesh.topology.dim, dim)
 

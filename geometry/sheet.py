@@ -196,7 +196,7 @@ class Sheet:
     def tip(self) -> FloatArray | None:
         """(d,) coordinates of one place where the seam ends inside the bodies; None if there is none.
 
-        Where another seam continues this seam, it does not end.
+        The seam does not end where another seam continues it.
         """
         joint = self.joint
         seam_ridges, _ = ridges(joint.surface[self.facets], joint.cell_type)
@@ -236,7 +236,7 @@ class Sheet:
 def volume_of(joint: Joint, inside: BoolArray) -> float:
     """Return the volume, in 2D the area, of bodies that outer facets and facets of S enclose.
 
-    It is a sum over these facets of the volumes of cones with a common tip.
+    It is the sum of the signed volumes of cones from one place to these facets.
 
     Args:
         joint: the joint; curved cells count as straight-sided.

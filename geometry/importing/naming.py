@@ -278,7 +278,7 @@ class NamedGroups(NamedTuple):
             (n, k) numbers of the k vertices of each of the n facets, and the `Seam` with the upper side.
 
         Raises:
-            InputError: the regions on the two sides are missing, or do not meet at these facets.
+            InputError: the regions on the two sides are missing or do not meet there, or other facets are named "S".
         """
         name, default_seam, all_regions = self.sides.S, self.sides.default_seam, tuple(self.regions)
         lower, upper, regions = default_seam.lower, default_seam.upper, f"regions: {', '.join(all_regions)}"

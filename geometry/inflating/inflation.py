@@ -72,9 +72,9 @@ def inflate(
         InputError: a size, cells_through or fractions are out of range; S reaches a periodic side, ends inside the
             bodies or is folded; all seams are gaps. With "kept": the thickness varies, or bodies cannot move apart in
             one piece. With "extended": the outer boundary meets S nearly parallel to it, or layers of different
-            thickness meet nearly in line. Cells turn inside out, or layers overlap the bodies. A junction has sublayers, a
-            varying thickness, curved cells or an odd number of cells; in 3D junctions meet at a vertex. Bodies touch
-            only at a vertex or along an edge.
+            thickness meet nearly in line. Cells turn inside out, or layers overlap the bodies. A junction has
+            sublayers, a varying thickness, curved cells or an odd number of cells; in 3D junctions meet at a vertex.
+            Bodies touch only at a vertex or along an edge.
     """
     check_layering(cells_through, bodies)
     require(isinstance(joint, Joint), "joint", joint, "it must be a Joint")
@@ -273,8 +273,8 @@ def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int
 def with_gaps(joint: Joint, eps: Sizes, *, profile: Profiles = None) -> Joint:
     """Return the joint with bodies that gave up the layers' thickness, but with empty space in place of the layers.
 
-    The bodies make room as in `inflate(..., bodies="extended")`. Only `Joint.parted` changes: it has the new
-    coordinates of the nodes of each cell. In `Joint.points` the bodies still meet on S.
+    The bodies make room as in `inflate(..., bodies="extended")`. The result differs from `joint`
+    only in `parted`, the new coordinates of the nodes of each cell. In `points` the bodies still meet on S.
 
     Args:
         joint: the joint as drawn, in which S is a surface.
@@ -293,7 +293,7 @@ def with_gaps(joint: Joint, eps: Sizes, *, profile: Profiles = None) -> Joint:
 def points_on_middle(joint: Joint) -> FloatArray:
     """Return (n_points, d) coordinates of a joint's points, with those on S midway between bodies that moved apart.
 
-    All other points are at `joint.points`. If bodies have not moved apart, so are those on S.
+    All other points are those of `joint.points`; so are all points of a joint whose bodies have not moved apart.
 
     Args:
         joint: the joint, in d dimensions; its seams must not meet.

@@ -29,9 +29,9 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
 
     Each piece into which S cuts the joint has one translation.
 
-    Of all such translations, they are those with the least jumps along S. Bodies on a rigid base do not move: there the
-    base moves. Among bodies without a base, the mean over S of both sides does not move. If S is a shallow arc, the
-    mean thickness is the given one, and a RangeWarning gives the least and the largest.
+    Among all such translations, these have the least jumps along S. Bodies on a rigid base do not move: there the base
+    moves. In a connected part of the joint without a base, the mean displacement of both sides of S is zero. If S is a
+    shallow arc, the mean thickness is the given one, and a RangeWarning gives the least and the largest.
 
     Args:
         joint: the joint as drawn, before S is opened.
