@@ -37,9 +37,9 @@ def block(
             hexahedra are always structured.
         structured: whether triangles or tetrahedra are parts of the rectangles or boxes of a grid (default: no). The
             sizes of these vary along each axis independently.
-        arrangement: which diagonals halve the grid's rectangles in the x-y plane: "Right" (default, from lower left to
-            upper right), "Left" (from upper left to lower right), "AlternateLeft" (both in turn, "Right" in the lower
-            left corner) or "AlternateRight" (both in turn, "Left" in the lower left corner).
+        arrangement: which diagonals halve the grid's rectangles in the x-y plane. "Right": from lower left to upper
+            right (default). "Left": from upper left to lower right. "AlternateLeft": both in turn, "Right" in the lower
+            left corner. "AlternateRight": both in turn, "Left" in the lower left corner.
         comm: communicator whose rank 0 runs gmsh (default: MPI.COMM_WORLD).
 
     Returns:
@@ -82,9 +82,9 @@ def sandwich(
         cell: "triangle" (default) or "quadrilateral", in 3D "tetrahedron" (default) or "hexahedron"; quadrilaterals and
             hexahedra are always structured.
         structured: whether triangles or tetrahedra are parts of the rectangles or boxes of a grid (default: no).
-        arrangement: which diagonals halve the grid's rectangles in the x-y plane: "Right" (default, from lower left to
-            upper right), "Left" (from upper left to lower right), "AlternateLeft" (both in turn, "Right" in the lower
-            left corner) or "AlternateRight" (both in turn, "Left" in the lower left corner).
+        arrangement: which diagonals halve the grid's rectangles in the x-y plane. "Right": from lower left to upper
+            right (default). "Left": from upper left to lower right. "AlternateLeft": both in turn, "Right" in the lower
+            left corner. "AlternateRight": both in turn, "Left" in the lower left corner.
         comm: communicator whose rank 0 runs gmsh (default: MPI.COMM_WORLD).
 
     Returns:
@@ -356,8 +356,8 @@ def faults(
     Args:
         width, height: size, lengths > 0.
         faults: name -> points (x, y) of a fault, from one end to the other, joined by straight lines. Parts outside the
-            block are cut off. If the first or last point of a fault lies on another fault, to 1e-6 of the block's
-            size, the fault ends there: it is a branch of the other one.
+            block are cut off. A fault may branch from another: its first or last point then lies on the other, to
+            1e-6 of the block's size, and the fault ends there.
         h: largest cell size, a length (default: a tenth of the smallest side).
         h_S: cell size at S, a length (default: h).
         h_ends: cell size, a length, where faults meet and end (default: h_S).

@@ -20,8 +20,8 @@ class Periods:
 
     Attributes:
         sides: for each pair, the names of the facet sets of its first and of its second side.
-        pairs: for each pair of sides an array (n, 2): numbers of the n nodes on the first side, each with the node on
-            the second side that the translation maps it to.
+        pairs: for each pair of sides an array (n, 2). A row has the numbers of a node on the first side and of the node
+            on the second side onto which the translation maps it.
     """
 
     sides: tuple[tuple[str, str], ...]

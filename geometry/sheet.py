@@ -217,9 +217,9 @@ class Sheet:
     def heights(self) -> tuple[float, ...]:
         """Heights of the bodies below and above the seam: volume of each body over area of the seam, lengths.
 
-        On a rigid base there is no lower height. If both sides are one body, there is one height. If the seam is
-        planar, a height is at most the largest distance of the body's points from it: bodies may extend beyond the ends
-        of the seam.
+        On a rigid base there is no lower height. If both sides are one body, there is one height. As
+        bodies may extend beyond the ends of the seam, heights are bounded: if the seam is planar, a height is at most
+        the largest distance of the body's points from it.
         """
         joint = self.joint
         pieces, cells = joint.split_mesh.pieces, joint.surface_cells[self.facets]

@@ -69,11 +69,10 @@ def read(
             between the regions `lower` and `upper`. For several seams, the names of their groups, which keep these
             names, or {name: upper side}. The upper side is a vector that points there, or (lower, upper) with names of
             regions. None: the upper side is in the region that comes later in `Joint.regions`.
-        upper: name or names of the regions above a single S. It may be left out only if S is on the outer boundary
-            (default: all regions) or `direction` is given (default: the regions `lower`, or if they are not given,
-            all).
-        lower: name or names of the regions below a single S. Default: if S is on the outer boundary, none, but a rigid
-            base; with `direction` the regions `upper`, or all; else all regions that are not in `upper`.
+        upper: name or names of the regions above a single S. Default: if S is on the outer boundary, all
+            regions; with `direction` the regions `lower`, or all regions if `lower` is not given. Else it is required.
+        lower: name or names of the regions below a single S. Default: if S is on the outer boundary, a rigid base; with
+            `direction` the regions `upper`, or all regions if `upper` is not given; else all that are not in `upper`.
         direction: vector that points to the upper side, one component per dimension, for a single S inside one body.
         scale: factor on the coordinates, > 0, e.g. 1e3 from metre to millimetre.
         comm: communicator whose rank 0 reads the file, or that the mesh is distributed on (default: MPI.COMM_WORLD).
