@@ -31,7 +31,7 @@ logging.getLogger("thinlayer").addHandler(logging.NullHandler())  # quiet by def
 
 
 def _refuse_others() -> None:
-    """Raise ImportError if Python would import a user's file or package in place of our package of the same name."""
+    """Raise ImportError if Python would import a user's module `forms` or `geometry` instead of thinlayer's own."""
     for name in ("forms", "geometry"):
         spec, folder = find_spec(name), join(_PACKAGE_FOLDER, name)
         if spec and spec.origin and dirname(realpath(spec.origin)) != folder:

@@ -18,12 +18,12 @@ MIN_NAMED_SHARE = 0.005  # least share of the squared jumps at which a message n
 
 
 def warn(key: str, message: str, comm: MPI.Intracomm) -> None:
-    """Issue a RangeWarning, which rank 0 shows; if a warning filter makes it an error, all ranks raise it.
+    """Issue a RangeWarning, which only rank 0 shows. Collective over `comm`.
 
-    Call it on all ranks of the communicator.
+    If a warning filter turns it into an error, all ranks raise this error.
 
     Args:
-        key: key of the condition that is violated, which the warning has as an attribute.
+        key: short name of the violated condition, stored in the warning's attribute `key`.
         message: text of the warning.
         comm: communicator of the model.
     """
@@ -38,7 +38,7 @@ def warn(key: str, message: str, comm: MPI.Intracomm) -> None:
 
 
 def deprecated(what: str, since: str, instead: str) -> None:
-    """Warn that the next major version removes a public name or argument (DeprecationWarning at the user's line).
+    """Issue a DeprecationWarning at the user's line: the next major version removes a public name or argument.
 
     Python shows the warning once for each line of a script. For lines of imported modules it does so only with
     `python3 -W default`.
@@ -52,11 +52,15 @@ def deprecated(what: str, since: str, instead: str) -> None:
 
 
 def former_names(module: str, now: Mapping[str, Callable[..., object]]) -> Callable[[str], Any]:
-    """Make a `__getattr__` with which a module keeps deprecated names of version 1.0.
+    """Make a module's `__getattr__` function, which accepts names of version 1.0 with a DeprecationWarning.
 
     Args:
-        module: name of the module.
-        now: deprecated name -> object that it returns, with a DeprecationWarning.
+        module: name of the module, for messages.
+        now: deprecated name -> the function or class that now has another name; the warning tells the user its new
+            name.
+
+    Returns:
+        A function that returns the function or class for a deprecated name, and raises AttributeError for other names.
     """
 
     def find(name: str) -> Any:
@@ -71,8 +75,10 @@ def former_names(module: str, now: Mapping[str, Callable[..., object]]) -> Calla
 class FormerNames:
     """Base class of objects whose attributes can also be read by deprecated names of version 1.0.
 
+    Reading such a name issues a DeprecationWarning.
+
     Attributes:
-        former_names: deprecated name of an attribute -> present name.
+        former_names: deprecated name of an attribute -> its present name.
     """
 
     former_names: ClassVar[Mapping[str, str]] = {}
@@ -86,11 +92,11 @@ class FormerNames:
 
 @dataclass(frozen=True)
 class Violation:
-    """A condition on a model or law that does not hold.
+    """A condition of a law or a method that a model does not fulfil, with the reason and a remedy.
 
     Attributes:
         key: short name of the condition.
-        reason: why it does not hold, for messages.
+        reason: why the condition is not fulfilled, for messages.
         remedy: what the user may do instead, for messages.
     """
 
@@ -102,7 +108,11 @@ class Violation:
         return f"{self.reason}; {self.remedy}"
 
     def error(self, what: str = "") -> InputError:
-        """Return an InputError with `what`, the reason and the remedy as its message, and with the condition's key."""
+        """Return an InputError about this condition, for the caller to raise; its `key` is that of the condition.
+
+        Args:
+            what: text before the reason and the remedy in the message.
+        """
         error = InputError(f"{what}{self}")
         error.key = self.key
         return error
@@ -114,7 +124,8 @@ class SolveError(ThinlayerError, RuntimeError):
     Attributes:
         reason: the message without the advice.
         history: `History` of the accepted steps of a march; None for other solves.
-        residuals: norm of the residual, relative to the forces, at every step of Newton's method or a contact solver.
+        residuals: norm of the residual after each iteration of Newton's method or of a contact solver, divided by the
+            norm of the forces.
     """
 
     history: Any  # its class is of a folder above
@@ -124,12 +135,12 @@ class SolveError(ThinlayerError, RuntimeError):
         self.reason, self.history, self.residuals = reason, history, residuals
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Data for pickling, without the history: its meshes cannot be sent to another process."""
+        """Return what pickle needs to restore the error without `history`, as pickle cannot send the meshes in it."""
         return Exception.__new__, (type(self), *self.args), vars(self) | {"history": None}
 
 
 class LooseBody(SolveError):
-    """Error of a solve in which a body can move freely: neither supports nor the layer resist its motion.
+    """Error of a solve in which a body can move freely, as neither supports nor the layer resist its motion.
 
     Attributes:
         motion: text that names the body and its free motion.
@@ -159,15 +170,17 @@ class TurningPoint(SolveError):
 
 
 class NoEquilibrium(SolveError):
-    """Error of a time step without an equilibrium: with weak springs at all nodes, displacements grow without bound.
+    """Error of a time step that has no equilibrium: some displacements grow without bound.
 
-    The springs, which make an equilibrium possible, are made softer and softer for this test.
+    This is tested with weak springs at all nodes, with which an equilibrium exists. The springs are made softer step by
+    step, and the displacements grow without bound.
 
     Attributes:
-        growth: norm of the displacements with the weakest springs, over their norm with an elastic layer under the same
-            change of loads. In this reference, seams in contact neither open nor slide.
-        shares: name of a seam -> its fraction of the integral of the squared jumps of these displacements, over seams
-            whose law limits tractions. The largest is first; empty if there is only one seam.
+        growth: norm of the change of displacements with the softest springs. It is divided by the norm of the
+            displacements that the loads of the step cause if all layers are elastic and all contacts stick.
+        shares: name of a seam -> its fraction of the integral of the squared jump over all seams, in the equilibrium
+            with the softest springs. Only seams whose law limits tractions count. The largest fraction is
+            first. It is empty if there is only one seam.
     """
 
     def __init__(self, growth: float, shares: Mapping[str, float]) -> None:
@@ -185,12 +198,13 @@ class LimitLoad(SolveError):
     Attributes:
         t: time of the last equilibrium.
         failed_at: earliest time at which no equilibrium was found.
-        resultant: (d,) sum in d dimensions of the tractions and body forces on the bodies at the time t, a force.
-        growth: norm of the change of displacements from t to `failed_at` with the weakest springs, over this norm with
-            an elastic layer. If the layer's flow is associated, an equilibrium without springs would have at least this
-            ratio.
-        shares: name of a seam -> its fraction of the integral of the squared jumps of these displacements, over layers
-            that yield and contact. They show which seams fail, the largest first; empty if there is only one seam.
+        resultant: (d,) sum of the tractions and body forces on the bodies at the time t, a force, in d dimensions.
+        growth: norm of the change of displacements from t to `failed_at` with the softest springs. It is divided by the
+            norm of the displacements that the same loads cause if the layers are elastic. With associated flow, the
+            displacements of any equilibrium without springs would be at least as large.
+        shares: name of a seam -> its fraction of the integral of the squared jump of displacements, in the equilibrium
+            with the softest springs. Only layers that yield, and contacts, count. The seams that fail have the largest
+            fractions, and are first. It is empty if there is only one seam.
         history: `History` of the accepted steps.
     """
 

@@ -42,19 +42,21 @@ def compare(
             at this time.
 
     Returns:
-        A row, name -> number, with eps, the largest thickness of the layers;
-        error_traction and error_jump, L2(S) norms of the differences over those of the interface model's fields, nan if
-        the latter are zero up to rounding errors;
-        traction and jump, the L2(S) norms of the interface model's fields (stress and length times the root of length,
-        in 3D and axisymmetry of area);
-        too_stiff ("too_stiff NAME" for each of several seams), the factor by which the law overestimates the layer's
-        stiffness against the openings of the state (`Surface.table`). It exists for isotropic elastic layers whose law
-        has no unknown pressure on S.
+        A dictionary with these entries:
+
+        - "eps": the largest thickness of the layers.
+        - "error_traction", "error_jump": L2 norms over S of the differences of the two models. Each is divided by the
+          norm of the interface model's field, and nan if this norm is zero up to rounding errors.
+        - "traction", "jump": these L2 norms of the interface model's fields. The units are those of stress and length,
+          in 2D times the root of a length, in 3D and axisymmetry times the root of an area.
+        - "too_stiff", or "too_stiff NAME" for each of several seams: the factor by which the law overestimates the
+          layer's stiffness against the openings in this state (see `Surface.table`). The entry exists for isotropic
+          elastic layers, unless their law has an unknown pressure on S.
 
     Raises:
         InputError: the states do not belong to a full and an interface model of the same structure. Joint, bodies,
-            supports, loads, plane, element and thickness must be the same. Also: states of different times; an unknown
-            seam; `where` is no function of the coordinates, or is true nowhere on S.
+            supports, loads, plane, element and thickness must be the same. Also if the states have different times, a
+            seam is unknown, or `where` is no function of the coordinates, or is true nowhere on S.
 
     Example:
         >>> from forms import LinearElastic
@@ -101,15 +103,27 @@ def compare(
 
 
 def _require_equal(what: str, equal: bool, full: object, interface: object) -> None:
-    """Raise InputError unless `equal`; the message names `what` must be equal, and the values in both models."""
+    """Raise InputError if `equal` is False.
+
+    Args:
+        what: the quantity that must be the same in both models, such as "time", for the message.
+        equal: whether it is.
+        full, interface: its values in the full and in the interface model, for the message.
+    """
     if not equal:
         raise InputError(f"compare needs the same {what}, not {full} and {interface}")
 
 
 def _too_stiff(state: State, seam: str) -> dict[str, float]:
-    """Name "too_stiff" ("too_stiff NAME" if there are several seams) -> factor by which a law is too stiff. Collective.
+    """Return the factor by which each interface law overestimates its layer's stiffness in a state. Collective.
 
-    Layers to which the factor does not apply are left out.
+    Args:
+        state: state of an interface model.
+        seam: name of the seam whose layer is examined; "S": all layers.
+
+    Returns:
+        "too_stiff", or "too_stiff NAME" if the joint has several seams -> factor. Layers for which the factor is not
+        defined, and laws with an unknown pressure on S, are left out.
     """
     many = len(state.model.joint.seams) > 1
     layers = [layer for name, layer in state.model.layers.items() if seam in (S, name) and not layer.has_pressure_flow]
@@ -126,7 +140,11 @@ def _state_at(result: Solution, at: float | None) -> State:
 
 
 def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
-    """Raise InputError if a law of order 1 joins kept bodies and the full model has extended bodies, or vice versa."""
+    """Raise InputError if the bodies end at different places in both models, and a layer's law has order 1.
+
+    The bodies of either model may be kept (they end on S) or extended (cut back by the layer's thickness). This changes
+    results as much as the terms of order 1.
+    """
     band = full.domain.joint.band
     here = "kept" if interface.domain.joint.parted is None else "extended"
     assert band is not None
@@ -136,7 +154,7 @@ def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
 
 
 def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
-    """Raise InputError unless both models have the same bodies, supports, loads, plane and profiles of thickness."""
+    """Raise InputError unless both models have the same bodies, supports, loads, `plane` and variation of thickness."""
     there, here = (
         {name: model.description[name] for name in ("plane", "bodies", "loads")}
         | {"supports": model.description["supports"][: len(model.supports.user_entries)]}
@@ -153,7 +171,18 @@ def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
 
 
 def _part(surface: Surface, where: Where | None) -> Array:
-    """Weights (n, q) at q quadrature points of n facets of S: 1 where `where` is true, else 0; None: 1 everywhere."""
+    """Evaluate the user's function `where` at q quadrature points of n facets of S; all ranks get the same result.
+
+    Args:
+        surface: the facets of S.
+        where: function of the coordinates that is true on a part of S; None: all of S.
+
+    Returns:
+        (n, q) numbers, 1 where the function is true and 0 elsewhere.
+
+    Raises:
+        InputError: the function has other values than true and false, or is true at no point.
+    """
     with errors_on_all(surface.model.comm):
         part = surface.where(1.0 if where is None else where)
         if not np.isin(part, (0.0, 1.0)).all():

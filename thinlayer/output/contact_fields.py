@@ -33,9 +33,9 @@ class Zone:
     """Connected region of S whose nodes have the same contact status.
 
     Attributes:
-        status: "separated", "sliding", "stick" or "pinned" (`Contact.status`).
-        size: sum of the areas around its nodes (2D: length).
-        start, end: (d,) smallest and largest value of each coordinate of its nodes.
+        status: "separated", "sliding", "stick" or "pinned" (see `Contact.status`).
+        size: sum of the areas around its nodes, in 2D of the lengths.
+        start, end: (d,) smallest and largest value of each coordinate of its nodes, in d dimensions.
         nodes: number of its nodes.
     """
 
@@ -51,26 +51,30 @@ class Contact:
     """Results of the contact laws in a state, at the m nodes (vertices) of a surface; the same on all ranks.
 
     In 2D the nodes are ordered along S. Arrays (m,) are fields for `Surface.integral`, `along` and pictures. They are
-    zero at nodes without a contact law, as at tips of S and on seams with other laws.
+    zero at nodes without a contact law, as where S ends inside a body, and on seams with other laws.
 
     Attributes:
-        surface: the surface. Its `places` (m, d) are the coordinates of the nodes. Its `nodes` (n, k) are the positions
-            in these arrays of the k corners of n facets.
-        status: (m,) "separated", "sliding", "stick"; "pinned" if supports prescribe the whole jump; "no contact law".
-        u_T: (m, d - 1) tangential jump, components in `frames`; d is the number of dimensions.
-        u_N: (m,) penetration of the upper side into the lower side, after closing the initial gap; negative where S is
-            open.
-        p: (m,) pressure >= 0 of the law; without meaning at pinned nodes, where the support exerts the force.
-        t_T: (m, d - 1) tangential traction on the lower side; the traction on the upper side is opposite.
-        threshold: (m,) largest |t_T| that the law allows at this pressure. With elements of degree 2, the forces of
-            nodes between vertices are divided equally among these vertices. p, t_T and threshold are then means.
+        surface: the surface. Its `places` (m, d) are the coordinates of the nodes in d dimensions. Its `nodes` (n, k)
+            are the positions in the arrays (m, ...) of the k corners of n facets.
+        status: (m,) "separated", "sliding" or "stick"; "pinned" if supports prescribe all components of the jump;
+            "no contact law".
+        u_T: (m, d - 1) tangential jump, a length, in the tangential axes of `frames`.
+        u_N: (m,) penetration, a length: the initial gap is subtracted from the approach of the sides. It is negative
+            where S is open.
+        p: (m,) contact pressure >= 0 by the contact law. It has no meaning at pinned nodes, where the support exerts
+            the force.
+        t_T: (m, d - 1) tangential traction on the lower side, in the tangential axes; that on the upper side is
+            opposite.
+        threshold: (m,) largest |t_T| that the law allows at the pressure p. With elements of degree 2, the law
+            also acts at nodes between vertices. p, t_T and `threshold` are then means over a vertex and the adjacent
+            ones of these nodes, weighted by area.
         slip: (m, d - 1) slip that the law stores from step to step; zero for laws that store none.
-        areas: (m,) area of S around each node, as in the contact law.
+        areas: (m,) area of S that belongs to each node, in 2D a length.
         frames: (m, d, d) unit vectors; the rows of each matrix are the tangential axes and then the normal of S.
-        equilibrium: largest component of the sum of the nodal forces where no supports act, over the sum of the sizes
-            of all nodal forces; zero in equilibrium.
-        clapeyron: work of the loads and supports, less the work of the stresses and of the tractions on S, in the
-            displacements. It is relative to the largest of the four, and zero in equilibrium.
+        equilibrium: largest component of the sum of the nodal forces where no supports act, divided by the sum of the
+            sizes of all nodal forces. It is zero in equilibrium.
+        clapeyron: work of the loads and the supports, minus the work of the stresses and of the tractions on S, all by
+            the same displacements. It is divided by the largest of the four, and zero in equilibrium.
     """
 
     surface: SurfaceMesh
@@ -88,37 +92,40 @@ class Contact:
 
     @property
     def x(self) -> Array:
-        """(m, d) coordinates of the nodes."""
+        """Coordinates (m, d) of the nodes."""
         return self.surface.places
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of separated, sliding, sticking and pinned nodes."""
+        """Number of nodes with each of the statuses "separated", "sliding", "stick" and "pinned", by status."""
         return {name: int((self.status == name).sum()) for name in CONTACT_STATUSES}
 
     @property
     def normal_force(self) -> float:
-        """Integral of the pressure over S."""
+        """Integral of the contact pressure over S, a force."""
         return float(self.areas @ self.p)
 
     @property
     def friction_force(self) -> Array:
-        """Integral (d - 1,) of the components of the tangential traction on the lower side; a force if S is planar."""
+        """Integral (d - 1,) over S of each component of `t_T`, the tangential traction on the lower side.
+
+        On a curved S, where the tangential axes change from node to node, this is not a resultant force; `force` is.
+        """
         return np.asarray(self.areas @ self.t_T)
 
     @property
     def force(self) -> Array:
-        """Resultant (d,) of the contact tractions on the upper body, pressure and friction.
+        """Resultant force (d,) of pressure and friction on the upper body.
 
-        At pinned nodes, where supports prescribe the jump, it has the law's traction, not the force of the support.
+        At pinned nodes the tractions by the contact law enter it, not the force of the support.
         """
         return -np.einsum("n,nki,nk->i", self.areas, self.frames, np.column_stack([self.t_T, -self.p]))
 
     @cached_property
     def zones(self) -> list[Zone]:
-        """Connected regions of S whose nodes have the same status, ordered by the numbers of their first nodes.
+        """Connected regions of S whose nodes have the same status, in the order of their first nodes.
 
-        Nodes of several seams at the same vertex are connected. Nodes without a contact law are left out.
+        A zone may continue from seam to seam through a common vertex. Nodes without a contact law are in no zone.
         """
         nodes, m = self.surface.nodes, len(self.status)
         a, b = nodes[:, np.triu_indices(nodes.shape[1], 1)].swapaxes(0, 1).reshape(2, -1)
@@ -136,7 +143,10 @@ class Contact:
 
     @property
     def table(self) -> Table:
-        """Table with a row for each node: coordinates, u_T, u_N, p, t_T and status."""
+        """Table with a row for each node; the columns are its coordinates, u_T, u_N, p, t_T and status.
+
+        In 3D the columns "u_T_1", "u_T_2", "t_T_1" and "t_T_2" have the tangential components.
+        """
         suffixes = [""] if self.x.shape[1] == 2 else ["_1", "_2"]
         columns: dict[str, Sequence[object] | Array] = dict(zip("xyz", self.x.T, strict=False))
         columns |= {f"u_T{s}": self.u_T[:, k] for k, s in enumerate(suffixes)} | {"u_N": self.u_N, "p": self.p}
@@ -158,9 +168,15 @@ class Contact:
 
 
 def contact_values(surface: SurfaceMesh, state: State) -> dict[str, np.ndarray]:
-    """Arrays of contact results at the nodes of a surface, by the names of attributes of `Contact`. Collective.
+    """Evaluate the contact laws of a state at the m nodes of a surface. Collective.
 
-    It is {} if no contact law acts on the surface. The attributes `equilibrium` and `clapeyron` are not included.
+    Args:
+        surface: the surface.
+        state: the state.
+
+    Returns:
+        Name of an attribute of `Contact` -> its array (m, ...), without `equilibrium` and `clapeyron`. {} if no contact
+        law acts on the surface.
     """
     seams = [name for name in state.model.contacts if surface.seam in (S, name)]
     parts = [part for name in seams for part in state.model.comm.allgather(_rank_values(state, name))]
@@ -182,11 +198,14 @@ def contact_values(surface: SurfaceMesh, state: State) -> dict[str, np.ndarray]:
 
 
 def _rank_values(state: State, seam: str) -> dict[str, np.ndarray]:
-    """Arrays of results of one contact law at this rank's nodes, by the names of attributes of `Contact`.
+    """Evaluate the contact law of one seam at this rank's nodes, and list the results by vertices of S.
 
-    A node at a vertex has one row; a node between vertices has a row for each of them. The entry "vertex" says whether
-    the node is at a vertex. The entry "number" is the number of the pair of bodies that meet at the vertex
-    (`Joint.pairs`).
+    With elements of degree 2 the law also has nodes between vertices. The results of such a node are listed once for
+    each adjacent vertex.
+
+    Returns:
+        Name -> array (rows, ...): the names of attributes of `Contact`; "vertex", whether the node of this row is
+        itself at the vertex; "number", the key of the vertex and of the two bodies that meet there (`Joint.pairs`).
     """
     model, law = state.model, state.model.contacts[seam]
     nodes = ContactNodes(ContactSurface.of(model, seam), model.constraints.bc_dofs, gap=law.gaps)
@@ -211,12 +230,13 @@ def _rank_values(state: State, seam: str) -> dict[str, np.ndarray]:
 
 
 def balance_errors(state: State) -> tuple[float, float]:
-    """Check the balance of forces and of work of a state. Collective.
+    """Compute the relative errors of the balance of forces and of work in a state. Collective.
 
     Returns:
-        Two numbers, zero in equilibrium and NaN for models with compiled laws of layers. The first is the largest
-        component of the sum of all forces on dofs without supports, over the sum of the sizes of nodal forces. The
-        second is the work of loads and supports less that of stresses and contact tractions, over the largest of them.
+        Two numbers, zero in equilibrium. Both are NaN for models whose layers have compiled laws. The first is
+        `Contact.equilibrium`, the largest component of the sum of nodal forces where no supports act, over the sum of
+        their sizes. The second is `Contact.clapeyron`: the work of loads and supports, less that of
+        stresses and contact tractions, over the largest of these four.
     """
     model, comm, d = state.model, state.model.comm, state.model.joint.dim
     if any(p.law.traits.compiled for p in model.layer_terms):

@@ -36,36 +36,38 @@ def ensemble(
 ) -> Table:
     """Compute a table with one row for each of many cases, such as layers with random properties. Collective.
 
-    A run computes one case. The MPI ranks form groups that work on different cases at the same time. Run k belongs to
-    group k modulo the number of groups. Inside `make` and the runs, calls without a communicator use the communicator
-    of the group.
+    A run computes the row of one case. The MPI ranks form groups, which work on different cases at the same time. Run k
+    belongs to group k modulo the number of groups. Functions that `make` and the runs call without a communicator use
+    that of the group.
 
     Args:
-        make: called once in each group. It builds what the runs share, such as a joint and a model, and returns a
-            function. This function takes a case and returns its row, name of a column -> number or text.
-        cases: list of the inputs of the runs. Each maps names to numbers or texts, with the same names in all cases.
-        out: csv file of all rows computed so far, written at the end, also after an error. None: no file. Each row is
-            on the disk, in the folder out.parts, before the group computes the next one. A description of `make`, and
-            of the objects it refers to, is stored with the rows.
-        resume: False: compute all rows; files of an earlier ensemble are moved away. True: keep the rows on the disk
-            and compute the others; the number of ranks, groups and parts may differ. Rows on the disk are refused if
-            several runs drew from one random generator or iterator. Make one in each run, from a seed in the case. The
-            global generators of `random` and `numpy.random` count as shared, unless code of the runs seeds them.
-            "anyway": keep such rows too, and rows of another `make`; the cases must be the same.
+        make: function without arguments, called once in each group. It builds what the runs share, such as a joint and
+            a model, and returns a function. The returned function takes a case and returns its row, name of a column ->
+            number or text.
+        cases: list of the inputs of the runs. Each case maps names to numbers or texts, with the same names in all
+            cases.
+        out: csv file for the table, written at the end, also after an error; None: no file. Before a group starts its
+            next run, it stores the row of the last one in the folder out.parts. A description of `make`, and of the
+            objects it refers to, is stored with the rows.
+        resume: False: compute all rows; files of an earlier ensemble are moved away. True: keep the stored rows and
+            compute the others; the number of ranks, groups and parts may differ. Stored rows are refused if several
+            runs took random numbers from the same generator. So create a generator in each run, from a seed in its
+            case. The global generators of `random` and `numpy.random` count as common to all runs, unless code of the
+            runs seeds them. "anyway": keep such rows too, and rows of another `make`; the cases must be the same.
         ranks: number of ranks of a group, a divisor of the number of all ranks (default: all ranks are one group).
-        part: (k, n): compute only part number k of n parts of the cases, k = 0, ..., n - 1. It is for n jobs that run
+        part: (k, n): of n equal parts of the cases compute only number k, from 0 to n - 1. Use it for n jobs that run
             at the same time or one after the other, with the same `out` and `resume=True`.
         keep_failures: True: a run that fails with a SolveError gets a row with the error in the column "failure", and
             empty results; the other runs continue. False: the error is raised when the other groups have finished.
 
     Returns:
-        The table of all rows, also those on the disk. Its columns are "run" (number of the case), the names of the
-        cases, the names of the rows and, with `keep_failures`, "failure".
+        The table of all rows, also of those that were stored before. Its columns are "run" (number of the case), the
+        names in the cases, the names in the rows and, with `keep_failures`, "failure".
 
     Raises:
         InputError: entries of cases or rows that are neither numbers nor texts, or cases with different names;
-            ranks or part out of range; `out` belongs to another ensemble; runs of several groups or parts draw from
-            one random generator.
+            ranks or part out of range; `out` belongs to another ensemble; runs of several groups or parts take random
+            numbers from one generator.
         OSError: a file could not be written. An error of a run is raised unchanged.
 
     Example:
@@ -135,13 +137,13 @@ def _compute(
 
     Args:
         comm: communicator of the group.
-        make: the user's function, called once here.
+        make: the user's function, which is called here and returns the function of a case.
         cases: inputs of all runs.
         left: numbers of the runs to compute.
-        rows: number of a run -> its row.
-        file: file to which each row is appended; None: none.
-        alone: whether this group computes all cases, so that runs may share a random generator.
-        keep_failures: whether a run that raises a SolveError gets a row with the error.
+        rows: number of a run -> its row; rows are added.
+        file: file to which each row is appended at once; None: rows are not stored.
+        alone: whether this group computes all cases; only then may runs take random numbers from one generator.
+        keep_failures: whether a run that raises a SolveError gets a row with the error, instead of ending the ensemble.
     """
     with errors_on_all(comm):
         run = make()
@@ -174,10 +176,19 @@ def _parts(path: Path) -> Path:
 
 
 def _existing_rows(path: Path, make: Callable[[], RunFunction], cases: list[Row], resume: Resume) -> dict[int, Row]:
-    """Number of a run -> its row in the files of earlier jobs; with resume=False these files are moved away first.
+    """Read the rows that earlier jobs of an ensemble have stored; with resume=False move their files away first.
+
+    Args:
+        path: name of the csv table, next to which the folder of stored rows lies.
+        make: the user's function, which must be that of the earlier jobs.
+        cases: inputs of all runs, which must be those of the earlier jobs.
+        resume: the argument of `ensemble`.
+
+    Returns:
+        Number of a run -> its row.
 
     Raises:
-        InputError: rows of other cases or another `make`, or from a shared random generator.
+        InputError: rows of other cases or of another `make`, or rows that took random numbers from one generator.
     """
     make_room(path, _parts(path), resume)
     files = [RowFile(file, make, "ensemble") for file in sorted(_parts(path).glob("*-of-*.json"))]
@@ -192,7 +203,10 @@ def _existing_rows(path: Path, make: Callable[[], RunFunction], cases: list[Row]
 
 
 def _merged(path: Path, cases: list[Row]) -> dict[int, Row]:
-    """Write the rows of all jobs' files into the csv table, under a lock, and return them by number of the run."""
+    """Write the rows that all jobs have stored to the csv table `path`, and return them: number of a run -> its row.
+
+    A lock on the folder of stored rows prevents two jobs from doing so at the same time.
+    """
     with lock_folder(_parts(path), f".merge{LOCK_FILE}", wait=True):
         rows = _by_run([row for file in _parts(path).glob("*-of-*.json") for row in read_sealed(file)["rows"]])
         if rows:
@@ -205,7 +219,7 @@ def _by_run(rows: Sequence[Row]) -> dict[int, Row]:
 
 
 def _table(cases: list[Row], rows: Mapping[int, Row]) -> Table:
-    """Table of the rows in the order of the runs; entries of columns that a row lacks are None."""
+    """Make the table of `rows`, number of a run -> row, ordered by run; entries that a row lacks are None."""
     ordered = [rows[k] for k in sorted(rows)]
     names = dict.fromkeys(name for row in ([RUN_COLUMN, *cases[0]], *ordered) for name in row if name != FAILURE_COLUMN)
     failed = [FAILURE_COLUMN] if any(FAILURE_COLUMN in row for row in ordered) else []
@@ -213,7 +227,7 @@ def _table(cases: list[Row], rows: Mapping[int, Row]) -> Table:
 
 
 def _checked_cases(cases: object) -> list[Row]:
-    """Return the cases as a list of rows; raise InputError unless all have the same names of numbers or texts."""
+    """Return the user's cases as rows; raise InputError unless all have the same names, of numbers or texts."""
     if not isinstance(cases, Iterable) or not (entries := [*cases]):
         raise InputError(f"cases is {cases!r:.80}; give a list of one case or more")
     rows = [checked_row(case, f"case {k}", (RUN_COLUMN, FAILURE_COLUMN)) for k, case in enumerate(entries)]

@@ -19,19 +19,19 @@ BODY_STIFFNESS_TOLERANCE = 1e-12  # the same over the stiffness of the bodies, w
 
 
 def homogenised_stiffness(model: Model) -> Array:
-    """Compute the stiffness matrix from mean strains to mean stresses of a periodic cell. Collective.
+    """Compute the stiffness matrix of a periodic cell, from mean strains to mean stresses. Collective.
 
-    It needs one factorisation of the tangent, and one solve for each of the k mean strains.
+    It needs one factorisation of the tangent, and one solve for each of the k components of the mean strain.
 
     Args:
         model: a model of a periodic joint, with linear laws and supports that do not move. Its loads, its eigenstrains
             and its prescribed mean strain are ignored.
 
     Returns:
-        (k, k) stiffness, in units of stress. Components have the order of `Anisotropic`: 11, 22, 12 in 2D
-        (k = 3); 11, 22, 33, 23, 13, 12 in 3D (k = 6). A column is the mean stress under a unit mean strain
-        in one component, or under a unit shear angle (e_12 = e_21 = 1/2). If the cell is periodic only in some
-        directions and its other sides are free, rows and columns of the other directions vanish.
+        (k, k) stiffness, in units of stress. Components have the order of `Anisotropic`: 11, 22, 12 in 2D (k = 3); 11,
+        22, 33, 23, 13, 12 in 3D (k = 6). A column is the mean stress if one component of the mean strain is 1 and the
+        others vanish. Shear strains are angles: the columns of 12 have e_12 = e_21 = 1/2. If the cell is periodic only
+        in some directions and its other sides are free, rows and columns of the other directions vanish.
 
     Raises:
         InputError: the joint is not periodic; a law is not linear or has stresses without strains; a layer has an
@@ -78,7 +78,11 @@ def _check(model: Model) -> None:
 
 
 def _unit_strains(d: int) -> Strain:
-    """Mean strain (d, d) as a function of (x, t) in d dimensions, at t = 0, 1, 2, ... one unit strain after another."""
+    """Return a function of (x, t), whose value at the time t = k is the unit strain of the column k of the stiffness.
+
+    It is a mean strain (d, d) in d = 2 or 3 dimensions, the same at all places x. Columns, from 0, and their unit
+    strains are those of `homogenised_stiffness`.
+    """
     unit = np.eye(d)
     basis = [(np.outer(unit[i], unit[j]) + np.outer(unit[j], unit[i])) / 2 for i, j in VOIGT_PAIRS_OF_DIM[d]]
     table = piecewise({float(k): strain.ravel().tolist() for k, strain in enumerate(basis)})

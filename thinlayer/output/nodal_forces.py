@@ -14,18 +14,18 @@ from thinlayer.system.ranks import destroy
 
 
 def layer_forces(state: State, joined: bool = False) -> fem.Function:
-    """Nodal forces that the layer (at a bond: the other body) exerts on each body at S. Collective.
+    """Compute the nodal forces on the bodies at S: those of the layer and, where bodies are bonded, of the other body.
 
-    They are r_i = int_bodies stress(u) : e(phi_i) - L(phi_i), where L is the virtual work of the loads. The work of
-    further parts of the model, such as springs at an end of S, is added to the integral.
+    Collective. The force of the shape function phi_i is r_i = int_bodies stress(u) : e(phi_i) - L(phi_i), where L is
+    the virtual work of the loads. Virtual work of other parts of the model, such as springs at an end of S, is added.
 
     Args:
         state: the state.
-        joined: whether the shape functions phi_i, of degree 1, are continuous across bonds. They always jump at other
-            parts of S; with False, also at bonds.
+        joined: whether the shape functions, of degree 1, are continuous across seams with a `Bond`. If so, the forces
+            between bonded bodies cancel. Across other seams they always jump.
 
     Returns:
-        A function of the space of the phi_i, whose nodal values are the forces r_i.
+        A vector function of degree 1, whose nodal values are the forces r_i.
     """
     model = state.model
     W = model.space(1, broken_at_faces=not joined)
@@ -39,7 +39,15 @@ def layer_forces(state: State, joined: bool = False) -> fem.Function:
 
 
 def nodal_forces(V: fem.FunctionSpace, form: Expr) -> fem.Function:
-    """Assemble a linear form into a function of its test space V, whose ghost values are up to date. Collective."""
+    """Assemble a linear form to nodal forces. Collective.
+
+    Args:
+        V: space of the form's test function.
+        form: UFL form, linear in this test function.
+
+    Returns:
+        A function in V, whose nodal values are the form for each shape function; also its ghost values are set.
+    """
     vector = fem.assemble_vector(compiled(form))
     vector.scatter_reverse(dolfinx.la.InsertMode.add)
     vector.scatter_forward()
@@ -49,7 +57,7 @@ def nodal_forces(V: fem.FunctionSpace, form: Expr) -> fem.Function:
 
 
 def contact_forces(state: State) -> fem.Function:
-    """Nodal forces that contact laws exert on the bodies, as a function of the displacements' space. Collective."""
+    """Compute the nodal forces of contact laws on the bodies, as a function in the displacements' space. Collective."""
     model, forces = state.model, fem.Function(state.model.V)
     for name, law in model.contacts.items():
         nodes = ContactNodes(ContactSurface.of(model, name), gap=law.gaps)
