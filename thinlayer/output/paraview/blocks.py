@@ -29,12 +29,10 @@ RESERVED_ARRAYS = ("u", STRESS, VON_MISES, "region", "seam", "status", "traction
 
 
 def blocks(state: State, model: InterfaceModel | None) -> pyvista.MultiBlock | None:
-    """Convert a state to the VTK blocks "bodies", "layer" (of a full model) and "S" (with `model`). Collective.
-
-    Only rank 0 has them; other ranks return None.
+    """Convert a state to the VTK blocks "bodies", "layer" and "S", on rank 0; other ranks return None. Collective.
 
     Args:
-        state: the state.
+        state: the state. Only a full model, whose layer is meshed, has a block "layer".
         model: interface model of the same joint, on whose S tractions and jumps are evaluated; None: no block "S".
     """
     of_cells, of_facets = _cell_data(state)
@@ -51,8 +49,11 @@ def blocks(state: State, model: InterfaceModel | None) -> pyvista.MultiBlock | N
 def _cell_data(state: State) -> tuple[dict[str, Array], dict[str, Array]]:
     """Compute means of stresses and internal variables over cells, and of internal variables over facets of S.
 
-    Collective. Rank 0 gets two mappings, for cells and for facets: name of an array -> values in the joint's order.
-    Where the law of a cell or facet has no such variable, the value is NaN.
+    Collective. A value is NaN where the law of a cell or facet has no variable of this name.
+
+    Returns:
+        Two dictionaries, for the cells and for the facets of S, which are empty except on rank 0. Each maps the name of
+        a VTK array to its values, ordered as the joint numbers its cells or facets.
     """
     model, joint = state.model, state.model.domain.joint
     of_cells, of_facets = dict[str, Array](), dict[str, Array]()
@@ -71,12 +72,16 @@ def _cell_data(state: State) -> tuple[dict[str, Array], dict[str, Array]]:
 
 
 def _named_variables(sublayers: list[dict[str, Array]], before: int = 0, *, several: bool = False) -> dict[str, Array]:
-    """Return name of a VTK array -> values of an internal variable, named "plastic 1", "plastic 2" in sublayers.
+    """Name VTK arrays of internal variables: "plastic" or, with several points through the thickness, "plastic 1", ...
 
     Args:
-        sublayers: for each sublayer, from the lower to the upper face, name of a variable -> values.
-        before: number of points through the thickness below these sublayers.
-        several: whether there are other points through the thickness, so that also a single sublayer is numbered.
+        sublayers: for each sublayer of a law, from the lower to the upper face, name of a variable -> values.
+        before: how many points through the thickness lie below these sublayers; numbers start at `before` + 1.
+        several: whether names are numbered although the law has only one sublayer, as other laws act at further points
+            through the thickness.
+
+    Returns:
+        Name of a VTK array -> values.
     """
     named: dict[str, Array] = {}
     for number, variables in enumerate(sublayers, before + 1):
@@ -87,14 +92,14 @@ def _named_variables(sublayers: list[dict[str, Array]], before: int = 0, *, seve
 
 
 def _add_means(arrays: dict[str, Array], numbers: IntArray, points: LawPoints, fields: Mapping[str, Array]) -> None:
-    """Add the means over cells or facets of a law's fields to arrays on rank 0. Collective.
+    """Add the means of a law's fields over each of its cells or facets to `arrays`, on rank 0. Collective.
 
     Args:
-        arrays: name of an array -> (n, components) means, NaN where nothing was added; changed on rank 0. Tensors have
-            the six components XX, YY, ZZ, XY, YZ, XZ.
-        numbers: (n,) numbers in the joint of all cells or facets, ascending.
-        points: quadrature points of the law.
-        fields: name of an array -> values at these points, (points,) or (points, 3, 3).
+        arrays: name of a VTK array -> (n, components) means over n cells or facets, NaN where no law has given a value.
+            Tensors have the six components XX, YY, ZZ, XY, YZ, XZ. Changed on rank 0.
+        numbers: (n,) numbers of these cells or facets in the joint, ascending.
+        points: quadrature points of the law, which acts in some of these cells or facets.
+        fields: name of a VTK array -> values at the quadrature points, (points,) or (points, 3, 3).
     """
     for name, values in fields.items():
         means = points.quadrature.means(values[:, *VTK_TENSOR_ORDER] if values.ndim == 3 else values)
@@ -106,14 +111,22 @@ def _add_means(arrays: dict[str, Array], numbers: IntArray, points: LawPoints, f
 
 
 def von_mises(stress: Array) -> Array:
-    """Von Mises equivalent stresses (n,) of stresses (n, 6), components XX, YY, ZZ, XY, YZ, XZ."""
+    """Return the von Mises equivalent stresses (n,) of n stresses (n, 6), whose components are XX, YY, ZZ, XY, YZ, XZ.
+    """
     normal, shear = stress[:, :3], stress[:, 3:]
     deviator = normal - normal.mean(axis=1, keepdims=True)
     return np.asarray(np.sqrt(1.5 * ((deviator**2).sum(axis=1) + 2 * (shear**2).sum(axis=1))))
 
 
 def _volume(joint: Joint, grid: VtkGrid, of_cells: Mapping[str, Array]) -> pyvista.UnstructuredGrid:
-    """VTK grid of all cells of bodies and meshed layers, with displacements and the cell data `of_cells`."""
+    """Make the VTK grid of all cells of bodies and meshed layers, with displacements and data of cells.
+
+    Args:
+        joint: the joint, whose names of regions and seams are added as well.
+        grid: cells, nodes and displacements.
+        of_cells: name of a VTK array -> values (cells, components), among them "stress"; "von Mises" is computed from
+            it.
+    """
     mesh = pyvista.UnstructuredGrid(grid.cells, grid.types, grid.points)
     mesh.point_data["u"] = grid.u
     mesh.cell_data.update(of_cells)
@@ -131,7 +144,10 @@ def _volume(joint: Joint, grid: VtkGrid, of_cells: Mapping[str, Array]) -> pyvis
 
 
 def _part(mesh: pyvista.UnstructuredGrid, chosen: BoolArray) -> pyvista.UnstructuredGrid:
-    """Grid of the chosen cells with their data, except arrays that are NaN in all of them, which VTK cannot read."""
+    """Return the cells of `mesh` for which `chosen` is True, with their data, as a new VTK grid.
+
+    Arrays of cell data are left out if all their values in these cells are NaN: the variable does not exist there.
+    """
     part = mesh.extract_cells(np.flatnonzero(chosen))
     part.point_data.pop("vtkOriginalPointIds")
     part.cell_data.pop("vtkOriginalCellIds")
@@ -146,16 +162,17 @@ def _surface_block(state: State, model: InterfaceModel, means: Mapping[str, Arra
     """Make the VTK grid of the facets of S, in the joint's order, on rank 0; other ranks return None. Collective.
 
     Each facet has its own nodes. Point data are "traction", "jump", "normal", the displacements "u_upper" and "u_lower"
-    of both sides, and their mean "u" (to warp S by). "t_N" and "w_N" are the normal components of traction and jump,
-    "t_T" and "w_T" the tangential ones. The latter are in 2D the component along (n_2, -n_1), in 3D the vector in S.
-    With contact laws there are also "contact" (`CONTACT_CODES`, -1 where no contact law acts) and the vector "slip".
-    Facet data are "seam" (its position in the field "seams"), "status" (a code), and means of internal variables.
+    of both sides, and their mean "u", by which ParaView can warp S. "t_N" and "w_N" are the normal components of
+    traction and jump. "t_T" and "w_T" are their tangential parts: in 2D the component along (n_2, -n_1), in 3D the
+    vector in S. With contact laws there are also "contact", a code of `CONTACT_CODES`, and the vector "slip".
+    Facet data are "seam", the seam's number, "status", a code, and means of internal variables. Texts in the grid's
+    field data explain the numbers and codes.
 
     Args:
         state: a state of the model, or of another model of the same joint. In the second case statuses and contact data
             are left out.
         model: an interface model.
-        means: name of an array -> (facets, components) means of an internal variable, on rank 0.
+        means: name of a VTK array -> (facets, components) means of an internal variable; empty except on rank 0.
     """
     joint, d, surface, same_model = model.joint, model.joint.dim, Surface(model), state.model is model
     lower, upper = surface.displacements(state)
@@ -193,7 +210,8 @@ def _surface_block(state: State, model: InterfaceModel, means: Mapping[str, Arra
 
 
 def _add_texts(mesh: pyvista.UnstructuredGrid, name: str, texts: Iterable[str]) -> None:
-    """Add texts to a mesh as a VTK field of this name; unlike pyvista's own method, it accepts non-ASCII characters."""
+    """Add `texts` to a mesh as VTK field data of this `name`; non-ASCII characters, which pyvista refuses, are allowed.
+    """
     array = vtkStringArray()
     array.SetName(name)
     for text in texts:
@@ -206,17 +224,21 @@ def _legend(codes: Mapping[str, int]) -> list[str]:
 
 
 def _three_components(values: Array) -> Array:
-    """Vectors (n, k, d) as (n k, 3), padded with zeros."""
+    """Return the vectors `values` (n, k, d) as an array (n k, 3), where missing components are zero."""
     flat = values.reshape(-1, values.shape[-1])
     return np.pad(flat, ((0, 0), (0, 3 - flat.shape[1])))
 
 
 def _nodal_data(at: Mapping[str, Array], d: int) -> dict[str, Array]:
-    """VTK point data of S, name of an array -> values, from values at the nodes of each facet.
+    """Compute the VTK point data of S that `_surface_block` lists, from fields at the nodes of each facet.
 
     Args:
-        at: arrays (facets, nodes, d): "traction", "upper" and "lower" displacement, and "n", the normal.
+        at: name -> vectors (facets, nodes, d): "traction"; "upper" and "lower", the displacements of both sides; "n",
+            the normal, whose length need not be 1.
         d: number of dimensions.
+
+    Returns:
+        Name of a VTK array -> its values, (facets * nodes,) or (facets * nodes, 3).
     """
     t, upper, lower = at["traction"], at["upper"], at["lower"]
     n = at["n"] / np.linalg.norm(at["n"], axis=2, keepdims=True)

@@ -25,12 +25,17 @@ LAGRANGE_TYPES = {"interval": 68, "triangle": 69, "quadrilateral": 70, "tetrahed
 
 
 def vtk_type(cell_type: str, n_nodes: int) -> int:
-    """VTK's code of a type of cells, such as "triangle", with `n_nodes` nodes."""
+    """Return VTK's code for cells of the type `cell_type`, such as "triangle", with `n_nodes` nodes."""
     return (LINEAR_TYPES if geometry_degree(cell_type, n_nodes) == 1 else LAGRANGE_TYPES)[cell_type]
 
 
 def vtk_order(cell_type: str, n_nodes: int) -> IntArray:
-    """Positions (n_nodes,) in DOLFINx's order of the nodes of a cell, listed in VTK's order."""
+    """Return the permutation p (n_nodes,) of a cell's nodes from DOLFINx's to VTK's order: nodes[p] has VTK's order.
+
+    Args:
+        cell_type: type of the cell, such as "triangle".
+        n_nodes: number of its nodes.
+    """
     return np.argsort(np.asarray(dolfinx.cpp.io.perm_vtk(dolfinx.mesh.to_type(cell_type), n_nodes), np.int64))
 
 
@@ -43,11 +48,11 @@ class VtkGrid:
         points: (n, 3) coordinates of the nodes before deformation.
         u: (n, 3) displacements.
         cells: VTK's list of cells: for each cell the number of its nodes, then the nodes.
-        types: (n_cells,) VTK's codes of the types of the cells.
-        region: (n_cells,) number of the body's region, from 0; regions of the meshed layer have -1, -2, ...
-        base: (facets, k, 3) coordinates of the k nodes of each facet of the rigid base, in VTK's order; without facets
-            if S lies between two bodies.
-        base_type: VTK's code of the type of these facets.
+        types: (n_cells,) VTK's codes for the types of the cells.
+        region: (n_cells,) number of the region of the bodies, from 0; regions of meshed layers have -1, -2, ...
+        base: (facets, k, 3) coordinates of the k nodes, in VTK's order, of each facet where the joint lies on a rigid
+            base. Without such facets if there is a body on both sides of S.
+        base_type: VTK's code for the type of these facets.
     """
 
     dim: int
@@ -60,7 +65,10 @@ class VtkGrid:
     base_type: int
 
     def component(self, name: str) -> Array:
-        """Component "x", "y" or "z" of the displacements, (n,), or for "size" their norm.
+        """Return a component (n,) of the displacements at the nodes, or their norm.
+
+        Args:
+            name: "x", "y" or "z"; "size" for the norm.
 
         Raises:
             InputError: another name, or "z" in 2D.
@@ -73,9 +81,10 @@ class VtkGrid:
 
 
 def nodal_displacement(state: State) -> fem.Function:
-    """Return the displacement as a function with nodal values: a copy, or an interpolation to degree 2.
+    """Return the displacement as a function all of whose degrees of freedom are values at nodes.
 
-    The latter is for elements some of whose dofs are no values at nodes (element "S2").
+    This is a copy for most elements. Element "S2" has other degrees of freedom, so that its displacement is
+    interpolated to a Lagrange element of degree 2.
     """
     is_nodal = not state.model.element.startswith("S")
     u = fem.Function(state.u.function_space if is_nodal else state.model.space(2), name="u")
@@ -88,8 +97,8 @@ def gather_grid(state: State) -> VtkGrid | None:
     """Gather the displacement field of a state on rank 0; other ranks return None. Collective.
 
     Cells have the order of the model's joint, and nodes the order in which they first occur in these cells. The result
-    is therefore the same on any number of ranks. Coincident nodes on both sides of S stay distinct, as do the nodes on
-    opposite periodic sides of a cell.
+    is therefore the same on any number of ranks. Where nodes of both sides of S coincide, they stay distinct. So do
+    nodes on opposite periodic sides of a cell.
     """
     model, joint = state.model, state.model.domain.joint
     u = nodal_displacement(state)
@@ -127,7 +136,10 @@ def gather_grid(state: State) -> VtkGrid | None:
 
 
 def _base(joint: Joint) -> tuple[Array, int]:
-    """Coordinates (facets, k, 3) of the nodes of the rigid base's facets, in VTK's order, and VTK's type of facet."""
+    """Return where the joint lies on a rigid base: the facets' nodes, and VTK's code for the type of the facets.
+
+    The nodes are an array (facets, k, 3) of coordinates, in VTK's order; without facets if there is no rigid base.
+    """
     kind = FACET_TYPES[joint.cell_type]
     names = joint.base_seams if joint.band is None else (BASE,) if BASE in joint.facets else ()
     if not names:

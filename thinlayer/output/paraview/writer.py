@@ -31,30 +31,33 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
     Rank 0 gathers all results and, for the path "run.pvd", writes this file and the folder "run_pvd". Each state has
     these blocks:
 
-    - "bodies": at nodes the displacement "u"; each side of S has its own nodes, so that jumps are kept. On cells the
-      means of "stress" and of the internal variables of laws by their names, and "von Mises". Also on cells "region",
-      the position of the region's name in the field "regions".
-    - "layer", of a full model: the same, and "seam", the position of the seam's name in the field "seams".
-    - "S", of an interface model, or with `surface`: facets, each with its own nodes. At nodes "traction", "jump",
-      "normal", the displacements "u_upper" and "u_lower" of both sides, and their mean "u" (to warp S by). "t_N" and
-      "w_N" are the normal components of traction and jump, "t_T" and "w_T" the tangential ones: in 2D the component
-      along (n_2, -n_1), in 3D the vector in S. Under contact laws also the status "contact" (explained by the field
-      "contact codes") and "slip". On facets "seam", "status" (`Surface.status`, explained by the field
-      "status codes"), and means of the layer's internal variables, such as "phase".
+    - "bodies": the cells of the bodies. Data of nodes: the displacement "u"; each side of S has its own nodes, so that
+      jumps are kept. Data of cells: means of "stress" and of the laws' internal variables, each by its name; "von
+      Mises"; "region", the position of the region's name in the list "regions" of the field data.
+    - "layer", only for a full model: the cells of the meshed layers, with the same data. Also for each cell "seam", the
+      position of the seam's name in the list "seams" of the field data.
+    - "S", for an interface model, or with `surface`: facets of S, each with its own nodes. Data of nodes: "traction",
+      "jump", "normal", the displacements "u_upper" and "u_lower" of both sides, and their mean "u", by which ParaView
+      can warp S. "t_N" and "w_N" are the normal components of traction and jump. "t_T" and "w_T" are their tangential
+      parts: in 2D the component along (n_2, -n_1), in 3D the vector in S. Under contact laws there are also "slip" and
+      the code "contact" of the contact status, which the field data "contact codes" explain. Data of facets: "seam";
+      the code "status" of `Surface.status`, which "status codes" explain; means of the layer's internal variables, such
+      as "phase".
 
     Vectors have three components, stresses and other tensors six: XX, YY, ZZ, XY, YZ, XZ. "von Mises" is computed from
-    the mean stress of a cell. Internal variables that a cell's law does not have are NaN there. In sublayers, and under
-    interface laws of order 1, there are several points through the thickness on S. Variables are then numbered from
-    below: "plastic 1", "plastic 2". In a periodic cell "u" is without the motion by the mean strain
-    (`State.mean_strain`); stresses are complete.
+    the mean stress of a cell. Internal variables that a cell's law does not have are NaN there. A layer with sublayers,
+    or with an interface law of order 1, has several points through its thickness on each facet of S. The names of its
+    variables are then numbered from the lower face on: "plastic 1", "plastic 2". In a periodic cell, "u" lacks the
+    linear displacement of the mean strain (`State.mean_strain`); stresses include the effect of this strain.
 
     For meshes that do not fit on rank 0, `dolfinx.io.VTXWriter(comm, "run.bp", [state.u])` writes only displacements.
 
     Args:
         solution: a state or a history.
         path: name of the file, which ends in .pvd.
-        surface: for a full model, S of an interface model of the same joint. The block "S" then has the traction and
-            jump of the meshed layer, at the positions of S in the joint as drawn. None: no block "S" of a full model.
+        surface: for a full model, the surface S of an interface model of the same joint. The block "S" then has the
+            traction and jump of the meshed layer, at the positions of S in the joint as drawn, before it is opened to
+            the thickness. None: a full model has no block "S".
 
     Raises:
         InputError: not a state or a history; a path that does not end in .pvd; a surface of another joint.
@@ -97,7 +100,10 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
 
 
 def _make_room(path: Path, folder: Path) -> None:
-    """Make the folder for the files of all states, and delete those of an earlier `write` in it."""
+    """Make `folder`, in which `write` stores the files of the states, and delete files that it stored there earlier.
+
+    The file `path`, which lists the states, is left as it is.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.iterdir():
         if re.fullmatch(r"\d+", old.name) and old.is_dir():
@@ -107,9 +113,9 @@ def _make_room(path: Path, folder: Path) -> None:
 
 
 def _write_blocks(multiblock: pyvista.MultiBlock | None, name: Path) -> None:
-    """Write a file .vtm that lists the blocks, and a file .vtu of each block in a folder next to it.
+    """Write the VTK file `name` (.vtm), which lists the blocks, and a file .vtu for each block in a folder next to it.
 
-    Python writes the files, which VTK composes in memory: on a full disk VTK itself can end the process.
+    VTK composes the files in memory, and Python writes them, as VTK may end the process if the disk is full.
     """
     assert multiblock is not None, "rank 0"
     rows = []
@@ -127,7 +133,13 @@ def _write_blocks(multiblock: pyvista.MultiBlock | None, name: Path) -> None:
 
 
 def _write_listing(path: Path, kind: str, rows: Iterable[str]) -> None:
-    """Write an XML file of this VTK type that lists other files, with the XML attributes of each in `rows`."""
+    """Write an XML file in which VTK lists other files.
+
+    Args:
+        path: name of the file.
+        kind: VTK's type of the list, "Collection" or "vtkMultiBlockDataSet".
+        rows: for each listed file a text with its XML attributes, such as `timestep="0" file="run_pvd/0000.vtm"`.
+    """
     named = "".join(f"    <DataSet {row}/>\n" for row in rows)
     text = f'<VTKFile type="{kind}" version="1.0">\n  <{kind}>\n{named}  </{kind}>\n</VTKFile>\n'
     with replace_file(path) as file:

@@ -44,16 +44,18 @@ def along(
 
     Args:
         surface: S, or a seam.
-        fields: what is drawn, in one of three forms. Fields: label of a row -> field, or label of a row -> {label of a
-            curve: field}; a field has numbers, or vectors with components along S and along n (`Surface.frame`).
-            States: label of a curve -> state, or one state; traction and jump are drawn. Contact: label of a curve ->
-            result of `Surface.contact`, or one result; p, t_T, u_T and the opening are drawn.
-        plane: in 3D a point and the normal of the plane that cuts S, along whose line of intersection fields are drawn;
+        fields: what is drawn, in one of three forms.
+            1. Fields: label of a row -> field, for one curve; or label of a row -> {label of a curve: field}. A field
+            consists of numbers, or of vectors with components along S and along n (see `Surface.frame`).
+            2. States: label of a curve -> state, or only a state. Traction and jump are drawn.
+            3. Results of `Surface.contact`: label of a curve -> result, or only a result. p, t_T, u_T and the opening
+            are drawn.
+        plane: (point, normal) of a plane that cuts a 3D structure; fields are drawn along the line in which it cuts S.
             None in 2D.
         save: name of a file to save the picture to, .png, .svg or .pdf; None: it is not saved.
         title: text over the picture.
-        length, stress: units of lengths and of stresses, for the labels.
-        log: whether the axes of the fields are logarithmic on both sides of zero.
+        length, stress: names of the units of lengths and of stresses, for the labels.
+        log: whether the vertical axes are logarithmic on both sides of zero.
 
     Raises:
         InputError: not a surface, state or field; a plane that does not cut S, or none in 3D.
@@ -83,14 +85,14 @@ def along(
 
 
 def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, Mapping[str, npt.ArrayLike]]:
-    """Return label of a row -> {label of a curve: field} for all three forms of the argument of `along`.
+    """Return label of a row -> {label of a curve: field}, from the argument `fields` of `along` in any of its forms.
 
     Pressures and tangential tractions are NaN at pinned nodes, where supports exert the force.
 
     Args:
         surface: the surface.
         fields: the argument of `along`.
-        stress, length: texts that follow the names of stresses and of lengths, such as " (MPa)".
+        stress, length: texts that follow the names of stresses and of lengths, such as " (MPa)" and " (mm)".
     """
     cases = labelled("along: fields", fields, "field")
     if not all(isinstance(case, (State, Contact)) for case in cases.values()):
@@ -113,7 +115,12 @@ def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, 
 
 
 def _draw(axes: Axes, cases: list[list[Line]]) -> None:
-    """Draw curves in one panel; the lines of S that belong to one curve follow one another, separated by grey lines."""
+    """Draw one panel with several curves, the values of fields along lines on S.
+
+    Args:
+        axes: the panel.
+        cases: for each curve its lines, which follow one another on the horizontal axis, with grey lines between them.
+    """
     for number, lines in enumerate(cases):
         start = 0.0
         for line in lines:
@@ -128,7 +135,7 @@ def _draw(axes: Axes, cases: list[list[Line]]) -> None:
 
 
 def _legend(figure: Picture, rows: Collection[Mapping[str, list[Line]]], dim: int) -> None:
-    """Draw a legend of the components of vectors (line styles) and of the labels of curves (colours) below the panels.
+    """Draw a legend below the panels: line styles of the components of vectors, and colours of the curves.
 
     Args:
         figure: the picture.

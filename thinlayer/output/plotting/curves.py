@@ -39,12 +39,12 @@ def rates(
     reference: float = 1.0,
     errors: Mapping[str, str] = ERROR_COLUMNS,
 ) -> Picture:
-    """Draw the errors of sweeps over the thickness eps on logarithmic axes, with a line of given slope.
+    """Draw the errors in the tables of sweeps over the thickness eps, on logarithmic axes, with a reference line.
 
-    Collective if the picture is saved or a file is read, both by rank 0.
+    Collective if rank 0 saves the picture or reads a file.
 
     Args:
-        table: table of a sweep, or name of its csv file; or label -> table or name.
+        table: table of a sweep, or name of its csv file; for several sweeps, label -> table or name.
         save: name of a file to save the picture to, .png, .svg or .pdf; None: it is not saved.
         title: text over the picture.
         reference: slope of the reference line, the rate of convergence to compare with.
@@ -102,18 +102,20 @@ def curves(
     Curves with the same label have the same style and colour in all panels.
 
     Args:
-        lines: label of a curve -> (x, y), two arrays of the same length; or title of a panel -> {label: (x, y)}.
+        lines: curves of one panel, label of a curve -> (x, y), two arrays of the same length. For several panels, title
+            of a panel -> its curves.
         xlabel: label of the x axes, units included.
-        ylabel: label of the y axes, units included; or title of a panel -> label.
+        ylabel: label of the y axes, units included; or title of a panel -> its label.
         title: text over the picture.
         save: name of a file to save the picture to, .png, .svg or .pdf; None: it is not saved.
         styles, colours: matplotlib's styles ("o--") and colours: one for all curves, several that are used in turn, or
             label of a curve -> style or colour. None: all curves differ.
-        log: axes that are logarithmic, "x", "y" or "xy"; "": none.
+        log: which axes are logarithmic, "x", "y" or "xy"; "": none.
         xlim, ylim: (smallest, largest) number on the axes, or title of a panel -> such a pair. None: the whole range of
             the curves.
         columns: number of panels in a row.
-        levels: title of a panel -> names that replace the numbers 0, 1, ... on the y axis; None: numbers.
+        levels: title of a panel -> words that replace the numbers 0, 1, ... at its y axis, for curves of such numbers.
+            None: all y axes show numbers.
 
     Raises:
         InputError: `lines` is no mapping.
@@ -154,12 +156,15 @@ def curves(
 
 
 def fraction(x: float) -> str:
-    """Write a number as text: "1/128" for the powers of 1/2 from 1/4 downwards, otherwise with four digits."""
+    """Return a number as text: "1/128" if it is 1/4, 1/8, 1/16, ..., otherwise decimal with four significant digits."""
     return f"1/{1 / x:.0f}" if x <= 1 / 4 and math.frexp(x)[0] == 0.5 else f"{x:.4g}"
 
 
 def _of_panel(setting: Any, panel: str) -> Any:
-    """Value of a setting for a panel: its entry under the panel's title if it is a mapping, else the setting itself."""
+    """Return the value of a setting for the panel with the title `panel`.
+
+    If `setting` is a mapping, title of a panel -> value, it is this panel's entry, or None; otherwise it is `setting`.
+    """
     return setting.get(panel) if isinstance(setting, Mapping) else setting
 
 
@@ -170,7 +175,7 @@ def _by_label(labels: Iterable[str], chosen: StyleChoice) -> dict[str, str]:
 
 
 def logarithmic(axes: Axes, low: float, high: float) -> None:
-    """Make the y axis logarithmic on both sides of zero, with ticks at powers of ten.
+    """Make the y axis logarithmic on both sides of zero, with ticks at zero and at powers of ten.
 
     Args:
         axes: the panel.

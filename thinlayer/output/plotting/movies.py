@@ -36,8 +36,9 @@ def movie(
 ) -> Path:
     """Write a movie of a deforming structure, with a frame for each state that a history keeps. Collective.
 
-    All frames have the same window, factor of the displacements, range of colours and duration, whatever the time
-    steps were. The time stands over each frame. A notebook shows the file by IPython's `Image` (gif) or `Video` (mp4).
+    All frames have the same window, factor of the displacements and range of colours. All are shown for the same
+    duration, whatever the time steps were. The time stands over each frame. A notebook shows the file by IPython's
+    `Image` (gif) or `Video` (mp4).
 
     Args:
         solution: a history, or states of one model in the order of the frames.
@@ -51,8 +52,8 @@ def movie(
         The name of the file, on all ranks.
 
     Raises:
-        InputError: no state, or states of several models; a view that does not suit the structure; another ending of
-            the name; no ffmpeg.
+        InputError: no state, or states of several models; an invalid view, as in `deformed`; another ending of the
+            name; no ffmpeg.
         OSError: the movie could not be written; on all ranks.
     """
     states = list(solution) if isinstance(solution, Iterable) else []
@@ -93,7 +94,7 @@ def movie(
 
 
 def _ffmpeg() -> str:
-    """Path of the program ffmpeg; raise InputError if it is not installed."""
+    """Return the path of the program ffmpeg; raise InputError if it is not installed."""
     try:
         from imageio_ffmpeg import get_ffmpeg_exe
 

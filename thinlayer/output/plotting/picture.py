@@ -33,12 +33,13 @@ NOTEBOOK_SETTINGS: dict[str, Any] = {"dpi": 100, "bbox_inches": "tight"}
 class Picture(Figure):
     """A matplotlib figure whose texts show symbols such as "eps", "t_T" and "10^3" as mathematics.
 
-    A notebook displays it if it is the last value of a cell, or by IPython's `display`. `savefig` and all other methods
-    are matplotlib's. It is made without pyplot, so that scripts and notebooks keep their backend.
+    A notebook displays the picture if it is the last value of a cell, or by IPython's `display`. `savefig` and all
+    other methods are those of a matplotlib figure. It is made without pyplot, so that matplotlib's backend does not
+    change.
     """
 
     def draw(self, renderer: RendererBase) -> None:
-        """Draw the figure, with symbols in texts as mathematics."""
+        """Draw the figure by a matplotlib renderer, after replacing symbols in its texts by mathematics (`symbols`)."""
         for text in self.findobj(Text):
             text.set_text(symbols(text.get_text()))
         super().draw(renderer)
@@ -49,7 +50,11 @@ class Picture(Figure):
         return buffer.getvalue()
 
     def show(self, warn: bool = True) -> None:
-        """Open the picture in a window and wait until it is closed; for scripts with a screen."""
+        """Open the picture in a window, for scripts with a screen, and wait until the user closes it.
+
+        Args:
+            warn: without effect; an argument of matplotlib's method.
+        """
         from matplotlib import pyplot
 
         manager = pyplot.figure().canvas.manager
@@ -61,7 +66,7 @@ class Picture(Figure):
 
 
 def symbols(text: str) -> str:
-    """Return a text with its symbols, such as "eps", "t_T", "10^3", as matplotlib's mathematics between "$".
+    """Return a text in which symbols such as "eps", "t_T" and "10^3" are matplotlib's mathematics, between "$".
 
     A text that already contains "$" is returned unchanged.
     """
@@ -75,7 +80,13 @@ FigureType = TypeVar("FigureType", bound=Figure)
 
 
 def finish_picture(figure: FigureType, save: str | Path | None, title: str = "") -> FigureType:
-    """Give a picture a title, save it by rank 0 unless `save` is None, and return it. Collective if it is saved."""
+    """Give a picture a title and return it; rank 0 saves it to the file `save`. Collective unless `save` is None.
+
+    Args:
+        figure: the picture.
+        save: name of the file; None: it is not saved.
+        title: text over the picture; "": none.
+    """
     if title:
         figure.suptitle(title, fontsize=11)
     if save is not None:
@@ -87,12 +98,12 @@ EntryType = TypeVar("EntryType")
 
 
 def labelled(what: str, entries: Mapping[str, EntryType] | EntryType, kind: str) -> dict[str, EntryType]:
-    """Return label -> entry for an argument that is such a mapping, or a single entry, whose label is "".
+    """Return label -> entry, given such a mapping or a single entry, which gets the label "".
 
     Args:
-        what: name of the argument in messages.
+        what: name of the argument, for messages.
         entries: the argument.
-        kind: what an entry is, in messages.
+        kind: what an entry is, such as "state", for messages.
 
     Raises:
         InputError: the mapping is empty.
@@ -104,7 +115,13 @@ def labelled(what: str, entries: Mapping[str, EntryType] | EntryType, kind: str)
 
 
 def drawn_on_root(comm: MPI.Intracomm, draw: Callable[[], Picture], save: str | Path | None) -> Picture | None:
-    """Draw a picture on rank 0, save it unless `save` is None, and return it; None on other ranks. Collective."""
+    """Draw a picture on rank 0 and return it; other ranks return None. Collective.
+
+    Args:
+        comm: communicator.
+        draw: function that makes the picture.
+        save: name of a file to which rank 0 saves the picture; None: it is not saved.
+    """
     pictures: list[Picture] = []
     on_root(comm, lambda: pictures.append(draw()))
     if save is not None:
@@ -113,10 +130,10 @@ def drawn_on_root(comm: MPI.Intracomm, draw: Callable[[], Picture], save: str | 
 
 
 def save_picture(figure: Figure, save: str | Path) -> None:
-    """Save a picture on this rank. A file of this name is replaced only when the new file is complete.
+    """Save a picture on this rank; an existing file of this name is replaced only when the new file is complete.
 
-    Curves in .svg and .pdf are vectors. Other images have 300 dots per inch at the size on a page. There a wide picture
-    is scaled down to 170 mm.
+    Curves in .svg and .pdf files are vectors. Files in other formats, and images in these files, have 300 dots per inch
+    of the printed picture. A picture wider than a page's text, 170 mm, is printed with this width.
 
     Args:
         figure: the picture.
