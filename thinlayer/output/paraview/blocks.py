@@ -111,8 +111,7 @@ def _add_means(arrays: dict[str, Array], numbers: IntArray, points: LawPoints, f
 
 
 def von_mises(stress: Array) -> Array:
-    """Return the von Mises equivalent stresses (n,) of n stresses (n, 6), whose components are XX, YY, ZZ, XY, YZ, XZ.
-    """
+    """Return the von Mises equivalent stresses (n,) of n stresses (n, 6) with the components XX, YY, ZZ, XY, YZ, XZ."""
     normal, shear = stress[:, :3], stress[:, 3:]
     deviator = normal - normal.mean(axis=1, keepdims=True)
     return np.asarray(np.sqrt(1.5 * ((deviator**2).sum(axis=1) + 2 * (shear**2).sum(axis=1))))
@@ -210,8 +209,7 @@ def _surface_block(state: State, model: InterfaceModel, means: Mapping[str, Arra
 
 
 def _add_texts(mesh: pyvista.UnstructuredGrid, name: str, texts: Iterable[str]) -> None:
-    """Add `texts` to a mesh as VTK field data of this `name`; non-ASCII characters, which pyvista refuses, are allowed.
-    """
+    """Add `texts` to a mesh as VTK field data called `name`; unlike in pyvista, non-ASCII characters are allowed."""
     array = vtkStringArray()
     array.SetName(name)
     for text in texts:

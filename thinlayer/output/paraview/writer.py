@@ -56,8 +56,8 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
         solution: a state or a history.
         path: name of the file, which ends in .pvd.
         surface: for a full model, the surface S of an interface model of the same joint. The block "S" then has the
-            traction and jump of the meshed layer, at the positions of S in the joint as drawn, before it is opened to
-            the thickness. None: a full model has no block "S".
+            traction and jump of the meshed layer. It shows S as drawn, before the joint is opened to the layer's
+            thickness. None: a full model has no block "S".
 
     Raises:
         InputError: not a state or a history; a path that does not end in .pvd; a surface of another joint.
