@@ -32,12 +32,13 @@ class PointValues:
     """Values of one internal variable at the n quadrature points of one law, the same on all ranks.
 
     Attributes:
-        key: key of the law in a body or layer, such as "layer" or "body STONE" (`Probe.names`).
+        key: name of the law by its place, such as "layer" or "body STONE" (see `Probe.names`).
         x: (n, d) coordinates in d dimensions, ordered by cell or facet, then by position.
         values: (n, ...) values at these points; tensors are (n, 3, 3).
-        weights: (n,) volumes of the points (on S: areas times the thickness of the layer or sublayer). The sum of
-            weights times values is the integral of the variable.
-        entity: (n,) number in the joint of the cell of each point; on S the row of its facet in the joint's table.
+        weights: (n,) quadrature weights; the sum of weights times values is the integral of the variable over the
+            volume. At points on S they are areas times the thickness of the layer or sublayer.
+        entity: (n,) number of the cell of each point in the joint. At points on S it is the row of the facet in the
+            joint's `table` of facets.
     """
 
     key: str
@@ -50,8 +51,8 @@ class PointValues:
 class Probe:
     """Displacements, stresses and internal variables of a state at points of bodies, meshed layers and S.
 
-    Points x refer to the undeformed mesh of the model; in a full model this mesh contains the layer. Methods are
-    collective, with the same arguments on all ranks; all ranks get the same results.
+    Coordinates x are those of the undeformed mesh of the model; in a full model this mesh contains the layer. Methods
+    are collective: all ranks must give the same arguments, and get the same results.
 
     Args:
         state: a state, as `solve` or `history.at(t)` returns it.
@@ -82,16 +83,16 @@ class Probe:
 
     # ---------------------------------------------------------------- at points in bodies and meshed layers
     def displacement(self, x: npt.ArrayLike, *, side: str | None = None, seam: str = S) -> Array:
-        """Displacements (n, d) at n points in d dimensions, or (d,) at one point.
+        """Return the displacements (n, d) at n points in d dimensions, or (d,) at one point.
 
         Args:
             x: (n, d) coordinates, or (d,) for one point.
-            side: "lower" or "upper", the side of S at points on S of an interface model, where displacements jump.
-                None: the points are not on S, or displacements do not jump there.
+            side: "lower" or "upper", the side of S whose displacement is wanted at points on S. None: no point lies on
+                S where displacements jump. This is for interface models.
             seam: name of the seam to which `side` refers, for points where several seams meet; "S": all seams.
 
         Raises:
-            InputError: points outside the bodies and meshed layers; a point where displacements jump, without a side.
+            InputError: points outside the bodies and meshed layers; `side` is None at a point where displacements jump.
         """
         located = self._located(x, side, seam)
         basis = self.state.u.function_space.ufl_element().basix_element.tabulate(0, located.X)[0, :, :, 0]
@@ -104,7 +105,7 @@ class Probe:
         return u[first] if np.ndim(x) > 1 else u[first][0]
 
     def stress(self, x: npt.ArrayLike, *, side: str | None = None, seam: str = S) -> Array:
-        """Stresses (n, 3, 3) at n points in d dimensions, or (3, 3) at one point.
+        """Return the stresses (n, 3, 3) at n points in d dimensions, or (3, 3) at one point.
 
         In each cell a polynomial is fitted by least squares to the stresses at the quadrature points. Its total degree
         is one less than the degree of the displacements, on quadrilaterals and hexahedra equal to it. At a point in
@@ -112,9 +113,9 @@ class Probe:
 
         Args:
             x: (n, d) coordinates, or (d,) for one point.
-            side: "lower" or "upper": the mean is only over cells on this side of S, of an interface model; None: all
-                cells.
-            seam: name of the seam to which `side` refers; "S": all seams.
+            side: "lower" or "upper": at points on S the mean is only over cells on this side. This is for interface
+                models. None: the mean is over all cells.
+            seam: name of the seam to which `side` refers, for points where several seams meet; "S": all seams.
 
         Raises:
             InputError: points outside the bodies and meshed layers; an unknown side or seam.
@@ -129,9 +130,13 @@ class Probe:
         return out if np.ndim(x) > 1 else out[0]
 
     def _located(self, x: npt.ArrayLike, side: str | None = None, seam: str = S, on_s: bool = False) -> LocatedPoints:
-        """Find the cells that contain points, with `on_s` the facets of S; errors are raised on all ranks.
+        """Find the cells, or the facets of S, that contain points; all ranks get the same result or error. Collective.
 
-        With `side`, "lower" or "upper", only cells on this side of S, or of `seam`, count.
+        Args:
+            x: (n, d) coordinates, or (d,) for one point.
+            side: "lower" or "upper": at points on S find only cells on this side; None: all cells. Not for facets.
+            seam: name of the seam to which `side` refers; "S": all seams.
+            on_s: True: find facets of S; False: find cells.
         """
         model = self.state.model
         with errors_on_all(self._comm):
@@ -140,15 +145,15 @@ class Probe:
         return located
 
     def _fitted(self, points: LawPoints, values: Array, located: LocatedPoints) -> Array:
-        """Evaluate polynomials that are fitted in each cell to values at the quadrature points of a law.
+        """Fit a polynomial in each cell to values at the quadrature points of a law, and evaluate it at given points.
 
         Args:
             points: quadrature points of the law.
-            values: (points, k) values there.
-            located: the m pairs of a point and a cell that contains it.
+            values: (points, k) values of k quantities there.
+            located: pairs of a given point and a cell that contains it, m in number.
 
         Returns:
-            (m, k) values; zero in cells on other ranks or of other laws.
+            (m, k) values of the polynomials; zero for cells that other ranks own or where other laws act.
         """
         out = np.zeros((len(located.entity), values.shape[1]))
         rows = {int(entity): row for row, entity in enumerate(points.entities)}
@@ -177,20 +182,20 @@ class Probe:
 
     @property
     def names(self) -> dict[str, list[str]]:
-        """Key of each law with internal variables -> names of these variables.
+        """Names of the internal variables of each law, by the law's key; laws without internal variables are left out.
 
-        Keys are "layer", "layer BED" for the layer on the seam BED, "body STONE" for the region STONE, as in
-        `State.memory`. Sublayers are numbered from the lower to the upper face: "layer 1", "layer BED/1". The two
-        points through the thickness of an interface law of order 1 are numbered likewise.
+        The key is "layer", "layer BED" for the layer on the seam BED, or "body STONE" for the region STONE, as in
+        `State.memory`. Sublayers have keys of their own, numbered from the lower to the upper face: "layer 1", "layer
+        BED/1". So have the two points through the thickness of an interface law of order 1.
         """
         return {key: list(variables) for key, variables in self._variables.items()}
 
     def points(self, name: str, key: str | None = None) -> PointValues:
-        """Values of an internal variable at all quadrature points of one law, in a body, a meshed layer or on S.
+        """Return an internal variable at all quadrature points of one law, in a body, a meshed layer or on S.
 
         Args:
-            name: name of the variable, as in the law's `internal`.
-            key: key of the law, such as "layer" (`names`); None: the only law with such a variable.
+            name: name of the variable, one of those in `names`.
+            key: key of the law in `names`, such as "layer"; None: the only law that has this variable.
 
         Raises:
             InputError: no such variable; several laws have it, and `key` is None.
@@ -206,17 +211,18 @@ class Probe:
         return PointValues(key, x[order], values[order], weights[order], entity[order])
 
     def internal(self, name: str, x: npt.ArrayLike, key: str | None = None) -> Array:
-        """Values of an internal variable at the quadrature points nearest to points x.
+        """Return the value of an internal variable at the quadrature point nearest to each of n points.
 
-        Only quadrature points in the cells (on S: in the facets) that contain x count; nothing is interpolated.
+        Only quadrature points in the cells that contain the point count, or on S in the facets. Nothing is
+        interpolated.
 
         Args:
-            name: name of the variable, as in the law's `internal`.
+            name: name of the variable, one of those in `names`.
             x: (n, d) coordinates in d dimensions, or (d,) for one point; for an interface law, points on its seam.
-            key: key of the law, such as "layer" (`names`); None: the only law with such a variable.
+            key: key of the law in `names`, such as "layer"; None: the only law that has this variable.
 
         Returns:
-            (n,) values, for tensors (n, 3, 3); without the first axis for one point.
+            (n,) values, for tensors (n, 3, 3); without the first axis if x is one point (d,).
 
         Raises:
             InputError: no such variable; several laws have it, and `key` is None; points where the law does not act.
@@ -234,7 +240,12 @@ class Probe:
         return out if np.ndim(x) > 1 else out[0]
 
     def _key(self, name: str, key: str | None) -> str:
-        """The key of the law with this internal variable; raise InputError if there is not exactly one such law."""
+        """Return the key of the law that has the internal variable `name`; if `key` is given, check it and return it.
+
+        Raises:
+            InputError: no law has the variable; the law with this key does not; several laws have it, and `key` is
+                None.
+        """
         having = [law_key for law_key, variables in self._variables.items() if name in variables]
         if not having or key not in (None, *having):
             listed = "; ".join(f"{law_key}: {', '.join(names)}" for law_key, names in self.names.items())
@@ -251,11 +262,12 @@ def cells_at(model: Model, x: npt.ArrayLike, side: str | None = None, seam: str 
     Args:
         model: the model.
         x: (n, d) coordinates in d dimensions, or (d,) for one point.
-        side: "lower" or "upper": only cells on this side of S, of an interface model; None: all cells.
+        side: "lower" or "upper": at points on S find only cells on this side, in an interface model; None: all cells.
         seam: name of the seam to which `side` refers; "S": all seams.
 
     Raises:
-        InputError: no points, or points outside the cells; an unknown side, or a rigid base; an unknown seam.
+        InputError: no points; points outside the cells; an unknown side or seam; a side where S lies on a rigid base,
+            which has no cells; a side although the model is no interface model.
     """
     located = LocatedPoints.in_cells(model.domain.joint, x)
     if side is None:
@@ -266,6 +278,6 @@ def cells_at(model: Model, x: npt.ArrayLike, side: str | None = None, seam: str 
 
 
 def _monomials(x: Array, degree: int) -> Array:
-    """Values (n, k) at n points of the k monomials whose total degree is at most `degree`."""
+    """Return the values (n, k) at n points `x` (n, d) of the k monomials whose total degree is at most `degree`."""
     axes = [k for n in range(degree + 1) for k in combinations_with_replacement(range(x.shape[1]), n)]
     return np.column_stack([x[:, k].prod(axis=1) for k in axes])

@@ -1,4 +1,4 @@
-"""JSON file, next to a csv table, with the rows that a user's function returned and a description of this function."""
+"""JSON file, next to a csv table, with the rows that a user's function returned, and a description of this function."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ RESUME_HINT = "give another name, remove it, or resume='anyway'"
 
 
 class RowFile:
-    """File of the rows that a user's function returned, with a description of the function; used on one rank.
+    """JSON file of the rows that a user's function returned, with a description of the function. One rank uses it.
 
-    The description covers the code of the function and the objects it refers to. Data that the function changes itself,
-    such as a list of its results, are left out. If several rows draw from one random generator or iterator, a later
-    run cannot continue from the file.
+    The description shows whether the rows of an earlier run are those of the same function. It covers the code of the
+    function and the objects it refers to. Data that the function changes itself, such as a list of its results, are
+    left out. If several rows took random numbers from the same generator or iterator, a later run cannot continue.
 
     Args:
         path: name of the JSON file.
@@ -51,7 +51,9 @@ class RowFile:
         self.watch(run)
 
     def watch(self, run: object) -> None:
-        """Record the present states of a function's random generators and iterators; `add` compares with them.
+        """Store the present states of all random generators and iterators to which the user's function refers.
+
+        If a state has changed when `add` is called, the rows of the file count as drawn from one generator.
 
         Args:
             run: the function, or a tuple of functions.
@@ -59,17 +61,18 @@ class RowFile:
         self._watched, self._states = run, random_states(run, shared=True)
 
     def read(self, resume: Resume) -> list[Row]:
-        """Read the rows of an earlier run from the file; later calls of `add` append to them.
+        """Read the rows of an earlier run from the file; the file keeps them when `add` adds rows.
 
         Args:
-            resume: "anyway": accept rows of another function, and rows from a shared random generator. Otherwise such
-                rows raise an error.
+            resume: "anyway": accept also rows of another function, and rows that took random numbers from one
+                generator. True or False: such rows raise an error.
 
         Returns:
             The rows; [] if there is no file.
 
         Raises:
-            InputError: the file is damaged; its rows are of another function, or from a shared random generator.
+            InputError: the file is damaged; its rows are of another function, or took random numbers from one
+                generator.
         """
         if not self.path.exists():
             return []
@@ -85,7 +88,7 @@ class RowFile:
         return [*self._rows]
 
     def add(self, row: Row) -> None:
-        """Append a row; it is on the disk when this method returns."""
+        """Append a row to the file, which is on the disk when this method returns."""
         self._rows.append(row)
         changed = (_changed_path(*change) for change in differences(self._made_from, describe(self._run)))
         self._changing |= {path for path in changed if path}
@@ -95,22 +98,26 @@ class RowFile:
 
 
 def require_csv(out: object, resume: object) -> None:
-    """Raise InputError unless `out` is None or no folder, and `resume` is False, True or "anyway"."""
+    """Raise InputError unless the arguments `out` and `resume` of a sweep or an ensemble are valid.
+
+    `out` must be None or the name of a file, not of a folder. `resume` must be False, True or "anyway".
+    """
     require_resume(resume)
     if out is not None and (not isinstance(out, (str, Path)) or Path(out).is_dir()):
         raise InputError(f"out is {out!r:.200}; give the name of a csv file, not of a folder, or None")
 
 
 def make_room(table: Path, record: Path, resume: Resume) -> None:
-    """Move files of an earlier run out of the way, or check that this run can continue from them.
+    """Move the files of an earlier run to another folder, or check that this run can continue from them.
 
     Args:
         table: name of the csv file.
-        record: name of the file, or folder of files, with the table's rows and the description of their origin.
-        resume: False: both are moved to a folder previous-1, previous-2, ... Otherwise they stay.
+        record: name of the file, or folder of files, that has the table's rows and the description of their function.
+        resume: False: table and record are moved to a new folder previous-1, previous-2, ... True or "anyway": they
+            stay.
 
     Raises:
-        InputError: the run is to continue from a table that has no record.
+        InputError: the run is to continue from a table without a record.
     """
     if not resume:
         move_away(table.parent, [table.name, record.name])
@@ -120,16 +127,16 @@ def make_room(table: Path, record: Path, resume: Resume) -> None:
 
 
 def checked_row(row: Mapping[str, object], what: str, taken: Collection[str]) -> Row:
-    """Return a user's row with its entries as floats, texts or None.
+    """Return a row that a user has given, with entries that are floats, texts or None.
 
     Args:
         row: name of a column -> entry.
-        what: name of the row in messages.
+        what: what the row is called in messages.
         taken: names of columns that the row must not have.
 
     Raises:
-        InputError: the row has a column in `taken`, an entry that is neither a number nor a text, or a whole number
-            that a float cannot represent.
+        InputError: the row has a column in `taken`; an entry is neither a number nor a text nor None; a whole number is
+            too large for a float to represent it exactly.
     """
     require(isinstance(row, Mapping), what, row, "it must be a mapping of names to numbers or texts")
     entries: Row = {}
@@ -145,9 +152,13 @@ def checked_row(row: Mapping[str, object], what: str, taken: Collection[str]) ->
 
 
 def _changed_path(path: tuple[str, ...], value: object, _: object) -> tuple[str, ...] | None:
-    """Path of a changed value in the description of a function; None for a change of code, which is no data.
+    """Return where two descriptions of a function differ, as a path of keys; None if they differ in code, not in data.
 
-    The path ends in "*" if the second argument says that the earlier description has no such value.
+    Args:
+        path: keys that lead to the difference.
+        value: value there in the earlier description; if it has none, the last key of the returned path is "*", as for
+            any new entry.
+        _: value in the present description, not used.
     """
     if {CODE_KEY, FILE_KEY, SAME_KEY} & {*path}:
         return None

@@ -55,18 +55,20 @@ class View:
     """Settings of pictures of structures: colours, scale of displacements, window and direction of view.
 
     Attributes:
-        component: what the colours show, the component "x", "y" or "z" of the displacement, or "size", its norm.
-        scale: factor of the drawn displacements. None: the largest is drawn as a twentieth of the structure's size.
-        unit: unit of the displacements, for the colour bar.
-        zoom: (left, right, bottom, top) of the window in drawn coordinates: in 2D (x_min, x_max, y_min, y_max), in 3D
-            distances from the origin to the right and up in the picture. None: the whole structure.
-        towards: in 3D the direction (3,) from the structure to the viewer. None: the viewer is in front, z > 0, to the
-            right and above. y points up in the picture; in a view from directly above, -z points up.
-        cut: in 3D whether to cut the structure at its middle in z and draw only the half away from the viewer. It shows
-            S inside.
+        component: what the colours show: the component "x", "y" or "z" of the displacement, or "size", its norm.
+        scale: factor by which drawn displacements are enlarged. None: the largest is drawn as a twentieth of the
+            structure's size.
+        unit: name of the unit of displacements, for the colour bar.
+        zoom: (left, right, bottom, top), the bounds of the window in deformed coordinates as drawn. In 2D these are
+            coordinates x and y, in 3D distances from the origin to the right and up in the picture. None: the whole
+            structure.
+        towards: vector (3,) from the structure to the viewer, only in 3D. None: the viewer is in front, z > 0, to the
+            right and above. The axis y points up in the picture; in a view from directly above, -z points up.
+        cut: whether to cut a 3D structure at its middle in z and draw only the half away from the viewer. S inside is
+            then visible.
 
     Raises:
-        InputError: a scale that is no finite number, an invalid window.
+        InputError: a scale that is no finite number, or an invalid window.
     """
 
     component: str = "size"
@@ -84,15 +86,15 @@ class View:
 
 @dataclass(frozen=True)
 class DeformedShape:
-    """A deformed structure as VTK grids to draw.
+    """A deformed structure as VTK grids to draw; drawn displacements are those of the state times a factor.
 
     Attributes:
-        regions: number of a region -> its cells in deformed positions; meshed layers have negative numbers and are
-            last. Point data are "u", (n,) the component of the displacement for colours, and "moved", (n, 3) the
-            displacement as drawn. "double", (n,), is 1 at nodes on S and 0 elsewhere.
-        base: facets of the rigid base; None if S lies between two bodies.
-        plane: normal and origin of the plane that cuts the structure, as arguments of pyvista's `clip`; None: it is not
-            cut.
+        regions: number of a region -> its cells in deformed positions. Regions of meshed layers have negative numbers
+            and are last. Data at the n nodes of a grid: "u" (n,), the component of the displacement that colours show;
+            "moved" (n, 3), the drawn displacement; "double" (n,), 1 where two nodes coincide before deformation, as on
+            both sides of S, else 0.
+        base: facets where the structure lies on a rigid base; None if there is a body on both sides of S.
+        plane: {"normal": unit vector, "origin": point} of the plane that cuts the structure; None: it is not cut.
     """
 
     regions: dict[int, pyvista.UnstructuredGrid]
@@ -101,13 +103,14 @@ class DeformedShape:
 
     @classmethod
     def of(cls, grid: VtkGrid, component: str, scale: float, cut: Sequence[float] | None = None) -> DeformedShape:
-        """Make the shape of a displacement field.
+        """Make the deformed structure of a displacement field.
 
         Args:
             grid: the displacement field.
-            component: component of the displacement for colours: "x", "y", "z" or "size".
-            scale: factor of the displacements.
-            cut: unit vector (3,) towards the half of the structure to leave out; None: none.
+            component: component of the displacement that colours show: "x", "y", "z" or "size", the norm.
+            scale: factor of the drawn displacements.
+            cut: unit vector (3,). The structure is cut through its middle, normal to this vector, and the half to which
+                it points is left out. None: the structure is not cut.
         """
         mesh = pyvista.UnstructuredGrid(grid.cells, grid.types, grid.points + scale * grid.u)
         # the factor pi avoids coordinates half-way between two decimals, which rounding errors would separate
@@ -130,26 +133,29 @@ class DeformedShape:
 
     @property
     def points(self) -> Array:
-        """Coordinates (n, 3) as drawn of the nodes of all regions, then of the rigid base."""
+        """Drawn coordinates (n, 3), after deformation, of the nodes of all regions and then of the rigid base."""
         return np.concatenate([mesh.points for mesh in (*self.regions.values(), self.base) if mesh is not None])
 
     @property
     def values(self) -> Array:
-        """Component (n,) of the displacement for colours at `points`; NaN on the rigid base."""
+        """Component of the displacement (n,) that colours show, at the nodes of `points`; NaN on the rigid base."""
         values = np.concatenate([part["u"] for part in self.regions.values()])
         return np.pad(values, (0, 0 if self.base is None else self.base.n_points), constant_values=np.nan)
 
 
 def outer_surface(mesh: pyvista.UnstructuredGrid) -> pyvista.PolyData:
-    """Outer surface of a mesh (in 2D the mesh itself), where curved faces are divided into flat ones."""
+    """Return the outer surface of a 3D mesh, or a 2D mesh itself; each curved face is divided into flat ones."""
     return mesh.extract_surface(algorithm=None, nonlinear_subdivision=SUBDIVISION_LEVEL)
 
 
 def sharp_edges(surface: pyvista.PolyData) -> pyvista.PolyData:
-    """Return the lines to draw for a surface: its boundary, and its edges where two faces meet at a sharp angle.
+    """Return the lines to draw on a surface: its boundary, and edges where its faces meet at more than 30 degrees.
 
-    The angle between the faces' normals is more than 30 degrees before deformation. `surface` and the lines are in
-    deformed positions; its point data "moved" (n, 3) are the displacements as drawn.
+    The angle is that between the faces' normals before deformation. The lines are in deformed positions.
+
+    Args:
+        surface: flat faces in deformed positions, with the drawn displacements (n, 3) of the nodes as point data
+            "moved".
     """
     still = surface.copy()
     still.points -= SPLIT_FACTOR * surface["moved"]
@@ -162,10 +168,14 @@ def sharp_edges(surface: pyvista.PolyData) -> pyvista.PolyData:
 
 
 def _axes(dim: int, view: View) -> Array:
-    """Unit vectors (3, 3) to the right, upwards and towards the viewer, as rows.
+    """Return a matrix (3, 3), whose rows are unit vectors to the right, upwards and towards the viewer of a picture.
+
+    Args:
+        dim: number of dimensions of the structure.
+        view: the user's settings.
 
     Raises:
-        InputError: the direction of the view is invalid, or given in 2D; a cut in 2D.
+        InputError: `view.towards` is invalid; `view` has a direction or a cut, but the structure is 2D.
     """
     if dim == 2 and (view.towards is not None or view.cut):
         raise InputError("towards and cut are for three-dimensional structures")
@@ -184,10 +194,11 @@ class Scene:
 
     Attributes:
         view: the user's settings.
-        axes: (3, 3) rows are the unit vectors to the right, upwards and towards the viewer.
+        axes: (3, 3) matrix, whose rows are unit vectors to the right, upwards and towards the viewer.
         factor: factor of the drawn displacements.
-        window: left, right, bottom and top of the images, in drawn coordinates along the first two axes.
-        limits: smallest and largest displacement of the range of colours.
+        window: (left, right, bottom, top), the bounds of the images along the first two axes, in deformed coordinates
+            as drawn.
+        limits: smallest and largest displacement, or component of it, in the range of colours.
     """
 
     view: View
@@ -201,11 +212,12 @@ class Scene:
         """Choose window, scale and range of colours for displacement fields.
 
         Args:
-            grids: the fields. Without `view.zoom` all of them lie in the window.
+            grids: the fields. All of them lie in the window, unless the user has chosen a window, `view.zoom`.
             view: the user's settings.
 
         Raises:
-            InputError: an unknown component, an invalid direction, a direction or cut in 2D, nothing in the window.
+            InputError: an unknown component; an invalid direction; a direction or cut for a 2D structure; a window with
+                no structure in it.
         """
         axes = _axes(grids[0].dim, view)
         largest = max(np.linalg.norm(grid.u, axis=1).max() for grid in grids)
@@ -222,12 +234,12 @@ class Scene:
         return replace(scene, window=window, limits=(float(np.nanmin(seen)), float(np.nanmax(seen))))
 
     def shape(self, grid: VtkGrid) -> DeformedShape:
-        """Make the deformed structure of a displacement field, with the scale and the cut of this scene."""
+        """Return the deformed structure of a displacement field, with this scene's factor of displacements and cut."""
         front = (0.0, 0.0, float(np.copysign(1.0, self.axes[2, 2]))) if self.view.cut else None
         return DeformedShape.of(grid, self.view.component, self.factor, front)
 
     def panels(self, n: int) -> tuple[Picture, list[Axes]]:
-        """Make a picture with panels for `n` structures side by side, and return it with the axes of the panels."""
+        """Make an empty picture for `n` structures side by side; return it and the axes of its n panels."""
         x0, x1, y0, y1 = self.window
         figure = Picture(figsize=(PANEL_INCHES * n, PANEL_INCHES * (y1 - y0) / (x1 - x0) + 1.3), layout="constrained")
         axes = list(figure.subplots(1, n, squeeze=False)[0])
@@ -236,7 +248,7 @@ class Scene:
         return figure, axes
 
     def bar(self, figure: Picture, axes: list[Axes]) -> None:
-        """Draw the common colour bar of the displacements in the panels `axes`."""
+        """Draw a colour bar for the displacements below the panels `axes` of a picture."""
         size = np.abs(self.limits).max()
         power = 0 if size == 0 or 0.01 <= size < 1e4 else 3 * int(np.floor(np.log10(size) / 3))
         unit = f"10^{power} {self.view.unit}" if power else self.view.unit
@@ -247,18 +259,18 @@ class Scene:
 
     @property
     def scaled(self) -> str:
-        """Text for the colour bar on the factor of the displacements, such as "displacements drawn 50 times"."""
+        """Text for the colour bar with the factor of the drawn displacements, as "displacements drawn 50 times"."""
         return f"displacements drawn {self.factor:.3g} times".replace("drawn 1 times", "as they are")
 
     def image(self, grid: VtkGrid, on_s: Sequence[pyvista.PolyData] | None = None) -> npt.NDArray[np.uint8]:
-        """Draw a structure off screen and return its pixels (height, width, 3).
+        """Draw a structure off screen and return the pixels of the image (height, width, 3), as red, green and blue.
 
-        Bodies have black edges, meshed layers and S have red ones, and a rigid base is grey.
+        Lines are black at edges of bodies, and red around meshed layers and at both sides of S; a rigid base is grey.
 
         Args:
             grid: displacement field of the structure.
-            on_s: meshes of S with point data "rgb", drawn in addition. Bodies are then not coloured by displacement,
-                and in 3D only their edges are drawn. None: bodies are coloured.
+            on_s: meshes of S to draw in addition, in the colours of their point data "rgb". Bodies then have one colour
+                and grey-brown edges, in 3D only these edges. None: bodies are coloured by displacement.
         """
         shape, (right, up, towards) = self.shape(grid), self.axes
         x0, x1, y0, y1 = self.window
@@ -299,13 +311,17 @@ class Scene:
 
 
 def _range(x: Array) -> tuple[float, float]:
-    """Smallest value less a margin, and largest value plus a margin; the margin is 4 % of their difference."""
+    """Return the smallest and the largest value of `x`, the first less and the second plus 4 % of their difference."""
     margin = 0.04 * np.ptp(x)
     return float(x.min() - margin), float(x.max() + margin)
 
 
 def _window(zoom: object) -> Window:
-    """Return a window as (left, right, bottom, top); raise InputError unless left < right and bottom < top."""
+    """Return the user's window `zoom` as (left, right, bottom, top) in floats.
+
+    Raises:
+        InputError: it is not four finite numbers with left < right and bottom < top.
+    """
     sides = finite_values(zoom, (4,))
     if sides is None or not (sides[0] < sides[1] and sides[2] < sides[3]):
         raise InputError(f"zoom is {zoom!r}; it must be (left, right, bottom, top), left < right and bottom < top")

@@ -73,10 +73,11 @@ def on_surface(
 
     Args:
         states: label of a structure's panel -> state, or one state.
-        field: a scalar field on `Surface(state.model, seam)`, the same for all states, or a function of such a surface
-            and a state that returns it. Examples are `Surface.status` and
-            `lambda surface, state: surface.contact(state).p`. The field has numbers at quadrature points of facets,
-            (n, q), numbers or names of facets, (n, 1), or numbers or names at nodes, (m,).
+        field: a scalar field on S, the same for all states, or a function that returns the field of a state. The
+            arguments of the function are `Surface(state.model, seam)` and the state. Examples are `Surface.status` and
+            `lambda surface, state: surface.contact(state).p`. For n facets and m nodes of S, the field may have these
+            shapes: (n, q), numbers at q quadrature points of each facet; (n, 1), numbers or words on facets; (m,),
+            numbers or words at nodes.
         view: direction, window and scale of displacements; its component and unit are ignored.
         seam: name of a seam; "S": all seams.
         save: name of a file to save the picture to, .png, .svg or .pdf; None: it is not saved.
@@ -120,7 +121,15 @@ def on_surface(
 
 
 def _panels(states: Mapping[str, State] | State, what: str) -> dict[str, State]:
-    """Return label -> state ("" for one state); raise InputError, naming the function `what`, for anything else."""
+    """Return label -> state, given such a mapping or a single state, which gets the label "".
+
+    Args:
+        states: the mapping or the state.
+        what: name of the function that the user has called, for messages.
+
+    Raises:
+        InputError: an entry is not a state, or the mapping is empty.
+    """
     panels = labelled(f"{what}: states", states, "state")
     for label, state in panels.items():
         if not isinstance(state, State):
@@ -136,13 +145,14 @@ Legend = Callable[[Scene, Picture, list[Axes]], None]
 def _side_by_side(
     panels: Mapping[str, State], view: View, image: Image, legend: Legend, title: str, save: str | Path | None
 ) -> Picture | None:
-    """Draw images of states side by side with one legend, and return the picture on rank 0, else None. Collective.
+    """Draw images of states side by side with one legend, on rank 0; other ranks return None. Collective.
 
     Args:
         panels: label of a panel -> state.
         view: the user's settings of the view.
-        image: makes the image of a panel, from the scene, the panel's label and its displacement field.
-        legend: draws the legend, from the scene, the picture and the axes of all panels.
+        image: function of the scene, a panel's label and its displacement field; returns the pixels of the panel's
+            image.
+        legend: function of the scene, the picture and the axes of all panels; draws the legend.
         title: text over the picture.
         save: name of a file to save the picture to; None: it is not saved.
     """
@@ -161,17 +171,17 @@ def _side_by_side(
 
 
 def numbered_names(fields: Mapping[str, np.ndarray]) -> tuple[list[str], dict[str, np.ndarray]]:
-    """Replace the names in fields by numbers.
+    """Replace words in fields on S, such as statuses, by numbers.
 
     Args:
-        fields: label -> field of names or numbers on S.
+        fields: label -> field of words, or of numbers, for each of several structures.
 
     Returns:
-        The list of all names, and label -> field of positions in this list. Fields of numbers are returned unchanged,
-        with an empty list.
+        The list of all different words, and label -> field of positions in this list. Fields of numbers are returned
+        unchanged, with an empty list.
 
     Raises:
-        InputError: names elsewhere than on facets, (n, 1), or at nodes, (m,).
+        InputError: words that are neither on facets, (n, 1), nor at nodes, (m,).
     """
     if not any(f.dtype.kind == "U" for f in fields.values()):
         return [], dict(fields)
@@ -183,14 +193,23 @@ def numbered_names(fields: Mapping[str, np.ndarray]) -> tuple[list[str], dict[st
 
 
 def colour_of(name: str, names: list[str]) -> str:
-    """Colour of a name: that of a status, or one by its position in `names`, all names in a picture."""
+    """Return the colour of a word in a field: a status has its own, any other word that of its position in `names`.
+
+    Args:
+        name: the word.
+        names: all words of the picture.
+    """
     return STATUS_COLOURS.get(name) or COLOURS[names.index(name) % len(COLOURS)]
 
 
 def _colour_map(names: list[str], values: Array, *, log: bool) -> ScalarMappable:
-    """Map from positions in the list `names` to colours, or, if the list is empty, from numbers to colours.
+    """Make matplotlib's map from the values of a field on S to colours.
 
-    Colours of numbers cover the range of `values` and zero; `log` makes their scale logarithmic on both sides of zero.
+    Args:
+        names: list of the words of the field, whose values are then positions in this list; empty for a field of
+            numbers.
+        values: all values in the picture. The range of colours for numbers extends over them and zero.
+        log: whether colours of numbers have a scale that is logarithmic on both sides of zero.
     """
     if names:
         colours = ListedColormap([colour_of(name, names) for name in names])
@@ -207,17 +226,18 @@ def _colour_map(names: list[str], values: Array, *, log: bool) -> ScalarMappable
 
 
 def _meshes(colours: ScalarMappable, values: Array, lower: Array, upper: Array, smooth: bool) -> list[pyvista.PolyData]:
-    """Make meshes of the deformed S with point data "rgb", the colours of values.
+    """Make meshes of the deformed S, with colours that show a field as point data "rgb".
 
     Args:
-        colours: map from values to colours.
+        colours: map from values of the field to colours.
         values: (n, k) values at the k corners of n facets.
         lower, upper: (n, k, d) drawn coordinates of these corners on both sides of S, in d dimensions.
-        smooth: True: values are linear between the corners. False: the part of a facet around each corner has its
-            value, as for names.
+        smooth: True: values are linear between the corners. False: each facet is divided into one part around each
+            corner, which has the corner's colour, as words need.
 
     Returns:
-        In 3D one mesh half-way between the sides; in 2D a mesh of the areas between the sides, and one of lines.
+        In 3D one mesh half-way between the sides. In 2D two meshes: the areas between the sides, and the lines half-way
+        between them.
     """
     k, d = lower.shape[1:]
     ring = [0, 1, 3, 2] if k == 4 else [*range(k)]
@@ -235,9 +255,16 @@ def _meshes(colours: ScalarMappable, values: Array, lower: Array, upper: Array, 
 
 
 def _corner_points(values: Array) -> Array:
-    """Divide each facet into k parts, one around each corner, and return values at the p points that bound each part.
+    """Divide facets into one part around each corner, and interpolate values to the p points that bound each part.
 
-    It takes values (n, k, ...) at the k corners of n facets, and returns (n, k, p, ...): p is 2 on lines, else 4.
+    Lines have p = 2 points in each part, the corner and the middle of the line. Other facets have p = 4: the corner,
+    the middle of the next edge, the centre of the facet, and the middle of the edge before.
+
+    Args:
+        values: (n, k, ...) values at the k corners of n facets, in the order around the facet.
+
+    Returns:
+        (n, k, p, ...) values at the p points of each part.
     """
     centre = np.broadcast_to(values.mean(axis=1, keepdims=True), values.shape)
     after = (values + np.roll(values, -1, axis=1)) / 2
@@ -246,7 +273,13 @@ def _corner_points(values: Array) -> Array:
 
 
 def _mesh(x: Array, rgb: npt.NDArray[np.uint8], kind: str) -> pyvista.PolyData:
-    """Mesh of lines or faces, as `kind` says, with corners x (n, k, p, d) and the colours "rgb" at these corners."""
+    """Make a coloured VTK mesh of n k lines or faces.
+
+    Args:
+        x: (n, k, p, d) coordinates of the p points that bound each line or face, in d dimensions.
+        rgb: (n, k, p, 3) colours at these points.
+        kind: "lines" or "faces".
+    """
     p, d = x.shape[2:]
     points = np.pad(x.reshape(-1, d), ((0, 0), (0, 3 - d)))
     cells = np.insert(np.arange(len(points)).reshape(-1, p), 0, p, axis=1)

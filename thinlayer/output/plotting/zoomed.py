@@ -33,20 +33,21 @@ def zoomed(
     """Draw a stress component in a 2D layer near a free end, as a map and along three lines parallel to S. Collective.
 
     Args:
-        zoom: zoom into the layer of an interface model.
-        full: zoom into the same layer of a full model, to compare with; None: no comparison.
-        end: position of the end in `zoom.ends`, from 0.
-        width: length of the drawn part of the layer from its end, over the thickness, > 1/16.
-        component: "N": normal traction; "T": shear traction, in the axes inward along S and n; "S": stress along S.
+        zoom: `Zoom` of a state of an interface model.
+        full: `Zoom` of a state of the full model with the same layer, to compare with; None: no comparison.
+        end: position of the end in the list `zoom.ends`, from 0.
+        width: length of the drawn part of the layer from its end, divided by the layer's thickness, > 1/16.
+        component: "N": normal traction. "T": shear traction, positive as the stress component of two axes, inward from
+            the end along S and n. "S": normal stress along S.
         save: name of a file to save the picture to, .png, .svg or .pdf; None: it is not saved.
         title: text over the picture.
-        stress: unit of stresses, for the labels.
+        stress: name of the unit of stresses, for the labels.
 
     Returns:
         The picture on rank 0; None on other ranks.
 
     Raises:
-        InputError: a 3D model; not a zoom; no such end, component or width.
+        InputError: a 3D model; not a `Zoom`; no such end, component or width.
         OSError: the file could not be written.
     """
     for candidate in (zoom,) if full is None else (zoom, full):
