@@ -24,18 +24,19 @@ STATUSES = (*YIELD_STATUSES, NO_LAYER, BONDED, *CONTACT_STATUSES)  # those of fu
 
 
 class Surface(SurfaceMesh):
-    """S of a joint, or one of its seams, with methods that evaluate states of all models of this joint there.
+    """The surface S of a joint, or one of its seams, with methods that evaluate states of the joint's models there.
 
     A field on S is an array with a value at each of q quadrature points of each of n facets: (n, q), for vectors
     (d, n, q) in d dimensions. A field that is constant on facets is (n, 1). The constructor and all methods that take a
-    state are collective; results are complete on every rank. Its mesh and geometry are those of a `SurfaceMesh`.
+    state are collective; results are complete on every rank. Integrals, lines and nodes on S are those of the base
+    class `SurfaceMesh`.
 
     Args:
         model: a model of the joint.
         seam: name of a seam; "S": all seams.
 
     Attributes:
-        x, n: (d, n, q) quadrature points, and unit normals of S from the lower to the upper side.
+        x, n: (d, n, q) coordinates of the quadrature points, and unit normals of S from the lower to the upper side.
         weights: (n, q) weights of integrals over S: areas, in axisymmetry of the whole revolution.
         seams: (n,) name of each facet's seam.
 
@@ -58,16 +59,19 @@ class Surface(SurfaceMesh):
     """
 
     def traction(self, state: State) -> Array:
-        """Traction (d, n, q) on S, stress times n, projected in L2 to fields that are linear on each facet.
+        """Return the traction (d, n, q) on S, stress times n, projected in L2 to fields that are linear on each facet.
 
-        If the surface's model has a contact law, whose tractions are nodal, the mass matrix of the projection is
-        lumped.
+        What is projected depends on what lies on the seam:
 
-        - Interface law: the traction of the law, conjugate to the jump [u]. Contact law: its nodal tractions.
-        - Meshed layer: the mean of stress times n through the thickness, elastic sublayers weighted by compliance; zero
-          where layers meet. If the thickness varies on a rigid base, it differs from the traction of the interface law
-          by O(eps).
-        - Bond: the traction equivalent to the bodies' nodal forces (`reaction`).
+        - Interface law: the traction of the law, conjugate to the jump [u].
+        - Contact law: its tractions at the nodes, without a projection.
+        - Meshed layer: the mean of stress times n through the thickness, elastic sublayers weighted by compliance. It
+          is zero where layers meet. On a rigid base and with variable thickness, it differs from the traction of the
+          interface law by O(eps).
+        - Bond: the traction equivalent to the nodal forces of the bodies (see `reaction`).
+
+        If the surface's model has a contact law on any seam, the mass matrix of the projection is lumped, as contact
+        laws define tractions at nodes in this way.
         """
         self._require_same_joint(state)
         bonded = np.isin(self.seams, state.model.bonds)
@@ -77,12 +81,12 @@ class Surface(SurfaceMesh):
         return np.where(bonded[:, None], self.reaction(state), of_layers) if bonded.any() else of_layers
 
     def reaction(self, state: State) -> Array:
-        """Traction (d, n, q) on S that is equivalent to the bodies' nodal forces there, linear on each facet.
+        """Return the traction (d, n, q) on S that is equivalent to the bodies' nodal forces; linear on each facet.
 
-        Where a support constrains one side of S, the nodal forces of the other side determine it. Where supports
-        constrain both sides, and where seams around a vertex form a cycle, nodal forces leave it undetermined. It is
-        then the solution closest to the mean tractions at neighbouring nodes. At a tip, where S ends inside a body, it
-        is zero.
+        If a support constrains the nodes of one side of S, the traction follows from the nodal forces of the other
+        side. If supports constrain both sides, or if seams around a vertex form a cycle, the nodal forces do not
+        determine it. Of all tractions that fit, the result is then the one closest to the mean at neighbouring nodes.
+        Where S ends inside a body, the traction is zero.
         """
         self._require_same_joint(state)
         whole = SurfaceMesh(self.model)  # forces at junctions are sums over all seams there
@@ -94,18 +98,19 @@ class Surface(SurfaceMesh):
 
     # ---------------------------------------------------------------- status, phases, contact
     def status(self, state: State) -> npt.NDArray[np.str_]:
-        """Words (n, 1) for what the layer has done at each of n facets, in a state of an interface model.
+        """Return a word for what the layer has done at each of n facets (n, 1), in a state of an interface model.
 
-        - "elastic": nothing has yielded, or the law has no plastic strain;
-        - "sliding": the plastic strain across S is mainly a slip along S;
-        - "crushed", "torn": the plastic strain is mainly a closing, or an opening, along n;
-        - "open": the sides have separated, and no traction across S is left;
-        - "no layer": a part of S on which no law acts; "bonded": a `Bond`;
-        - "separated", "sliding", "stick", "pinned": under contact laws, the status of its nodes (`Contact.status`);
-        - other words that a law of the user defines (`forms.layer_results.LayerResults.status_at`).
+        - "elastic": nothing has yielded, or the law has no plastic strain.
+        - "sliding": the plastic strain across S is mainly a slip along S.
+        - "crushed", "torn": the plastic strain is mainly a closing, or an opening, along n.
+        - "open": the sides have separated, and no traction across S is left.
+        - "no layer": no law acts on this part of S.
+        - "bonded": the seam has a `Bond`.
+        - "separated", "sliding", "stick", "pinned": under contact laws, the status of nodes (`Contact.status`).
+        - Further words of a law that the user defines (`forms.layer_results.LayerResults.status_at`).
 
-        If points of a facet differ, it has the word that applies to most of its area. The plastic strain is the one
-        accumulated since the beginning of the history.
+        If points of a facet differ, the facet has the word of most of its area. Plastic strains are those accumulated
+        since the beginning of the history.
 
         Raises:
             InputError: a state of another kind of model.
@@ -130,10 +135,11 @@ class Surface(SurfaceMesh):
         return np.array([*areas])[model.comm.allreduce(np.array([*areas.values()])).argmax(axis=0)][:, None]
 
     def phase(self, state: State) -> Array:
-        """Mean phase (n, 1) of a non-monotone layer at each facet, in a state of a full or an interface model.
+        """Return the mean phase (n, 1) of a non-monotone layer over each of n facets, for both kinds of models.
 
-        The phase is a number in [-1, 1]. -1, 0 and 1 are pure phases. Other numbers are the volume fraction of phase 1
-        (or minus the volume fraction of phase -1) in a mixture with phase 0. nan: the layer has no phases.
+        The phase is a number in [-1, 1]. -1, 0 and 1 are pure phases. Positive fractions are the volume fraction of
+        phase 1 in a mixture with phase 0. Negative fractions are minus the volume fraction of phase -1 in such a
+        mixture. nan: the layer has no phases.
         """
         self._require_same_joint(state)
         sums = np.zeros((2, len(self.rows)))
@@ -148,7 +154,7 @@ class Surface(SurfaceMesh):
         return np.where(whole > 0, part / np.where(whole > 0, whole, 1.0), np.nan)[:, None]
 
     def contact(self, state: State) -> Contact:
-        """Status, jumps and tractions of contact laws at the nodes of this surface.
+        """Return status, jumps and tractions of contact laws at the nodes of this surface, in a state.
 
         Raises:
             InputError: the state's model has no contact law on this surface.
@@ -161,21 +167,23 @@ class Surface(SurfaceMesh):
         return Contact(surface=self, **values, equilibrium=equilibrium, clapeyron=clapeyron)
 
     def table(self, state: State) -> Table:
-        """Summarise a state on S in a table with a row for each seam; entries that do not apply are None.
+        """Summarise a state on S in a table with a row for each seam; entries that do not apply to a seam are None.
 
-        - "seam", "size": its name and its area.
-        - "elastic", "sliding", ...: in interface models the fraction of the seam's area with this `status`; under
-          contact laws the fraction of its nodes' area.
+        - "seam", "size": the seam's name, and its area.
+        - "elastic", "sliding", ...: in interface models the fraction of the seam's area with this `status`. Under
+          contact laws areas are those around the nodes.
         - "normal_force": under contact laws the integral of the pressure, a force.
-        - "plus", "minus": in non-monotone layers of both kinds of models, the volume fractions of phases 1 and -1;
-          "boundary": the thickness of phase 0, if the other phases lie above it. Other laws may add other columns.
-        - "too_stiff": factor by which an interface law of order 0 or 1 overestimates the stiffness of an isotropic
-          elastic layer against the openings of the state. These laws let no material flow along S. The factor is
-          that of the layer alone, whatever its shear; the error of a structure with soft bodies is smaller. Above 1.1,
-          and if this changes the traction by more than 10 %, a RangeWarning advises `Rubber` with order=1, or a meshed
-          layer.
-        - "delta": length over which the pressure of such a layer evens out, eps sqrt(lmbda/(12 mu)). Under openings of
-          wave number k the factor is 1 + (k delta)^2.
+        - "plus", "minus": in non-monotone layers, also of full models, the volume fractions of phases 1 and -1.
+        - "boundary": in such layers the mean thickness of phase 0. It is the height of the phase boundary above the
+          lower face if the other phases lie above phase 0.
+        - Columns that other laws add.
+        - "too_stiff": factor by which an interface law of order 0 or 1 overestimates an isotropic elastic layer's
+          stiffness against the openings of the state. These laws do not let material flow along S. The factor is that
+          of the layer alone, and leaves out its shear. The error of a structure with soft bodies is smaller. If the
+          factor exceeds 1.1, and changes the traction by more than 10 %, a RangeWarning advises `Rubber` with order=1
+          or a meshed layer.
+        - "delta": length over which the pressure of such a layer evens out, eps sqrt(lmbda/(12 mu)). If openings vary
+          with the wave number k along S, the factor is 1 + (k delta)^2.
         """
         self._require_same_joint(state)
         model, rows = state.model, []
@@ -202,7 +210,7 @@ class Surface(SurfaceMesh):
 
 
 def statuses(model: Model, seam: str) -> tuple[str, ...]:
-    """Words that `Surface.status` may return for facets of a seam."""
+    """Return the words that `Surface.status` may give to facets of a seam in a model."""
     if seam in model.contacts:
         return CONTACT_STATUSES
     if seam not in model.layers:
@@ -211,22 +219,23 @@ def statuses(model: Model, seam: str) -> tuple[str, ...]:
 
 
 def law_statuses(law: Law) -> tuple[str, ...]:
-    """Words that `Surface.status` may return for facets of a layer with this law, in all of its sublayers."""
+    """Return the words that `Surface.status` may give to facets of a layer with this law, in any of its sublayers."""
     return tuple(dict.fromkeys(word for _, sublayer in law.sublayers for word in sublayer.statuses))
 
 
 def all_statuses(model: Model) -> tuple[str, ...]:
-    """All words that `Surface.status` may return for a model: `STATUSES`, then others that its laws define."""
+    """Return all words that `Surface.status` may give for a model: first `STATUSES`, then those that its laws add."""
     return tuple(dict.fromkeys((*STATUSES, *(word for seam in model.layers for word in statuses(model, seam)))))
 
 
 def _at_points(surface: SurfaceMesh, points: LawPoints, rows: IntArray) -> npt.NDArray[np.str_]:
-    """Words (facets, q) for the status at the q points of an interface law on each of its facets. Collective.
+    """Return words (facets, q) for what a layer has done at the q points of an interface law on each facet. Collective.
 
     Args:
         surface: the surface.
-        points: quadrature points of the law.
-        rows: number on the surface of the facet of each of the law's facets; -1: not on this surface, left out.
+        points: quadrature points of the law on this rank.
+        rows: for each facet where the law acts, its number on the surface. -1: it is not on this surface, and not in
+            the result.
     """
     model, q, laws = points.state.model, points.quadrature, points.term.law.sublayers
     (layer,) = (seam_layer for seam_layer in model.layers.values() if seam_layer.key == points.term.key)

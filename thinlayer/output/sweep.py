@@ -24,26 +24,28 @@ THICKNESS_TOLERANCE = 1e-9  # relative difference of equal thicknesses
 
 
 def sweep(run: RowFunction, eps: Iterable[float], out: str | Path | None = None, resume: Resume = False) -> Table:
-    """Compute a table of errors over decreasing thickness, with their observed rates of convergence. Collective.
+    """Compute a table of errors for several thicknesses eps, with their observed rates of convergence. Collective.
 
     The rate between two rows is the slope of the error over eps on logarithmic axes.
 
     Args:
-        run: function that takes a thickness eps and returns a row, name -> number or text. The row has "eps",
-            "error_traction" and "error_jump", as `compare` returns them. It is the same on all ranks.
+        run: function that takes a thickness eps and returns a row, name -> number or text, the same on all ranks. The
+            row has at least "eps", "error_traction" and "error_jump", as `compare` returns them.
         eps: the thicknesses, > 0 and different.
-        out: csv file; each row is on the disk before the next one is computed, and stays if a later one fails. None: no
-            file. The file out.json next to it has the rows, the code of `run`, and the data that `run` refers to.
-        resume: False: compute all rows; both files of an earlier sweep are moved to previous-1, previous-2, ... True:
-            keep the rows that `out` has, and compute the others. "anyway": keep also rows of another sweep.
+        out: csv file for the table; None: no file. Each row is on the disk before the next one is computed, and stays
+            if a later one fails. The file out.json next to it has the rows, the code of `run`, and the data that `run`
+            refers to.
+        resume: False: compute all rows; both files of an earlier sweep are moved to a folder previous-1, previous-2,
+            ... True: keep the rows that are in the files, and compute the others. "anyway": keep also rows of another
+            `run`.
 
     Returns:
         The table, the largest thickness first. The columns "order_traction" and "order_jump" have the rates.
 
     Raises:
         InputError: a thickness out of range or repeated; a row of another thickness, without the required columns, or
-            with other columns than the first row; `out` is a folder, cannot be written, is written by another run, or
-            belongs to another sweep that cannot be resumed. All ranks raise these errors.
+            with other columns than the first row; `out` is a folder, cannot be written, or is written by another run;
+            rows in `out` are of another `run`, and `resume` is True. All ranks raise these errors.
         OSError: a row could not be written.
 
     Example:
@@ -86,9 +88,16 @@ def sweep(run: RowFunction, eps: Iterable[float], out: str | Path | None = None,
 
 
 def _row(run: RowFunction, eps: float, first: Row | None) -> Row:
-    """Compute and check the row of a thickness; an error on one rank is raised on all ranks.
+    """Compute the row of one thickness by the user's function, and check it. Collective.
 
-    `first` is the first row, whose columns the new row must have; None: there is none.
+    Args:
+        run: the user's function.
+        eps: the thickness.
+        first: the first row of the table, whose columns the new row must have; None: there is none.
+
+    Raises:
+        InputError: the row has another thickness, lacks a number, or has other columns; on all ranks. So are errors of
+            `run`.
     """
     what = f"the row that run({eps:g}) returns"
     with errors_on_all(default_comm()):
@@ -104,7 +113,7 @@ def _row(run: RowFunction, eps: float, first: Row | None) -> Row:
 
 
 def _with_orders(rows: Mapping[float, Row]) -> Table:
-    """Table of the rows by decreasing thickness, with the observed rates of convergence between successive rows."""
+    """Make a sweep's table from `rows`, thickness -> row: largest thickness first, with rates of convergence."""
     table = Table(rows[e] for e in sorted(rows, reverse=True))
     orders = {order: table.orders(error) for order, error in zip(ORDER_COLUMNS, ERROR_COLUMNS[1:], strict=True)}
     for k, row in enumerate(table.rows):

@@ -35,10 +35,11 @@ CENTRE_DISTANCE = 1e-9  # largest distance of the centres of a facet and of its 
 
 # ---------------------------------------------------------------- of layers
 def layer_tractions(surface: SurfaceMesh, state: State) -> Array:
-    """Tractions (m, d) of layers and contact laws at the m nodes of S in d dimensions. Collective.
+    """Return the tractions (m, d) of layers and contact laws at the m nodes of S, in d dimensions. Collective.
 
-    They are the L2 projection of the tractions at quadrature points to functions linear on each facet. With a contact
-    law in the surface's model, the mass matrix of the projection is lumped.
+    Tractions of layers at quadrature points are projected in L2 to functions that are linear on each facet. The mass
+    matrix of the projection is lumped if the surface's model has a contact law. Contact laws have their tractions at
+    the nodes.
     """
     moments = np.zeros((*surface.corners.shape, surface.joint.dim))
     for points, rows in layer_points(surface, state):
@@ -52,10 +53,12 @@ def layer_tractions(surface: SurfaceMesh, state: State) -> Array:
 
 
 def layer_points(surface: SurfaceMesh, state: State) -> Iterator[tuple[LawPoints, IntArray]]:
-    """Yield the quadrature points of each layer's law, and the facets of the surface they belong to. Collective.
+    """Yield each layer law's quadrature points, and the facets of the surface to which they belong. Collective.
 
-    The second value of a pair is the number on the surface of the facet of each of the law's facets or layer cells. It
-    is -1 where there is none, as in cells where layers meet.
+    Yields:
+        Pairs of the quadrature points and an array of integers. For each facet where an interface law acts, or
+        each cell of a meshed layer, the array has the number of the facet on the surface, or -1. It is -1 for facets of
+        other seams, and for cells where layers meet.
     """
     joint = surface.joint
     place = np.full(len(joint.table.vertices), -1)
@@ -72,9 +75,9 @@ def _add_law_moments(moments: Array, surface: SurfaceMesh, rows: IntArray, point
     """Add to `moments` the integrals of an interface law's traction times the shape functions of degree 1.
 
     Args:
-        moments: (n, k, d) integrals for the k corners of n facets of the surface.
+        moments: (n, k, d) integrals, a force for each of the k corners of n facets of the surface; changed.
         surface: the surface.
-        rows: number on the surface of the facet of each of the law's facets; -1: not on this surface.
+        rows: for each facet where the law acts, its number on the surface; -1: it is not on this surface.
         points: quadrature points of the law.
     """
     rule, mine = surface.rule(points.quadrature.degree), rows[rows >= 0]
@@ -83,15 +86,16 @@ def _add_law_moments(moments: Array, surface: SurfaceMesh, rows: IntArray, point
 
 
 def points_of_rule(rule: FacetPoints, rows: IntArray, points: LawPoints) -> IntArray:
-    """Find which of the law's points coincides with each quadrature point of a surface.
+    """Find, for the quadrature points on a surface, the points of a law that coincide with them.
 
     Args:
-        rule: quadrature points of the surface, of the same degree as those of the law.
-        rows: number on the surface of the facet of each of the law's facets; -1: not on this surface.
+        rule: quadrature points of the surface, q on each facet, of the same degree as those of the law.
+        rows: for each facet where the law acts, its number on the surface; -1: it is not on this surface.
         points: quadrature points of the law.
 
     Returns:
-        (facets, q) numbers of the law's points, for the facets other than -1, in the order of the rule's q points.
+        (facets, q) numbers of the law's points, for the facets where `rows` is not -1. The q points of a facet have the
+        order of `rule`.
     """
     q = points.quadrature
     cells, there = q.cells[rows >= 0], np.moveaxis(rule.x[:, rows[rows >= 0]], 0, -1)
@@ -100,7 +104,10 @@ def points_of_rule(rule: FacetPoints, rows: IntArray, points: LawPoints) -> IntA
 
 
 def _point_tractions(points: LawPoints) -> Array:
-    """Tractions (points, d) of an interface law, conjugate to the jump: the virtual work of its stresses per area."""
+    """Return the tractions (points, d) of an interface law, conjugate to the jump, at the law's quadrature points.
+
+    A traction times a virtual jump is the virtual work of the law's stresses per area of S.
+    """
     q, stress = points.quadrature, points.stress()
     if points.term.traction is None:
         return np.asarray(np.einsum("pij,pj->pi", stress, q.n)[:, : q.dim])
@@ -110,11 +117,11 @@ def _point_tractions(points: LawPoints) -> Array:
 
 
 def _unit_stress_tractions(traction: Callable[[Expr], Expr], q: Quadrature) -> Array:
-    """Tractions (points, 6, d) of the six unit stresses in Mandel notation, at the points of a law on S.
+    """Return the tractions (points, 6, d) that belong to the six unit stresses in Mandel notation, in d dimensions.
 
     Args:
-        traction: the law's function from a UFL stress to its UFL traction.
-        q: the points.
+        traction: function of the law from a UFL stress to the UFL traction that is conjugate to the jump.
+        q: quadrature points of the law on S.
     """
     units = [mandel_tensor(ufl.as_vector([float(i == k) for i in range(6)])) for k in range(6)]
     components = [t[i] for t in map(traction, units) for i in range(q.dim)]
@@ -124,9 +131,9 @@ def _unit_stress_tractions(traction: Callable[[Expr], Expr], q: Quadrature) -> A
 
 
 def _facet_of_cells(surface: SurfaceMesh, state: State) -> IntArray:
-    """Number on the surface of the facet from which each cell of a meshed layer was extruded.
+    """Return for each cell of the joint the number of the facet on the surface from which the cell was extruded.
 
-    It is -1 in bodies, where layers meet, and for layers of other seams.
+    The number is -1 for cells of bodies, for cells where layers meet, and for cells of layers on other seams.
     """
     joint = surface.joint
     numbers, centres = column_numbers(state.model.domain.joint)
@@ -139,10 +146,11 @@ def _add_cell_moments(moments: Array, surface: SurfaceMesh, rows: IntArray, poin
     """Add to `moments` the integrals of the mean traction through a meshed layer times the shape functions of degree 1.
 
     Args:
-        moments: (n, k, d) integrals for the k corners of n facets of the surface.
+        moments: (n, k, d) integrals, a force for each of the k corners of n facets of the surface; changed.
         surface: the surface.
-        rows: number on the surface of the facet of each layer cell; -1: none.
-        points: quadrature points of the layer's law.
+        rows: for each cell of the layer the number of the facet on the surface from which it was extruded; -1: it is on
+            no facet of the surface.
+        points: quadrature points of the law of the layer, or of one sublayer.
     """
     joint, q, mine = surface.joint, points.quadrature, np.flatnonzero(rows >= 0)
     layer = next(seam_layer for seam_layer in points.state.model.layers.values() if seam_layer.key == points.term.key)
@@ -162,11 +170,15 @@ def _add_cell_moments(moments: Array, surface: SurfaceMesh, rows: IntArray, poin
 
 
 def _sublayer_weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float]:
-    """Weights of a sublayer's tangential and normal traction in the mean through the layer's thickness.
+    """Return the weights of a sublayer's tangential and normal traction in the mean through the layer's thickness.
 
-    A weight is the sublayer's fraction of the jump, divided by its fraction of the thickness. The mean is then
-    conjugate to the jump. In elastic layers these fractions of the jump follow from the sublayers' compliances. In
-    other layers, and in layers of one material, both weights are 1.
+    A weight is the sublayer's fraction of the jump, divided by its fraction of the thickness. The work of this mean in
+    the jump is then that of the sublayers. In elastic layers the fraction of the jump follows from the sublayers'
+    compliances. In layers of one material, and in layers that are not elastic, both weights are 1.
+
+    Args:
+        layer: the layer.
+        points: quadrature points of the sublayer's law.
     """
     if len(layer.law.sublayers) == 1:
         return 1.0, 1.0
@@ -184,14 +196,16 @@ def _sublayer_weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float
 
 # ---------------------------------------------------------------- of the bodies' nodal forces
 def consistent_tractions(surface: SurfaceMesh, state: State, *, joined: bool = False) -> Array:
-    """Tractions (m, d) at the nodes of S that are equivalent to the nodal forces of the bodies. Collective.
+    """Return the tractions (m, d) at the m nodes of S that are equivalent to the bodies' nodal forces.
 
-    The tractions are linear on each facet; `Surface.reaction` says how they are chosen where supports hide the forces.
+    Collective. d is the number of dimensions. The tractions are linear on each facet. `Surface.reaction` tells which
+    are chosen if the nodal forces do not determine them, as where supports act.
 
     Args:
-        surface: all of S, with m nodes in d dimensions.
+        surface: all of S.
         state: the state.
-        joined: whether to regard bonded bodies as one body. Only layers then exert forces at S.
+        joined: whether bonded bodies count as one body, so that only layers exert forces at S. If not, bonded bodies
+            exert forces on each other.
     """
     model, d = state.model, surface.joint.dim
     r = layer_forces(state, joined)
@@ -225,14 +239,14 @@ def consistent_tractions(surface: SurfaceMesh, state: State, *, joined: bool = F
 
 
 def _side_nodes(surface: SurfaceMesh, joined: bool) -> tuple[IntArray, int]:
-    """Number the nodes that the bodies have at the corners of the facets of S, one for each body at a vertex.
+    """Number the nodes of the bodies on S, where each body has a node of its own at a vertex of S.
 
     Args:
         surface: the surface, with n facets of k corners.
         joined: whether bonded bodies share one node.
 
     Returns:
-        (2, n, k) numbers of the nodes below and above the corners, and the number of nodes.
+        (2, n, k) numbers of the nodes of the body below, then above, at each corner, and how many nodes there are.
     """
     joint = surface.joint
     cut = surface.model.split_mesh if joined else joint.split_mesh
@@ -243,9 +257,14 @@ def _side_nodes(surface: SurfaceMesh, joined: bool) -> tuple[IntArray, int]:
 
 
 def _to_sides(surface: SurfaceMesh, sides: IntArray, count: int) -> scipy.sparse.csr_matrix:
-    """Matrix (count, m) from the values of tractions at the m nodes of S to nodal forces on the bodies.
+    """Return the sparse matrix (count, m) that converts nodal values of a traction on S to nodal forces on the bodies.
 
-    `sides` has the numbers of the bodies' nodes below and above the facets' corners, `count` is how many there are.
+    The m nodes of S have the values. The traction pulls the lower body in its direction, and the upper body against it.
+
+    Args:
+        surface: the surface, with n facets of k corners.
+        sides: (2, n, k) numbers of the bodies' nodes below and above the corners.
+        count: number of the bodies' nodes.
     """
     M = np.einsum("fq,qa,qb->fab", surface.weights, surface.shapes, surface.shapes)
     rows, columns = np.broadcast_arrays(sides[..., None], surface.nodes[:, None])  # (2, n, k, k)
@@ -254,13 +273,13 @@ def _to_sides(surface: SurfaceMesh, sides: IntArray, count: int) -> scipy.sparse
 
 
 def _lumped(surface: SurfaceMesh, sides: IntArray, means: Array, valid: BoolArray) -> Array:
-    """First guess of one component of the tractions at the m nodes of S, from nodal forces over areas.
+    """Estimate one component of the traction at the m nodes of S (m,), from nodal forces divided by areas.
 
     Args:
-        surface: the surface.
-        sides: (2, n, k) numbers of the bodies' nodes below and above the facets' corners.
-        means: force over area at each node of the bodies.
-        valid: where this value is known. Elsewhere the guess is the mean over neighbouring nodes of S.
+        surface: the surface, with n facets of k corners.
+        sides: (2, n, k) numbers of the bodies' nodes below and above the corners.
+        means: (count,) force over area at each of the bodies' nodes.
+        valid: (count,) whether this force is known. Nodes of S without such a force get the mean over their neighbours.
     """
     signs = np.array([1.0, -1.0])[:, None, None]
     counts = surface.sums(valid[sides].sum(axis=0).astype(float))

@@ -1,6 +1,6 @@
 """Zoom: stresses inside the layer of an interface model, and strengths of its stress singularities at free ends.
 
-The stresses are those of a mesh of the layer alone, whose faces move with the bodies.
+The stresses are computed on a mesh of the layer alone, whose faces have the displacements of the bodies.
 """
 
 from __future__ import annotations
@@ -40,19 +40,20 @@ SUBLAYER_ARC_RADIUS = 0.6  # the same over the thickness of a thin sublayer
 
 @dataclass(frozen=True)
 class CornerStrength:
-    """Strength of the singular stresses at the corner between one face of a layer and its free end.
+    """Strength of the singular stresses at a corner of a layer, where its lower or upper face meets its free end.
 
     At the distance r from the corner, the normal traction on the face tends to H r^(exponent - 1) as r -> 0. A
     criterion of crack initiation compares H with its critical value, from a test of the same layer and exponent.
 
     Attributes:
-        x: (n, d) points of S along the end, in d dimensions, farther than 3 thicknesses from other ends; in 2D one.
-        m: (d,) outward unit normal of the end, in the plane of S.
+        x: (n, d) points of S along the end, in d dimensions, farther than 3 thicknesses from other ends; in 2D one
+            point.
+        m: (d,) unit normal of the end in the plane of S, which points out of the layer.
         side: "lower" or "upper", the face of the layer.
         exponent: exponent of the displacements, r^exponent; from 1 at Poisson's ratio 0 to 0.595 at 0.5.
-        shear: ratio of tangential to normal traction on the lower face near the corner; tangential traction is positive
-            inward along S (against m). On the upper face the ratio is -shear.
-        H: (n,) strengths, in units of stress times length^(1 - exponent).
+        shear: ratio of tangential to normal traction on the lower face near the corner. Tangential traction is positive
+            inward along S, against m. On the upper face the ratio is -shear.
+        H: (n,) strengths at the points x, in units of stress times length^(1 - exponent).
     """
 
     x: Array
@@ -64,16 +65,16 @@ class CornerStrength:
 
 
 class Zoom:
-    """Stresses inside a layer of an interface model, from a mesh of the layer with prescribed face displacements.
+    """Stresses inside a layer of an interface model, computed on a mesh of the layer with prescribed face displacements.
 
-    The lower and upper face of the mesh move with the bodies of the interface model. The layer's law must have an
-    energy: a linear law, or plasticity in one step from rest. Sublayers, curved seams, seams that meet, own weight and
-    eigenstrains of the layer are possible. Cells are refined towards free ends and junctions.
+    The displacements of the lower and upper face are those of the bodies of the interface model. The layer's law must
+    have an energy: a linear law, or plasticity in one step from rest. Sublayers, curved seams, seams that meet, own
+    weight and eigenstrains of the layer are possible. Cells are refined towards free ends and junctions.
 
     The relative error is that of the face displacements: O(eps) for an interface law of order 0, O(eps^2) for order 1.
     In `estimate(state).better` the bodies are in equilibrium with the meshed layer, including its free ends. So
     `Zoom(estimate(state).better)` prescribes more accurate face displacements than `Zoom(state)`.
-    For a full model the stresses are those in its own layer cells. Collective.
+    For a full model nothing is solved, and the stresses are those in its own layer cells. Collective.
 
     Args:
         state: state of an interface model or a full model, as `solve` or `history.at(t)` returns it.
@@ -85,8 +86,8 @@ class Zoom:
     Attributes:
         state: the argument.
         seam: name of the seam with the layer.
-        layer: state on the mesh of the layer alone, whole on every rank, for `Probe`, pictures and files. For a full
-            model it is the argument `state`.
+        layer: state on the mesh of the layer alone, for `Probe`, pictures and files; each rank has the whole mesh. For
+            a full model it is the argument `state`.
 
     Raises:
         InputError: no such state or seam; the layer's law has no energy, or depends on earlier steps.
@@ -116,13 +117,14 @@ class Zoom:
         self._probe, self._surface = Probe(self.layer), SurfaceMesh(self.layer.model, self.seam)
 
     def _by_itself(self, cells_through: int, at_ends: float) -> State:
-        """Solve for the layer alone (with the layers that it meets) under the face displacements of the state.
+        """Solve for the layer alone under the state's face displacements; return its state on a refined mesh.
 
-        A coarse mesh is solved first; its solution starts Newton's method on the refined mesh.
+        If other layers meet this layer, they are on the mesh too. A coarse mesh is solved first; its solution starts
+        Newton's method on the refined mesh.
 
         Args:
             cells_through: number of cells through the thickness.
-            at_ends: largest size of cells at free ends and junctions, over the thickness.
+            at_ends: largest size of cells at free ends and junctions, divided by the layer's thickness.
         """
         state, model = self.state, self.state.model
         assert isinstance(model, InterfaceModel)
@@ -143,16 +145,23 @@ class Zoom:
 
     @property
     def eps(self) -> float:
-        """Thickness of the layer; if it varies, the reference thickness, which its profile multiplies."""
+        """Thickness of the layer, a length; if it varies, the reference thickness, which its profile multiplies."""
         return self._seam_layer.eps
 
     @property
     def law(self) -> BulkLaw:
-        """The layer's law of stress and strain, with the moduli of the material; in plane stress its plane law."""
+        """The law of stress and strain of the layer's material; in plane stress the law of strains in the plane."""
         return self._applicability.law
 
     def _require_faces(self, layers: State) -> None:
-        """Warn if the tractions of the meshed layer differ by more than 30 % from those of the bodies, in L2(S)."""
+        """Warn if the tractions of the layer on S differ too much from those of the bodies' nodal forces.
+
+        The face displacements are then inaccurate. Too much means that the L2 norm of the difference over S exceeds 30
+        % of that of the bodies' tractions.
+
+        Args:
+            layers: state of the meshed layer alone.
+        """
         surface = Surface(self.state.model, self.seam)
         bodies = surface.reaction(self.state)
         off = surface.norm(surface.traction(layers) - bodies) / (surface.norm(bodies) or 1.0)
@@ -162,18 +171,18 @@ class Zoom:
 
     # ---------------------------------------------------------------- stresses
     def stress(self, x: npt.ArrayLike, height: npt.ArrayLike = 0.0) -> Array:
-        """Stresses (n, 3, 3) in the layer above or below n points of S, or (3, 3) at one point. Collective.
+        """Return the stresses (n, 3, 3) at n points inside the layer, or (3, 3) at one point. Collective.
 
-        On a boundary between cells it is the mean of their stresses.
+        On a boundary between cells the stress is the mean over these cells.
 
         Args:
-            x: (n, d) points on S in d dimensions, or one point (d,), as in the mesh of the joint.
-            height: position across the layer, over its thickness, from -1/2 at the lower face to 1/2 at the upper face;
-                one number, or (n,).
+            x: (n, d) points on S in d dimensions, or one point (d,), in coordinates of the joint's mesh.
+            height: distance from the middle of the layer along n, divided by its thickness, from -1/2 at the lower face
+                to 1/2 at the upper face. One number, or (n,).
 
         Raises:
             InputError: points off the seam; heights out of range; points within 1/16 of the thickness from a corner of
-                a free end.
+                a free end, where stresses are infinite.
         """
         located, _ = self._surface.at(x)
         if (y := finite_values(height, (), located.x.shape[:1])) is None or not (np.abs(y) <= 0.5).all():
@@ -190,14 +199,22 @@ class Zoom:
         return stresses if np.ndim(x) > 1 else stresses[0]
 
     def through(self, x: npt.ArrayLike, n: int = 41) -> tuple[Array, Array]:
-        """Return n heights from -1/2 to 1/2, and the stresses (n, 3, 3) there, at one point x (d,) of S. Collective."""
+        """Return the stresses through the thickness at one point of S. Collective.
+
+        Args:
+            x: (d,) the point, in d dimensions.
+            n: number of heights.
+
+        Returns:
+            (n,) heights from -1/2 to 1/2, as in `stress`, and the stresses (n, 3, 3) there.
+        """
         heights = np.asarray(np.linspace(-0.5, 0.5, n), np.float64)
         return heights, self.stress(np.tile(np.asarray(x, float), (n, 1)), heights)
 
     # ---------------------------------------------------------------- corners
     @cached_property
     def ends(self) -> list[tuple[StraightEnd, Array]]:
-        """Straight free ends of the layer, each with points (n, d) of S along it; in 2D one point.
+        """Straight free ends of the layer, each with some points (n, d) of S along it; in 2D one point.
 
         The points are the mesh vertices of the end that are farther than 3 thicknesses from other free ends. Ends
         without such vertices are left out.
@@ -217,10 +234,11 @@ class Zoom:
 
     @cached_property
     def corners(self) -> list[CornerStrength]:
-        """Strengths of the singular stresses at both corners of each straight free end, lower face first. Collective.
+        """Strengths of the singular stresses at both corners of each straight free end, ordered as `ends`. Collective.
 
-        They follow from the reciprocal theorem with the dual singular field, on an arc around the corner. The singular
-        fields are those between a rigid face and a free end in plane strain.
+        The corner at the lower face comes first. The strengths follow from the reciprocal theorem with the dual
+        singular field, on an arc around the corner. The singular fields are those between a rigid face and a free end
+        in plane strain.
 
         Raises:
             InputError: the exponent of a corner is unknown, or a load acts on the layer's side.
@@ -232,12 +250,12 @@ class Zoom:
         return [self._strength(end, x, side) for end, x in self.ends for side in (-1, 1)]
 
     def _strength(self, end: StraightEnd, x: Array, side: int) -> CornerStrength:
-        """Strengths of the singular stresses at a corner of a free end.
+        """Compute the strengths of the singular stresses along one corner of a free end.
 
         Args:
             end: the free end.
-            x: (n, d) points along it.
-            side: 1 for the corner on the upper face, -1 on the lower face.
+            x: (n, d) points of S along it, at which strengths are computed.
+            side: 1 for the corner at the upper face, -1 at the lower face.
         """
         sublayers = self.law.sublayers
         share, law = sublayers[0 if side < 0 else -1]
@@ -259,7 +277,15 @@ class Zoom:
 
 
 def _layer_of(state: State, seam: str) -> SeamLayer:
-    """Return the layer on a seam in the state's model; raise InputError if there is none. "S": the only seam."""
+    """Return the layer on a seam in a state's model.
+
+    Args:
+        state: state of a full or an interface model.
+        seam: name of the seam; "S" if there is only one.
+
+    Raises:
+        InputError: not such a state; an unknown seam, or a seam without a layer.
+    """
     if not isinstance(state, State) or not isinstance(state.model, InterfaceModel | FullModel):
         received = state.model if isinstance(state, State) else state
         raise InputError(f"a zoom is of a state of an interface or a full model, not of {received!r:.80}")
