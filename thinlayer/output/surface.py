@@ -70,8 +70,8 @@ class Surface(SurfaceMesh):
           interface law by O(eps).
         - Bond: the traction equivalent to the nodal forces of the bodies (see `reaction`).
 
-        If the surface's model has a contact law on any seam, the mass matrix of the projection is lumped, as contact
-        laws define tractions at nodes in this way.
+        If the surface's model has a contact law on any seam, the mass matrix of the projection is lumped. Contact laws
+        define tractions at nodes in this way.
         """
         self._require_same_joint(state)
         bonded = np.isin(self.seams, state.model.bonds)

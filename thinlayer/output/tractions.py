@@ -56,8 +56,8 @@ def layer_points(surface: SurfaceMesh, state: State) -> Iterator[tuple[LawPoints
     """Yield each layer law's quadrature points, and the facets of the surface to which they belong. Collective.
 
     Yields:
-        Pairs of the quadrature points and an array of integers. For each facet where an interface law acts, or
-        each cell of a meshed layer, the array has the number of the facet on the surface, or -1. It is -1 for facets of
+        Pairs of the quadrature points and an array of integers. For each facet of an interface law, or each
+        cell of a meshed layer, the array has the number of the facet on the surface, or -1. It is -1 for facets of
         other seams, and for cells where layers meet.
     """
     joint = surface.joint

@@ -65,7 +65,7 @@ class CornerStrength:
 
 
 class Zoom:
-    """Stresses inside a layer of an interface model, computed on a mesh of the layer with prescribed face displacements.
+    """Stresses inside a layer of an interface model, by a mesh of the layer with prescribed displacements of its faces.
 
     The displacements of the lower and upper face are those of the bodies of the interface model. The layer's law must
     have an energy: a linear law, or plasticity in one step from rest. Sublayers, curved seams, seams that meet, own
