@@ -170,17 +170,17 @@ class TurningPoint(SolveError):
 
 
 class NoEquilibrium(SolveError):
-    """Error of a time step that has no equilibrium: some displacements grow without bound.
+    """Error of a time step at whose end no equilibrium exists.
 
-    This is tested with weak springs at all nodes, with which an equilibrium exists. The springs are made softer step by
-    step, and the displacements grow without bound.
+    This is tested with weak springs at all nodes, with which an equilibrium exists. As the springs are softened, its
+    displacements grow without bound.
 
     Attributes:
         growth: norm of the change of displacements with the softest springs. It is divided by the norm of the
             displacements that the loads of the step cause if all layers are elastic and all contacts stick.
         shares: name of a seam -> its fraction of the integral of the squared jump over all seams, in the equilibrium
-            with the softest springs. Only seams whose law limits tractions count. The largest fraction is
-            first. It is empty if there is only one seam.
+            with the softest springs. Only seams whose law limits tractions count, by yielding or contact. The largest
+            fraction is first. Empty if there is only one seam.
     """
 
     def __init__(self, growth: float, shares: Mapping[str, float]) -> None:
@@ -192,8 +192,8 @@ class LimitLoad(SolveError):
     """Error of a march whose loads exceed the limit load of a yielding layer or of contact.
 
     Even the shortest step has no equilibrium. This is tested with weak springs at all nodes, with which an equilibrium
-    exists. If its displacements grow without bound as the springs soften, no equilibrium exists without springs. A step
-    that fails for another reason raises a plain SolveError.
+    exists. If its displacements grow without bound as the springs are softened, no equilibrium exists without springs.
+    A step that fails for another reason raises a plain SolveError.
 
     Attributes:
         t: time of the last equilibrium.
@@ -203,8 +203,8 @@ class LimitLoad(SolveError):
             norm of the displacements that the same loads cause if the layers are elastic. With associated flow, the
             displacements of any equilibrium without springs would be at least as large.
         shares: name of a seam -> its fraction of the integral of the squared jump of displacements, in the equilibrium
-            with the softest springs. Only layers that yield, and contacts, count. The seams that fail have the largest
-            fractions, and are first. It is empty if there is only one seam.
+            with the softest springs. Only seams whose law limits tractions count, by yielding or contact. The seams
+            that fail have the largest fractions, and are first. Empty if there is only one seam.
         history: `History` of the accepted steps.
     """
 

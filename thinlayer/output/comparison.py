@@ -29,8 +29,8 @@ def compare(
 ) -> dict[str, float]:
     """Measure the relative differences of traction and jump between an interface law and a meshed layer. Collective.
 
-    The interface law's traction is compared with the mean of stress n through the thickness of the meshed layer. The
-    jump of the meshed layer is the difference of displacements at opposite points of its upper and lower face.
+    The interface law's traction is compared with the mean of stress times n through the thickness of the meshed layer.
+    The jump of the meshed layer is the difference of displacements at opposite points of its upper and lower face.
 
     Args:
         full: state of a full model, or its history.
@@ -55,8 +55,8 @@ def compare(
 
     Raises:
         InputError: the states do not belong to a full and an interface model of the same structure. Joint, bodies,
-            supports, loads, plane, element and thickness must be the same. Also if the states have different times, a
-            seam is unknown, or `where` is no function of the coordinates, or is true nowhere on S.
+            supports, loads, plane, element and thickness must be the same. The states have different times; the
+            seam is unknown; `where` is no function of the coordinates, or is true nowhere on S.
 
     Example:
         >>> from forms import LinearElastic
@@ -107,8 +107,8 @@ def _require_equal(what: str, equal: bool, full: object, interface: object) -> N
 
     Args:
         what: the quantity that must be the same in both models, such as "time", for the message.
-        equal: whether it is.
-        full, interface: its values in the full and in the interface model, for the message.
+        equal: whether the quantity is the same.
+        full, interface: values of the quantity in the full and in the interface model, for the message.
     """
     if not equal:
         raise InputError(f"compare needs the same {what}, not {full} and {interface}")
@@ -142,8 +142,8 @@ def _state_at(result: Solution, at: float | None) -> State:
 def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
     """Raise InputError if the bodies end at different places in both models, and a layer's law has order 1.
 
-    The bodies of either model may be kept (they end on S) or extended (cut back by the layer's thickness). This changes
-    results as much as the terms of order 1.
+    The bodies of a model are either "kept", with S as their boundary, or "extended": then half the layer's thickness is
+    cut off each of them. If the models differ in this, results differ as much as by the terms of order 1.
     """
     band = full.domain.joint.band
     here = "kept" if interface.domain.joint.parted is None else "extended"

@@ -117,7 +117,7 @@ class Contact:
     def force(self) -> Array:
         """Resultant force (d,) of pressure and friction on the upper body.
 
-        At pinned nodes the tractions by the contact law enter it, not the force of the support.
+        At pinned nodes it contains the traction by the contact law, not the force of the support.
         """
         return -np.einsum("n,nki,nk->i", self.areas, self.frames, np.column_stack([self.t_T, -self.p]))
 
@@ -202,6 +202,10 @@ def _rank_values(state: State, seam: str) -> dict[str, np.ndarray]:
 
     With elements of degree 2 the law also has nodes between vertices. The results of such a node are listed once for
     each adjacent vertex.
+
+    Args:
+        state: the state.
+        seam: name of the seam.
 
     Returns:
         Name -> array (rows, ...): the names of attributes of `Contact`; "vertex", whether the node of this row is

@@ -55,10 +55,11 @@ def ensemble(
             case. The global generators of `random` and `numpy.random` count as common to all runs, unless code of the
             runs seeds them. "anyway": keep such rows too, and rows of another `make`; the cases must be the same.
         ranks: number of ranks of a group, a divisor of the number of all ranks (default: all ranks are one group).
-        part: (k, n): of n equal parts of the cases compute only number k, from 0 to n - 1. Use it for n jobs that run
-            at the same time or one after the other, with the same `out` and `resume=True`.
+        part: (k, n): divide the cases into n parts and compute only part k, with k = 0, ..., n - 1. Use it for n jobs
+            that run at the same time or one after the other, with the same `out` and `resume=True`.
         keep_failures: True: a run that fails with a SolveError gets a row with the error in the column "failure", and
-            empty results; the other runs continue. False: the error is raised when the other groups have finished.
+            None for its results; the other runs continue. False: the error is raised when the other groups have
+            finished.
 
     Returns:
         The table of all rows, also of those that were stored before. Its columns are "run" (number of the case), the

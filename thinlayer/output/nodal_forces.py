@@ -46,7 +46,8 @@ def nodal_forces(V: fem.FunctionSpace, form: Expr) -> fem.Function:
         form: UFL form, linear in this test function.
 
     Returns:
-        A function in V, whose nodal values are the form for each shape function; also its ghost values are set.
+        A function in V. Each of its degrees of freedom is the value of the form for the shape function of this degree
+        of freedom. Ghost values are up to date.
     """
     vector = fem.assemble_vector(compiled(form))
     vector.scatter_reverse(dolfinx.la.InsertMode.add)

@@ -87,8 +87,8 @@ class Probe:
 
         Args:
             x: (n, d) coordinates, or (d,) for one point.
-            side: "lower" or "upper", the side of S whose displacement is wanted at points on S. None: no point lies on
-                S where displacements jump. This is for interface models.
+            side: only for interface models: "lower" or "upper", the side of S that moves with the displacement at
+                points on S. None: displacements jump at none of the points.
             seam: name of the seam to which `side` refers, for points where several seams meet; "S": all seams.
 
         Raises:
@@ -113,8 +113,8 @@ class Probe:
 
         Args:
             x: (n, d) coordinates, or (d,) for one point.
-            side: "lower" or "upper": at points on S the mean is only over cells on this side. This is for interface
-                models. None: the mean is over all cells.
+            side: only for interface models: "lower" or "upper", the side of S to whose cells the mean is limited at
+                points on S. None: the mean is over all cells.
             seam: name of the seam to which `side` refers, for points where several seams meet; "S": all seams.
 
         Raises:
@@ -137,6 +137,9 @@ class Probe:
             side: "lower" or "upper": at points on S find only cells on this side; None: all cells. Not for facets.
             seam: name of the seam to which `side` refers; "S": all seams.
             on_s: True: find facets of S; False: find cells.
+
+        Returns:
+            Pairs of a point and a cell, or facet, that contains it.
         """
         model = self.state.model
         with errors_on_all(self._comm):
@@ -213,7 +216,7 @@ class Probe:
     def internal(self, name: str, x: npt.ArrayLike, key: str | None = None) -> Array:
         """Return the value of an internal variable at the quadrature point nearest to each of n points.
 
-        Only quadrature points in the cells that contain the point count, or on S in the facets. Nothing is
+        The search is limited to the cells that contain the point, for a law on S to such facets. Nothing is
         interpolated.
 
         Args:
@@ -264,6 +267,9 @@ def cells_at(model: Model, x: npt.ArrayLike, side: str | None = None, seam: str 
         x: (n, d) coordinates in d dimensions, or (d,) for one point.
         side: "lower" or "upper": at points on S find only cells on this side, in an interface model; None: all cells.
         seam: name of the seam to which `side` refers; "S": all seams.
+
+    Returns:
+        Pairs of a point and a cell that contains it.
 
     Raises:
         InputError: no points; points outside the cells; an unknown side or seam; a side where S lies on a rigid base,

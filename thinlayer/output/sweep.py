@@ -96,8 +96,8 @@ def _row(run: RowFunction, eps: float, first: Row | None) -> Row:
         first: the first row of the table, whose columns the new row must have; None: there is none.
 
     Raises:
-        InputError: the row has another thickness, lacks a number, or has other columns; on all ranks. So are errors of
-            `run`.
+        InputError: the row has another thickness, lacks a number, or has other columns; errors of `run`. All ranks
+            raise these errors.
     """
     what = f"the row that run({eps:g}) returns"
     with errors_on_all(default_comm()):

@@ -173,8 +173,8 @@ def _sublayer_weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float
     """Return the weights of a sublayer's tangential and normal traction in the mean through the layer's thickness.
 
     A weight is the sublayer's fraction of the jump, divided by its fraction of the thickness. The work of this mean in
-    the jump is then that of the sublayers. In elastic layers the fraction of the jump follows from the sublayers'
-    compliances. In layers of one material, and in layers that are not elastic, both weights are 1.
+    the jump is then the sum of the sublayers' work. In elastic layers the fraction of the jump follows from the
+    sublayers' compliances. In layers of one material, and in layers that are not elastic, both weights are 1.
 
     Args:
         layer: the layer.
@@ -246,7 +246,8 @@ def _side_nodes(surface: SurfaceMesh, joined: bool) -> tuple[IntArray, int]:
         joined: whether bonded bodies share one node.
 
     Returns:
-        (2, n, k) numbers of the nodes of the body below, then above, at each corner, and how many nodes there are.
+        (2, n, k) numbers of the nodes at each corner, first of the body below S, then of the body above; the number of
+        nodes.
     """
     joint = surface.joint
     cut = surface.model.split_mesh if joined else joint.split_mesh
@@ -259,7 +260,7 @@ def _side_nodes(surface: SurfaceMesh, joined: bool) -> tuple[IntArray, int]:
 def _to_sides(surface: SurfaceMesh, sides: IntArray, count: int) -> scipy.sparse.csr_matrix:
     """Return the sparse matrix (count, m) that converts nodal values of a traction on S to nodal forces on the bodies.
 
-    The m nodes of S have the values. The traction pulls the lower body in its direction, and the upper body against it.
+    The traction acts on the lower body, and its opposite on the upper body.
 
     Args:
         surface: the surface, with n facets of k corners.

@@ -65,11 +65,11 @@ class CornerStrength:
 
 
 class Zoom:
-    """Stresses inside a layer of an interface model, by a mesh of the layer with prescribed displacements of its faces.
+    """Stresses inside a layer of an interface model, computed on a mesh of this layer alone.
 
-    The displacements of the lower and upper face are those of the bodies of the interface model. The layer's law must
-    have an energy: a linear law, or plasticity in one step from rest. Sublayers, curved seams, seams that meet, own
-    weight and eigenstrains of the layer are possible. Cells are refined towards free ends and junctions.
+    The displacements of the layer's lower and upper face are those of the bodies in the interface model. The layer's
+    law must have an energy: a linear law, or plasticity in one step from rest. Sublayers, curved seams, seams that
+    meet, weight and eigenstrains of the layer are possible. Cells are refined towards free ends and junctions.
 
     The relative error is that of the face displacements: O(eps) for an interface law of order 0, O(eps^2) for order 1.
     In `estimate(state).better` the bodies are in equilibrium with the meshed layer, including its free ends. So
@@ -145,7 +145,7 @@ class Zoom:
 
     @property
     def eps(self) -> float:
-        """Thickness of the layer, a length; if it varies, the reference thickness, which its profile multiplies."""
+        """Thickness of the layer, a length; a variable thickness is this number times the layer's profile."""
         return self._seam_layer.eps
 
     @property
@@ -156,8 +156,8 @@ class Zoom:
     def _require_faces(self, layers: State) -> None:
         """Warn if the tractions of the layer on S differ too much from those of the bodies' nodal forces.
 
-        The face displacements are then inaccurate. Too much means that the L2 norm of the difference over S exceeds 30
-        % of that of the bodies' tractions.
+        The face displacements are then inaccurate. Too much means that the L2 norm of the difference over S exceeds 0.3
+        times that of the bodies' tractions.
 
         Args:
             layers: state of the meshed layer alone.
@@ -236,9 +236,9 @@ class Zoom:
     def corners(self) -> list[CornerStrength]:
         """Strengths of the singular stresses at both corners of each straight free end, ordered as `ends`. Collective.
 
-        The corner at the lower face comes first. The strengths follow from the reciprocal theorem with the dual
-        singular field, on an arc around the corner. The singular fields are those between a rigid face and a free end
-        in plane strain.
+        Of each end the corner at the lower face comes first. The strengths follow from the reciprocal theorem with the
+        dual singular field, on an arc around the corner. The singular fields are those between a rigid face and a free
+        end in plane strain.
 
         Raises:
             InputError: the exponent of a corner is unknown, or a load acts on the layer's side.

@@ -51,7 +51,7 @@ class VtkGrid:
         types: (n_cells,) VTK's codes for the types of the cells.
         region: (n_cells,) number of the region of the bodies, from 0; regions of meshed layers have -1, -2, ...
         base: (facets, k, 3) coordinates of the k nodes, in VTK's order, of each facet where the joint lies on a rigid
-            base. Without such facets if there is a body on both sides of S.
+            base. An empty array if there is a body on both sides of S.
         base_type: VTK's code for the type of these facets.
     """
 
@@ -136,9 +136,11 @@ def gather_grid(state: State) -> VtkGrid | None:
 
 
 def _base(joint: Joint) -> tuple[Array, int]:
-    """Return where the joint lies on a rigid base: the facets' nodes, and VTK's code for the type of the facets.
+    """Return the facets of a joint that lie on a rigid base.
 
-    The nodes are an array (facets, k, 3) of coordinates, in VTK's order; without facets if there is no rigid base.
+    Returns:
+        (facets, k, 3) coordinates of the k nodes of each facet, in VTK's order, empty if there is no rigid base; VTK's
+        code for the type of these facets.
     """
     kind = FACET_TYPES[joint.cell_type]
     names = joint.base_seams if joint.band is None else (BASE,) if BASE in joint.facets else ()

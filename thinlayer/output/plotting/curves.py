@@ -41,7 +41,7 @@ def rates(
 ) -> Picture:
     """Draw the errors in the tables of sweeps over the thickness eps, on logarithmic axes, with a reference line.
 
-    Collective if rank 0 saves the picture or reads a file.
+    Collective if the picture is saved or a file is read, which rank 0 does.
 
     Args:
         table: table of a sweep, or name of its csv file; for several sweeps, label -> table or name.
@@ -156,7 +156,8 @@ def curves(
 
 
 def fraction(x: float) -> str:
-    """Return a number as text: "1/128" if it is 1/4, 1/8, 1/16, ..., otherwise decimal with four significant digits."""
+    """Return a number as text: "1/4", "1/8", "1/16", ... for these numbers, else a decimal with four significant digits.
+    """
     return f"1/{1 / x:.0f}" if x <= 1 / 4 and math.frexp(x)[0] == 0.5 else f"{x:.4g}"
 
 

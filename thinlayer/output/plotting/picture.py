@@ -98,7 +98,7 @@ EntryType = TypeVar("EntryType")
 
 
 def labelled(what: str, entries: Mapping[str, EntryType] | EntryType, kind: str) -> dict[str, EntryType]:
-    """Return label -> entry, given such a mapping or a single entry, which gets the label "".
+    """Convert an argument to a mapping, label -> entry; a single entry gets the label "".
 
     Args:
         what: name of the argument, for messages.
@@ -132,8 +132,8 @@ def drawn_on_root(comm: MPI.Intracomm, draw: Callable[[], Picture], save: str | 
 def save_picture(figure: Figure, save: str | Path) -> None:
     """Save a picture on this rank; an existing file of this name is replaced only when the new file is complete.
 
-    Curves in .svg and .pdf files are vectors. Files in other formats, and images in these files, have 300 dots per inch
-    of the printed picture. A picture wider than a page's text, 170 mm, is printed with this width.
+    Curves in .svg and .pdf files are vector graphics. Images in them, and files of other formats, have 300 dots per
+    inch of the printed picture. A picture wider than a page's text, 170 mm, is printed with this width.
 
     Args:
         figure: the picture.

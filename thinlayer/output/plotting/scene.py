@@ -59,8 +59,8 @@ class View:
         scale: factor by which drawn displacements are enlarged. None: the largest is drawn as a twentieth of the
             structure's size.
         unit: name of the unit of displacements, for the colour bar.
-        zoom: (left, right, bottom, top), the bounds of the window in deformed coordinates as drawn. In 2D these are
-            coordinates x and y, in 3D distances from the origin to the right and up in the picture. None: the whole
+        zoom: (left, right, bottom, top), the bounds of the window, in coordinates of the deformed structure as drawn.
+            In 2D these are x and y, in 3D distances from the origin to the right and up in the picture. None: the whole
             structure.
         towards: vector (3,) from the structure to the viewer, only in 3D. None: the viewer is in front, z > 0, to the
             right and above. The axis y points up in the picture; in a view from directly above, -z points up.
@@ -311,7 +311,7 @@ class Scene:
 
 
 def _range(x: Array) -> tuple[float, float]:
-    """Return the smallest and the largest value of `x`, the first less and the second plus 4 % of their difference."""
+    """Return the range (smallest, largest) of the values `x`, enlarged at both ends by 4 % of its length."""
     margin = 0.04 * np.ptp(x)
     return float(x.min() - margin), float(x.max() + margin)
 

@@ -121,7 +121,7 @@ def on_surface(
 
 
 def _panels(states: Mapping[str, State] | State, what: str) -> dict[str, State]:
-    """Return label -> state, given such a mapping or a single state, which gets the label "".
+    """Convert the user's states to a mapping, label -> state; a single state gets the label "".
 
     Args:
         states: the mapping or the state.
@@ -233,7 +233,7 @@ def _meshes(colours: ScalarMappable, values: Array, lower: Array, upper: Array, 
         values: (n, k) values at the k corners of n facets.
         lower, upper: (n, k, d) drawn coordinates of these corners on both sides of S, in d dimensions.
         smooth: True: values are linear between the corners. False: each facet is divided into one part around each
-            corner, which has the corner's colour, as words need.
+            corner, which has the corner's colour. This is for words.
 
     Returns:
         In 3D one mesh half-way between the sides. In 2D two meshes: the areas between the sides, and the lines half-way
@@ -273,7 +273,7 @@ def _corner_points(values: Array) -> Array:
 
 
 def _mesh(x: Array, rgb: npt.NDArray[np.uint8], kind: str) -> pyvista.PolyData:
-    """Make a coloured VTK mesh of n k lines or faces.
+    """Make a coloured VTK mesh of n * k lines or faces, k on each of n facets of S.
 
     Args:
         x: (n, k, p, d) coordinates of the p points that bound each line or face, in d dimensions.

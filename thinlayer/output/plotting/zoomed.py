@@ -37,8 +37,8 @@ def zoomed(
         full: `Zoom` of a state of the full model with the same layer, to compare with; None: no comparison.
         end: position of the end in the list `zoom.ends`, from 0.
         width: length of the drawn part of the layer from its end, divided by the layer's thickness, > 1/16.
-        component: "N": normal traction. "T": shear traction, positive as the stress component of two axes, inward from
-            the end along S and n. "S": normal stress along S.
+        component: "N": normal traction. "T": shear stress between two axes, the first along S and inward from the end,
+            the second n. "S": normal stress along S.
         save: name of a file to save the picture to, .png, .svg or .pdf; None: it is not saved.
         title: text over the picture.
         stress: name of the unit of stresses, for the labels.
