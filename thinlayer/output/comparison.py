@@ -142,8 +142,8 @@ def _state_at(result: Solution, at: float | None) -> State:
 def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
     """Raise InputError if the bodies end at different places in both models, and a layer's law has order 1.
 
-    The bodies of a model are either "kept", with S as their boundary, or "extended": then half the layer's thickness is
-    cut off each of them. If the models differ in this, results differ as much as by the terms of order 1.
+    The bodies of a model are either "kept", with S as their boundary, or "extended", with the layer cut out of them. If
+    the models differ in this, results differ as much as by the terms of order 1.
     """
     band = full.domain.joint.band
     here = "kept" if interface.domain.joint.parted is None else "extended"

@@ -59,19 +59,19 @@ class Surface(SurfaceMesh):
     """
 
     def traction(self, state: State) -> Array:
-        """Return the traction (d, n, q) on S, stress times n, projected in L2 to fields that are linear on each facet.
+        """Return the traction (d, n, q) on S, stress times n, as a field that is linear on each facet.
 
-        What is projected depends on what lies on the seam:
+        It depends on what joins the bodies on a seam:
 
+        - Contact law: its tractions at the nodes.
         - Interface law: the traction of the law, conjugate to the jump [u].
-        - Contact law: its tractions at the nodes, without a projection.
         - Meshed layer: the mean of stress times n through the thickness, elastic sublayers weighted by compliance. It
           is zero where layers meet. On a rigid base and with variable thickness, it differs from the traction of the
           interface law by O(eps).
         - Bond: the traction equivalent to the nodal forces of the bodies (see `reaction`).
 
-        If the surface's model has a contact law on any seam, the mass matrix of the projection is lumped. Contact laws
-        define tractions at nodes in this way.
+        Tractions of interface laws and meshed layers are projected in L2 to fields that are linear on each facet. If
+        the surface's model has a contact law on any seam, the mass matrix of the projection is lumped.
         """
         self._require_same_joint(state)
         bonded = np.isin(self.seams, state.model.bonds)
