@@ -47,8 +47,8 @@ def ensemble(
         cases: list of the inputs of the runs. Each case maps names to numbers or texts, with the same names in all
             cases.
         out: csv file for the table, written at the end, also after an error; None: no file. Before a group starts its
-            next run, it stores the row of the last one in the folder out.parts. A description of `make`, and of the
-            objects it refers to, is stored with the rows.
+            next run, it stores the row of the last one in the folder called `out` + ".parts". A description of `make`,
+            and of the objects it refers to, is stored with the rows.
         resume: False: compute all rows; files of an earlier ensemble are moved away. True: keep the stored rows and
             compute the others; the number of ranks, groups and parts may differ. Stored rows are refused if several
             runs took random numbers from the same generator. So create a generator in each run, from a seed in its

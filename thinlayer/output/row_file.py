@@ -31,7 +31,7 @@ RESUME_HINT = "give another name, remove it, or resume='anyway'"
 
 
 class RowFile:
-    """JSON file of the rows that a user's function returned, with a description of the function. Not collective.
+    """JSON file of the rows that a user's function returned, with a description of the function, for use on one rank.
 
     The description shows whether the rows of an earlier run are those of the same function. It covers the code of the
     function and the objects it refers to. Data that the function changes itself, such as a list of its results, are

@@ -65,9 +65,9 @@ class Surface(SurfaceMesh):
 
         - Contact law: its tractions at the nodes.
         - Interface law: the traction of the law, conjugate to the jump [u].
-        - Meshed layer: the mean of stress times n through the thickness, elastic sublayers weighted by compliance. It
-          is zero where layers meet. On a rigid base and with variable thickness, it differs from the traction of the
-          interface law by O(eps).
+        - Meshed layer: the mean of stress times n through the thickness, in which elastic sublayers are weighted by
+          their compliances. It is zero where layers meet. If the thickness varies on a rigid base, it differs from the
+          traction of the interface law by O(eps).
         - Bond: the traction equivalent to the nodal forces of the bodies (see `reaction`).
 
         Tractions of interface laws and meshed layers are projected in L2 to fields that are linear on each facet. If
@@ -98,7 +98,7 @@ class Surface(SurfaceMesh):
 
     # ---------------------------------------------------------------- status, phases, contact
     def status(self, state: State) -> npt.NDArray[np.str_]:
-        """Return a word for what the layer has done at each of n facets (n, 1), in a state of an interface model.
+        """Return words (n, 1) that tell what the layer has done at each of n facets, in a state of an interface model.
 
         - "elastic": nothing has yielded, or the law has no plastic strain.
         - "sliding": the plastic strain across S is mainly a slip along S.
@@ -135,7 +135,7 @@ class Surface(SurfaceMesh):
         return np.array([*areas])[model.comm.allreduce(np.array([*areas.values()])).argmax(axis=0)][:, None]
 
     def phase(self, state: State) -> Array:
-        """Return the mean phase (n, 1) of a non-monotone layer over each of n facets, for both kinds of models.
+        """Return the mean phase (n, 1) of a non-monotone layer at each of n facets, in a full or an interface model.
 
         The phase is a number in [-1, 1]. -1, 0 and 1 are pure phases. Positive fractions are the volume fraction of
         phase 1 in a mixture with phase 0. Negative fractions are minus the volume fraction of phase -1 in such a
@@ -229,7 +229,9 @@ def all_statuses(model: Model) -> tuple[str, ...]:
 
 
 def _at_points(surface: SurfaceMesh, points: LawPoints, rows: IntArray) -> npt.NDArray[np.str_]:
-    """Return words (facets, q) for what a layer has done at the q points of an interface law on each facet. Collective.
+    """Return words (facets, q) that tell what a layer has done at each quadrature point of its law. Collective.
+
+    Only layers of interface models are meant, whose law has q points on each facet.
 
     Args:
         surface: the surface.

@@ -33,8 +33,8 @@ def sweep(run: RowFunction, eps: Iterable[float], out: str | Path | None = None,
             row has at least "eps", "error_traction" and "error_jump", as `compare` returns them.
         eps: the thicknesses, > 0 and different.
         out: csv file for the table; None: no file. Each row is on the disk before the next one is computed, and stays
-            if a later one fails. The file out.json next to it has the rows, the code of `run`, and the data that `run`
-            refers to.
+            if a later one fails. The file called `out` + ".json" has the rows, the code of `run`, and the data that
+            `run` refers to.
         resume: False: compute all rows; both files of an earlier sweep are moved to a folder previous-1, previous-2,
             ... True: keep the rows that are in the files, and compute the others. "anyway": keep also rows of another
             `run`.

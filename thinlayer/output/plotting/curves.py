@@ -156,8 +156,7 @@ def curves(
 
 
 def fraction(x: float) -> str:
-    """Return a number as text: 1/4, 1/8, 1/16, ... as such fractions, others as decimals with four significant digits.
-    """
+    """Return a number as text: 1/4, 1/8, 1/16, ... as fractions, others as decimals with four significant digits."""
     return f"1/{1 / x:.0f}" if x <= 1 / 4 and math.frexp(x)[0] == 0.5 else f"{x:.4g}"
 
 
