@@ -177,10 +177,11 @@ class NoEquilibrium(SolveError):
 
     Attributes:
         growth: norm of the change of displacements with the softest springs. It is divided by the norm of the
-            displacements that the loads of the step cause if all layers are elastic and all contacts stick.
+            displacements that the step's change of loads causes if all layers are elastic and all contacts stick.
         shares: name of a seam -> its fraction of the integral of the squared jump over all seams, in the equilibrium
-            with the softest springs. Only seams whose law limits tractions count, by yielding or contact. The largest
-            fraction is first. Empty if there is only one seam.
+            with the softest springs. Only seams whose law limits tractions count, by yielding or contact. Squared
+            tangential jumps count half in layers that yield. The largest fraction is first. Empty if there is only one
+            seam.
     """
 
     def __init__(self, growth: float, shares: Mapping[str, float]) -> None:
@@ -200,11 +201,12 @@ class LimitLoad(SolveError):
         failed_at: earliest time at which no equilibrium was found.
         resultant: (d,) sum of the tractions and body forces on the bodies at the time t, a force, in d dimensions.
         growth: norm of the change of displacements from t to `failed_at` with the softest springs. It is divided by the
-            norm of the displacements that the same loads cause if the layers are elastic. With associated flow, the
-            displacements of any equilibrium without springs would be at least as large.
+            norm of the displacements that the same change of loads causes if the layers are elastic. If the layer's
+            flow is associated, this ratio would be at least as large in an equilibrium without springs.
         shares: name of a seam -> its fraction of the integral of the squared jump of displacements, in the equilibrium
-            with the softest springs. Only seams whose law limits tractions count, by yielding or contact. The seams
-            that fail have the largest fractions, and are first. Empty if there is only one seam.
+            with the softest springs. Only seams whose law limits tractions count, by yielding or contact. Squared
+            tangential jumps count half in layers that yield. The seams that fail have the largest fractions, and are
+            first. Empty if there is only one seam.
         history: `History` of the accepted steps.
     """
 
