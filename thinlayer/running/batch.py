@@ -28,13 +28,15 @@ POLL_SECONDS = 0.1  # s between looks at the processes
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """A run of a study in a process of its own.
+    """A run of one study in a process of its own.
 
     Attributes:
         study: name of the study.
-        options: name of an option -> its value.
-        folder: folder of its files. What it prints goes to the file FOLDER.log next to the folder.
-        seconds: approximate duration. The longest jobs start first, and progress is counted in these seconds.
+        options: name of an option of the study -> its value.
+        folder: folder for the files of the run. The printed output goes to the file FOLDER.log, which stands next to
+            the folder.
+        seconds: approximate duration, s. The jobs with the longest durations start first. The progress of a batch is
+            the sum of the durations of its finished jobs over the sum of all.
     """
 
     study: str
@@ -44,25 +46,32 @@ class Job:
 
     @property
     def words(self) -> list[str]:
-        """Words of the command line for this job: those after `thinlayer run`, without the folder."""
+        """Words of the command line that run this job: those that follow `thinlayer run`, without --out and the folder.
+        """
         words = [self.study]
         for name, value in self.options.items():
             words += [f"--{name}"] if value is True else [f"--{name}", str(value)]
         return words
 
     def result(self) -> RunContent | None:
-        """Read run.json in the folder; return None unless it is of the same study, options and source code."""
+        """Return the content of the file run.json in the folder, as nested JSON data, or None if it is not of this job.
+
+        It is of this job if it has the same study, options, PETSc options of the package and source code. A missing or
+        damaged file gives None, too.
+        """
         with suppress(InputError):
             return Record(self.study, self.folder, self.options).same_run()
         return None
 
     def start(self, ends: ExitStack) -> subprocess.Popen[bytes] | None:
-        """Start the run in a process, and return the process; return None if an earlier run is done.
+        """Start the run in a new process and return it; return None if the folder has a finished run of this job.
 
-        The process continues an earlier run of the same input that was not finished.
+        If the folder has an unfinished run of this job, the new process continues it. If an old process still writes to
+        the folder, its end is awaited first.
 
         Args:
-            ends: exit stack which, when it is closed, ends the process if it still runs.
+            ends: exit stack that gets a callback; when the stack is closed, the callback ends the process if it still
+                runs.
 
         Raises:
             InputError: the folder cannot be written.
@@ -81,7 +90,11 @@ class Job:
         return process
 
     def status(self) -> int:
-        """Exit status of a run that has ended, by its run.json: 0 all checks hold, 1 a check fails, 3 not finished."""
+        """Return the exit status of the job from its file run.json: 0 all checks hold, 1 a check fails, 3 not finished.
+
+        To be called after the process has ended. "Not finished" means that run.json is missing, of another job, or
+        names an error.
+        """
         result = self.result()
         if result is None or result["error"] is not None:
             return UNFINISHED
@@ -89,26 +102,31 @@ class Job:
 
 
 def quick_options(study: str, quick: bool) -> dict[str, bool]:
-    """Return {"quick": True} if `quick` is true and the study has this option, else {}."""
+    """Options that run a study on coarse meshes, if that is wanted and possible: {"quick": True}, else {}.
+
+    Args:
+        study: name of the study.
+        quick: whether coarse meshes are wanted. Only studies with an option "quick" have them.
+    """
     return {"quick": True} if quick and "quick" in studies()[study].options else {}
 
 
 def run_all(jobs: Sequence[Job], out: Path, at_a_time: int | None = None) -> int:
-    """Run studies in several processes, and print a line when one of them ends.
+    """Run several studies at the same time, each in a process, and print a line when one of them ends.
 
     If a job fails or does not finish, the others continue.
 
     Args:
-        jobs: the jobs, each with its own folder.
-        out: folder that contains the jobs' folders; only one batch at a time may use it.
-        at_a_time: number of processes at the same time (default: the number of cores).
+        jobs: the runs of studies, each with its own folder.
+        out: folder that contains the folders of the jobs; only one batch at a time may use it.
+        at_a_time: largest number of processes at the same time; None: the number of cores.
 
     Returns:
         Exit status: `UNFINISHED` (3) if a job is not finished, else `CHECK_FAILED` (1) if a check fails, else `OK` (0).
 
     Raises:
-        InputError: started on several MPI ranks; `at_a_time` < 1; another batch uses `out`, or no files can be written
-            there.
+        InputError: the program runs on several MPI ranks; `at_a_time` < 1; another batch uses `out`; or no files can be
+            written there.
     """
     n_ranks = default_comm().size
     require(n_ranks == 1, "the number of MPI ranks", n_ranks, "start several studies without mpirun")

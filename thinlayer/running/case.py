@@ -30,13 +30,13 @@ MIN_THICKNESS = 1e-9  # thickness over size of the bodies; rounding exceeds the 
 
 @dataclass(frozen=True)
 class DescribedCase:
-    """Structure, layer and goals of an estimate.
+    """Structure, layer and goals of an estimate, made from an input file of the command `estimate` and its mesh file.
 
     Attributes:
-        description: the input file that they are made from; it also has times, tolerances and units.
-        structure: the structure.
-        layer: layer on all seams, or name of a seam -> its layer; the interface laws are of order 0.
-        goals: quantities whose change is estimated, at least one.
+        description: content of the input file.
+        structure: the bodies with their supports and loads.
+        layer: layer on all seams, or name of a seam -> its layer. The interface laws are of order 0.
+        goals: quantities whose change is estimated. Without goals in the input file it is the compliance.
     """
 
     description: Description
@@ -46,12 +46,15 @@ class DescribedCase:
 
     @classmethod
     def of(cls, description: Description) -> DescribedCase:
-        """Read the mesh file and make structure, layer and goals. Collective.
+        """Read the mesh file and make the structure, the layer and the goals. Collective.
+
+        Args:
+            description: content of the input file, which names the mesh file.
 
         Raises:
-            DescriptionError: the mesh does not suit the input; a thickness is larger than the bodies, or less than 1e-9
-                of their size.
-            InputError: arguments that `Structure`, `ThinLayer` or a goal refuses.
+            DescriptionError: `geometry.read` refuses the mesh file or its arguments; or a layer is thicker than the
+                size of the bodies, or thinner than 1e-9 of it.
+            InputError: `Structure`, `ThinLayer` or a goal refuses an argument.
         """
         with description.section.described("mesh"):
             joint = read(description.mesh["path"], **{k: v for k, v in description.mesh.items() if k != "path"})
@@ -90,14 +93,22 @@ def _structure(description: Description, joint: Joint) -> Structure:
 
 
 def _timed(value: object) -> Any:
-    """Replace each `TimeSeries`, also in nested tables, by a function of place and time; other values stay."""
+    """Return `value` with each `TimeSeries` (table of values against time) replaced by a function of place and time.
+
+    `value` may be a table of names and entries, also a nested one. The function is linear between the times of the
+    series. Other values stay as they are.
+    """
     if isinstance(value, Mapping):
         return {name: _timed(entry) for name, entry in value.items()}
     return piecewise(value.values) if isinstance(value, TimeSeries) else value
 
 
 def _by_name(entries: Materials, make: Callable[[MaterialEntry], ResultType]) -> ResultType | dict[str, ResultType]:
-    """Apply `make` to the entries; return {name: result}, or the only result if the one entry is for all names."""
+    """Apply the function `make` to each material of the table `entries`, and return name -> result.
+
+    If the table has the key None, its one material is for all bodies or seams. Then the result is returned without a
+    name.
+    """
     made = {name: make(entry) for name, entry in entries.items()}
     return made[None] if None in made else {name: result for name, result in made.items() if name is not None}
 

@@ -1,4 +1,4 @@
-"""Catalogue of the studies: summary, options and duration of each, read from its source without importing it."""
+"""Catalogue of the studies: the summary, options and duration of each, read from its source without importing it."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ SECONDS_OF_UNIT = {"h": 3600, "min": 60, "s": 1}
 
 @dataclass(frozen=True)
 class Study:
-    """A study that the command line can run.
+    """A study that the command line can run: a Python module that computes tables and checks numbers in them.
 
     Attributes:
-        name: name of its module in `studies`.
+        name: name of the module, which is in the folder `studies`, or `.ci/benchmarks` for benchmarks.
         summary: first line of the module's docstring.
-        options: name of an option, a keyword argument of the module's `run` -> arguments of argparse's `add_argument`.
+        options: name of an option -> arguments for argparse's `add_argument`, by name. Each option is a keyword
+            argument of the module's function `run`.
         drawn: whether the study draws pictures; other studies only write tables.
-        group: name of its group in the list of studies.
-        quick, full: approximate duration with --quick, and without it, s.
+        group: heading under which the list of studies shows this one.
+        quick, full: approximate duration in seconds, with the option --quick and without it.
     """
 
     name: str
@@ -45,7 +46,10 @@ class Study:
 
 @cache
 def studies() -> dict[str, Study]:
-    """Name -> study, in the order of the groups, with benchmarks if they are present."""
+    """Return name -> `Study` for all studies, sorted by group.
+
+    The group "Benchmarks" is included only in a clone of the repository, which has the folder `.ci/benchmarks`.
+    """
     catalogue = {}
     for group, members in STUDY_GROUPS.items():
         for name, seconds in members.items():
@@ -59,11 +63,13 @@ def studies() -> dict[str, Study]:
 
 
 def _option(argument: ast.arg, text: str) -> OptionArguments:
-    """Arguments of argparse's `add_argument` for a keyword argument of a study's `run`, by name.
+    """Return the arguments of argparse's `add_argument`, name -> value, for one option of a study.
 
     Args:
-        argument: the keyword argument; its annotation is `bool`, `Sequence[float]` (thicknesses) or `Literal[...]`.
-        text: docstring of `run`; the first line on the argument in it becomes the help of the option.
+        argument: syntax tree of the keyword argument of the study's function `run` that the option sets. Its annotation
+            is `bool`, `Sequence[float]` (thicknesses) or `Literal[...]` (allowed values).
+        text: docstring of `run`. In its section "Args", the first line about the keyword argument becomes the help of
+            the option.
     """
     line = re.search(rf"^\s+{argument.arg}: (.*)$", text, re.MULTILINE)
     explained = {"help": line[1].replace("%", "%%") if line else None}
@@ -77,7 +83,10 @@ def _option(argument: ast.arg, text: str) -> OptionArguments:
 
 
 def listed() -> str:
-    """Text that lists the groups, with each study's name, durations and summary, in 80 columns; without benchmarks."""
+    """Return the list of studies as a text: headings, and below them the name, durations and summary of each study.
+
+    Lines have at most 80 columns. Benchmarks are left out.
+    """
     lines = dict[str, None]()  # each heading once
     for study in (study for study in studies().values() if study.group != "Benchmarks"):
         lines[study.group] = None
@@ -87,6 +96,6 @@ def listed() -> str:
 
 
 def duration(seconds: float) -> str:
-    """Text for a time in seconds, rounded to one digit, with the unit h, min or s."""
+    """Return a text for a time in `seconds`, as "3 min": one significant digit, and the unit h, min or s."""
     unit = next(unit for unit, size in SECONDS_OF_UNIT.items() if seconds >= 1.5 * size or size == 1)
     return f"{float(f'{seconds / SECONDS_OF_UNIT[unit]:.1g}'):g} {unit}"

@@ -1,6 +1,6 @@
-"""The command line: estimates the cost of dropping a layer; lists, runs and draws studies; prints versions.
+"""The command line: estimates how results change without a layer's mesh, runs and draws studies, prints versions.
 
-DOLFINx and PETSc are imported only when something is computed, as that takes seconds.
+DOLFINx and PETSc are imported only when something is computed, as their import takes seconds.
 """
 
 from __future__ import annotations
@@ -50,7 +50,10 @@ Command = Callable[["Parser", argparse.Namespace, Petsc], int]
 
 
 class Parser(argparse.ArgumentParser):
-    """Argument parser that suggests a correction for a misspelt command, choice or option; no abbreviations."""
+    """Argument parser that suggests a correction for a misspelt command, choice or option.
+
+    Unlike argparse's own, it does not accept abbreviated options.
+    """
 
     def __init__(self, **more: Any) -> None:
         super().__init__(**more, allow_abbrev=False)
@@ -62,9 +65,13 @@ class Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(None, _unknown(kind, value, action.choices))
 
     def petsc_options(self, rest: Sequence[str]) -> dict[str, str | None]:
-        """Return name -> value (None: without a value) of PETSc options, given as -thinlayer_NAME [VALUE] ...
+        """Return the PETSc options among words of the command line: name -> value, or None for an option without one.
 
-        The process ends with an error message at any other argument in `rest`.
+        Each stands on the command line as `-thinlayer_NAME` or `-thinlayer_NAME VALUE`; the returned name is
+        `thinlayer_NAME`. Any other word ends the process with an error message.
+
+        Args:
+            rest: words of the command line that the parser itself does not know.
         """
         options: dict[str, str | None] = {}
         name = ""
@@ -88,16 +95,16 @@ def _unknown(kind: str, name: object, choices: Iterable[object]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command of the command line and return its exit status.
+    """Carry out a command line and return the exit status of the process.
 
     Args:
-        arguments: words of the command line after the program's name; None: those of this process.
+        arguments: words of the command line after the program's name; None: those with which this process was started.
 
     Returns:
         0 after success, 1 if a check of a study failed, 2 after wrong input, 3 if a study did not finish.
 
     Raises:
-        Exception: a defect of the package, unchanged (`start` turns it into a message).
+        Exception: any error that is neither wrong input nor a failed solve, such as a bug of the package.
     """
     words = [*(sys.argv[1:] if arguments is None else arguments)]
     several = words[:1] == ["run"] and ("--all" in words or [word[:1] == "-" for word in words[1:3]] == [False, False])
@@ -112,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def start() -> int:
     """Run `main` with the command line of this process, and return its exit status.
 
-    An exception is printed, and its exit status is that of a study that did not finish.
+    An exception that `main` raises is printed, and the exit status is then 3.
     """
     streams = (sys.stdout, sys.stderr)  # None if closed
     sys.stdout, sys.stderr = (stream or open(os.devnull, "w", encoding="utf-8") for stream in streams)  # noqa: SIM115
@@ -131,7 +138,7 @@ def start() -> int:
 
 
 def command_line() -> argparse.ArgumentParser:
-    """Make the parser of all commands and of the options of each study."""
+    """Make the parser of the command line: all commands, and the options of each study."""
     prog = "thinlayer" if Path(sys.argv[0]).stem == "thinlayer" else "python3 -m thinlayer"
     parser = Parser(prog=prog, description="Thin soft layers, meshed or replaced by their interface law.")
     parser.add_argument("-V", "--version", action="store_true", help="print the versions of thinlayer and of DOLFINx")
@@ -166,7 +173,7 @@ def command_line() -> argparse.ArgumentParser:
 
 
 def _several_studies() -> Parser:
-    """Make the parser of the command `run` with the names of several studies."""
+    """Make the parser for the command `run` when it is followed by several names of studies, or by --all."""
     what = f"Run several studies, each in its folder DIR/STUDY. {RESUMING}"
     parser = Parser(prog="python3 -m thinlayer run", description=what, epilog=EXIT_STATUS_HELP)
     parser.add_argument("studies", nargs="*", metavar="STUDY", choices=studies(), help="names of studies")
@@ -178,21 +185,24 @@ def _several_studies() -> Parser:
 
 
 def _add_batch(parser: Parser, out: Path) -> None:
-    """Add the options of commands that run several studies; `out` is the default folder of their results."""
+    """Add the options --quick, --out and -j of commands that run several studies to `parser`.
+
+    `out` is the default of --out, the folder of the results.
+    """
     parser.add_argument("--quick", action="store_true", help="coarser meshes and fewer rows, of studies that have both")
     parser.add_argument("--out", type=_folder, default=out, metavar="DIR", help=f"folder of the runs (default: {out})")
     parser.add_argument("-j", type=int, metavar="N", help="studies at a time (default: as many as cores)")
 
 
 def _command(commands: Commands, name: str, work: Command, example: str, what: str = "") -> Parser:
-    """Add a command to the command line and return its parser.
+    """Add a command to the command line and return the parser of its arguments.
 
     Args:
-        commands: the commands so far.
+        commands: argparse's object to which a parser for each command is added.
         name: name of the command.
-        work: function that runs it.
-        example: arguments of an example, for the help.
-        what: description for the help; "": the docstring of `work`.
+        work: function that carries out the command.
+        example: arguments of the command in the example that its help shows.
+        what: sentence that describes the command in its help; "": the docstring of `work`.
     """
     what = what or work.__doc__ or name
     short, epilog = what.rstrip("."), f"Example: %(prog)s {example}"
@@ -202,7 +212,10 @@ def _command(commands: Commands, name: str, work: Command, example: str, what: s
 
 
 def _computing(parser: Parser) -> Parser:
-    """Add the options of a command that computes and writes results into a folder, and return its parser."""
+    """Add the options --verbose, --quiet and --out to `parser`, that of a command which computes, and return `parser`.
+
+    Its help also gets a sentence about PETSc options and the list of exit statuses.
+    """
     parser.description = f"{parser.description} PETSc options start with {PETSC_PREFIX}, as {PETSC_PREFIX}ksp_type cg."
     parser.epilog = f"{EXIT_STATUS_HELP} {parser.epilog}"
     level = parser.add_mutually_exclusive_group()
@@ -225,7 +238,13 @@ def _add_json(group: argparse._ActionsContainer) -> None:
 
 
 def _print_answer(chosen: argparse.Namespace, answer: object, words: str) -> int:
-    """Print an answer on rank 0, as the text `words` or, with --json, as JSON; return exit status 0."""
+    """Print the answer of a command on rank 0, and return exit status 0.
+
+    Args:
+        chosen: options of the command line, of which --json decides between the two forms.
+        answer: what is printed with --json, as JSON.
+        words: what is printed without --json.
+    """
     if is_first():
         print_safely(json.dumps(answer, indent=1, default=str) if chosen.json else words)
     return OK
@@ -240,12 +259,12 @@ def _require_subcommand(parser: Parser, chosen: argparse.Namespace, _: Petsc) ->
 
 
 def _list(_: Parser, chosen: argparse.Namespace, __: Petsc) -> int:
-    """List the studies in groups, with their times on one core; without benchmarks."""
+    """List the studies in groups, with their times on one core (benchmarks only with --json)."""
     return _print_answer(chosen, {name: vars(study) for name, study in studies().items()}, listed())
 
 
 def _info(_: Parser, chosen: argparse.Namespace, __: Petsc) -> int:
-    """Print the versions of the packages that results depend on."""
+    """Print the versions of the packages on which results depend."""
     from thinlayer.running.provenance import versions
 
     set_signals()
@@ -253,7 +272,7 @@ def _info(_: Parser, chosen: argparse.Namespace, __: Petsc) -> int:
 
 
 def _draw(parser: Parser, chosen: argparse.Namespace, _: Petsc) -> int:
-    """Draw the pictures of a study again, from the tables of an earlier run."""
+    """Draw the pictures of a study again, from the tables that an earlier run has written."""
     out = chosen.out or Path("out", chosen.study)
     from forms.base import InputError
     from thinlayer.running.record import Record
@@ -271,7 +290,7 @@ def _draw(parser: Parser, chosen: argparse.Namespace, _: Petsc) -> int:
 
 
 def _run(_: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
-    """Run a study, or several at a time: STUDY STUDY ..., or --all. STUDY --help shows the options of a study."""
+    """Run the study of this name; several names or --all run several. STUDY --help shows the options of a study."""
     study = studies()[chosen.study]
     options = {name: value for name, value in vars(chosen).items() if name in study.options and value is not None}
 
@@ -290,7 +309,12 @@ def _run(_: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
 
 
 def _batch(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
-    """Run several studies, or the studies of the paper and write its page."""
+    """Run the studies that the parsed command line `chosen` names, or those of the paper; return the exit status.
+
+    The command `run` gives the names. The command `reproduce` has none: it runs the studies of the paper and writes a
+    page of their numbers. `petsc`, the PETSc options, must be empty, as they belong to one study; else `parser` ends
+    the process.
+    """
     if petsc:
         parser.error("PETSc options are those of one study; run it by itself")
 
@@ -309,7 +333,8 @@ def _batch(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
 
 
 def _estimate(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
-    """Say what a layer's mesh changes; thinlayer/docs/reference/description.md has the keys."""
+    """Estimate how results change if a layer is not meshed. Keys of the file: thinlayer/docs/reference/description.md
+    """
     ask = partial(computed, petsc=petsc, verbose=chosen.verbose)
     if chosen.new:
         if chosen.set:

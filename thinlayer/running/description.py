@@ -1,8 +1,8 @@
 """Input file in TOML of the command `estimate`: mesh file, laws, supports, loads and goals.
 
 The file is called a description. Its entries are checked without reading the mesh. Its keys are names of arguments: of
-`geometry.read` in [mesh], of `Structure`, of `ThinLayer` in [layer], and of the classes of goals. Moduli of layers are
-those of the material, not divided by the thickness.
+`geometry.read` in the table [mesh], of `ThinLayer` in [layer], of the classes of goals in [goals], else of `Structure`.
+Moduli of layers are those of the material, not divided by the thickness.
 """
 
 from __future__ import annotations
@@ -44,27 +44,29 @@ DEFAULT_QUANTITIES = ("traction", "jump")  # quantities that every estimate has,
 
 @dataclass(frozen=True)
 class Description:
-    """Input of an estimate: a structure with a thin layer, and the quantities whose change is estimated.
+    """Content of an input file of the command `estimate`: a structure with a thin layer, and quantities of interest.
+
+    The change of these quantities is estimated if the layer is not meshed.
 
     Attributes:
-        section: the whole table of the input file, for errors that name the place of an entry.
-        mesh: "path" of the mesh file, and further arguments of `geometry.read` by name.
-        body: name of a region -> its law; the key None means all regions.
-        layer: name of a seam -> law and thickness of its layer; the key None means all seams.
-        units: names of the units of lengths and of stresses; None: no names.
-        supports: name of a facet set or coordinates of a vertex -> prescribed displacement, one number for all
-            components or component -> number.
+        section: all tables of the input file as read, by which errors name the entry they are about.
+        mesh: arguments of `geometry.read` by name; "path" is the path of the mesh file.
+        body: name of a region -> its law and eigenstrain; the key None stands for all regions.
+        layer: name of a seam -> law, eigenstrain and thickness of its layer; the key None stands for all seams.
+        units: names of the units of lengths and of stresses, which are only printed; None: no names.
+        supports: name of a facet set or coordinates of a vertex -> prescribed displacement. It is one number for all
+            components, or a table of component -> number.
         tractions: name of a facet set -> components of the traction, or {"pressure": number}.
         body_force: components of the force per volume, or name of a region or seam -> components; None: no force.
         loads: for each concentrated load, the arguments of `PointLoad` or `LineLoad` by name.
-        plane: "strain", "stress" or "axisymmetric"; None: plane strain.
+        plane: "strain", "stress" or "axisymmetric", for plane meshes; None: plane strain.
         element: finite element of the displacements, "P2", "Q2" or "S2"; None: the default of `Structure`.
         bodies: "kept" (the meshed layer would move the bodies apart) or "extended" (it would be cut out of them).
-        times: ends of the time steps, for laws with a rate or a memory; (): one solve.
-        goals: name -> "kind" and further arguments of a quantity whose change is estimated.
-        tolerance: name of a quantity -> largest allowed relative change, < 1. With it, the thickness is sought below
-            which the layer's mesh may be dropped.
-        bonded: whether to estimate also the change if the layer is left out and its bodies are bonded.
+        times: ends of the time steps, for laws with a rate or a memory; (): the structure is solved once, at t = 0.
+        goals: name -> "kind" and further arguments of a quantity of interest.
+        tolerance: name of a quantity -> its largest allowed relative change, < 1. For each entry, the thickness is also
+            sought below which the change is smaller.
+        bonded: whether a second change is estimated, too: that if the layer is left out and the bodies are bonded.
     """
 
     section: Section
@@ -86,14 +88,15 @@ class Description:
 
     @classmethod
     def read(cls, path: Path, settings: Sequence[str] = ()) -> Description:
-        """Read and check an input file.
+        """Read an input file, check its entries, and return its content.
 
         Args:
             path: the file, in TOML.
             settings: texts "KEY=VALUE" that replace entries of the file, such as "layer.E=2e3".
 
         Raises:
-            DescriptionError: the content is wrong; the message says where, what is wrong, and what is allowed.
+            DescriptionError: an entry is wrong or missing; the message says which one, what is wrong, and what is
+                allowed.
         """
         section = read_description(path, settings)
         law = "the parameters of a law, such as E and nu, in a table"
@@ -109,7 +112,12 @@ class Description:
         return description
 
     def _require_times(self) -> None:
-        """Raise DescriptionError if values in time come without `times`, or do not cover 0 to the last time."""
+        """Check that the entry `times` suits the loads and supports that depend on time.
+
+        Raises:
+            DescriptionError: a load or support depends on time, and `times` is missing; or its values do not cover the
+                interval from 0 to the last of `times`.
+        """
         for history in self.section.histories:
             first, last = min(history.values), max(history.values)
             if not self.times:
@@ -120,9 +128,14 @@ class Description:
 
 
 def _mesh(section: Section, key: str) -> Arguments:
-    """Read the arguments of `geometry.read` by name; with `upper` and `lower`, S may be missing (None).
+    """Read the mesh entry of the input file, and return the arguments of `geometry.read` by name.
 
-    S is then formed by all facets between these regions.
+    With regions in `upper` and `lower`, `S` is set to None if it is missing. S then consists of all facets between
+    these regions.
+
+    Args:
+        section: the whole input file.
+        key: "mesh". Its value is the path of the mesh file, or a table of arguments.
     """
     value, sides = section.values[key], dict[str, Reader].fromkeys(("upper", "lower"), Section.texts)
     table = section.inner({"path": value} if isinstance(value, str) else value, "path and arguments of read", key)
@@ -132,7 +145,10 @@ def _mesh(section: Section, key: str) -> Arguments:
 
 
 def _sides(section: Section, key: str) -> object:
-    """Read names of the facet sets of S, or a table of seams with their sides, which `geometry.read` checks later."""
+    """Read which facets form S, at `key` in the table `section`: one name of a facet set, several, or a table.
+
+    The table has, for each seam, its name and its sides; only `geometry.read` checks it.
+    """
     value = section.values[key]
     return value if isinstance(value, Mapping) else section.texts(key)
 
@@ -146,7 +162,13 @@ def _units(section: Section, key: str) -> tuple[str, str]:
 
 
 def _supports(section: Section, key: str) -> dict[Place, Support]:
-    """Read the supports: facet set or vertex -> one number for all components, or component -> number."""
+    """Read the supports, a table at `key` in the input file `section`.
+
+    Returns:
+        Name of a facet set, or coordinates of a vertex -> prescribed displacement. It is one number for all components,
+        or component -> number or values in time. Components are "x", "y", "z" and, on a facet set, "n", along its
+        normal.
+    """
     places, supports = section.table(key, "places with what they prescribe, such as LEFT = 0"), dict[Place, Support]()
     for name, value in places.values.items():
         place = _place(name)
@@ -161,7 +183,10 @@ def _supports(section: Section, key: str) -> dict[Place, Support]:
 
 
 def _place(text: str) -> Place:
-    """Read a key as a place: "(x, y)" is a vertex, any other text the name of a facet set."""
+    """Return where a support is, from its key `text` in the input file: the coordinates of a vertex, or a facet set.
+
+    A text such as "(1, 0)" stands for a vertex; any other text is the name of a facet set.
+    """
     if text.startswith("(") and text.endswith(")"):
         with suppress(ValueError):
             return tuple(float(c) for c in text[1:-1].split(","))
@@ -169,7 +194,12 @@ def _place(text: str) -> Place:
 
 
 def _tractions(section: Section, key: str) -> dict[str, Traction]:
-    """Read the tractions: name of a facet set -> components, or {"pressure": number}; values may depend on time."""
+    """Read the tractions on facet sets, a table at `key` in the input file `section`.
+
+    Returns:
+        Name of a facet set -> components of the traction, or {"pressure": number}. Components and pressure may also be
+        values in time.
+    """
     sets = section.table(key, "names of facet sets with a vector, such as TOP = [0, -50]")
     return {name: time_series(_traction)(sets, name) for name in sets.values}
 
@@ -182,7 +212,11 @@ def _traction(section: Section, key: str) -> Traction:
 
 
 def _body_force(section: Section, key: str) -> Vector | dict[str, Vector]:
-    """Read the force per volume: components, or name of a region or seam -> components."""
+    """Read the force per volume at `key` in the input file `section`.
+
+    Returns:
+        Components of the force for all bodies, or name of a region or seam -> components.
+    """
     value = section.values[key]
     if not isinstance(value, Mapping):
         return section.vector(key)
@@ -190,7 +224,12 @@ def _body_force(section: Section, key: str) -> Vector | dict[str, Vector]:
 
 
 def _loads(section: Section, key: str) -> tuple[Arguments, ...]:
-    """Read the concentrated loads: for each the arguments of `PointLoad` or, with two facet sets, of `LineLoad`."""
+    """Read the concentrated loads, a list of tables at `key` in the input file `section`.
+
+    Returns:
+        For each load, arguments by name: those of `LineLoad` if its table names a first and a second facet set, else
+        those of `PointLoad`.
+    """
     loads = []
     for table in section.tables(key, "place and force, or first, second and force"):
         on_edges = {"first", "second"} & table.values.keys()
@@ -222,7 +261,10 @@ def _goals(section: Section, key: str) -> dict[str, Arguments]:
 
 
 def _tolerance(section: Section, key: str) -> dict[str, float]:
-    """Read name of a quantity -> largest allowed relative change; a single number applies to the traction."""
+    """Read the allowed changes at `key` in the input file `section`: name of a quantity -> largest relative change.
+
+    A number in place of a table is the largest relative change of the traction.
+    """
     value, what = section.values[key], "the largest relative change that is allowed, between 0 and 1"
     table = section.inner(value if isinstance(value, Mapping) else {"traction": value}, what, key)
     goals = section.values.get("goals") or {"compliance": True}

@@ -41,16 +41,16 @@ QUESTION_TEXTS = {
 def run(record: Record, description: Description, file: Path) -> None:
     """Estimate how quantities of a structure change if its layer is not meshed. Collective.
 
-    It prints the answer in sentences, and writes estimate.csv, thin_enough.csv if tolerances are given, and pictures of
-    the change along S.
+    The answer is printed in sentences. The folder gets the table estimate.csv and pictures of the change along S. With
+    tolerances it also gets thin_enough.csv, with the thicknesses at which the changes are as large as allowed.
 
     Args:
-        record: the folder of results.
+        record: folder of the results.
         description: content of the input file.
-        file: the input file, whose hash is stored.
+        file: path of the input file, whose hash is stored with the results.
 
     Raises:
-        InputError: a wrong entry of the input file, or a model that cannot be estimated.
+        InputError: an entry of the input file is wrong, or no estimate exists for the model.
         SolveError: a solve did not converge.
     """
     case = DescribedCase.of(description)
@@ -90,9 +90,17 @@ def _estimate(record: Record, case: DescribedCase, model: Model, layer: Layers |
 
 
 def _thicknesses(record: Record, case: DescribedCase, name: str) -> list[Row]:
-    """Return rows with the thickness below which each quantity changes by less than its tolerance, and print them.
+    """Compute and print the thickness below which each quantity changes by less than its tolerance.
 
-    `name` is what replaces the meshed layer, its interface law (`LAW`) or a bond (`BOND`).
+    Args:
+        record: folder of the results, which also prints.
+        case: structure, layer and goals, with the tolerances.
+        name: model whose results are compared with those of the meshed layer: `LAW`, with an interface law, or `BOND`,
+            with the bodies bonded.
+
+    Returns:
+        Rows of a table, one for each quantity and seam; the entry "eps" is the thickness, or None if no layer is thin
+        enough.
     """
     goals, rows = {goal.name: goal for goal in case.goals}, list[Row]()
     seams = [*case.layer] if isinstance(case.layer, Mapping) else [S]
@@ -114,9 +122,16 @@ def _thicknesses(record: Record, case: DescribedCase, name: str) -> list[Row]:
 
 
 def _draw(record: Record, case: DescribedCase, name: str, estimate: Estimate) -> None:
-    """Draw the change of each goal as a density on S if it is known, and print its percentage near the ends of S.
+    """Draw how the change of each goal is distributed over S, and print the percentage that arises near the ends of S.
 
-    `name` is what replaces the meshed layer, its interface law (`LAW`) or a bond (`BOND`).
+    A goal whose change has no known distribution is named in a message instead.
+
+    Args:
+        record: folder of the pictures, which also prints.
+        case: the input, for the unit of lengths.
+        name: model that is used without the layer's mesh: `LAW`, with an interface law, or `BOND`, with the bodies
+            bonded.
+        estimate: changes of the goals.
     """
     stems = list[str]()
     for goal in estimate.goals:
@@ -141,14 +156,14 @@ def _draw(record: Record, case: DescribedCase, name: str, estimate: Estimate) ->
 
 
 def _near_ends(estimate: Estimate, goal: str, density: Array) -> str:
-    """Text with the percentages of a goal's change that arise within 4 and 8 thicknesses of the ends of S.
+    """Return a text with the percentages of a goal's change that arise within 4 and 8 thicknesses of the ends of S.
 
     It is "" if S has no ends or the goal does not change.
 
     Args:
-        estimate: the estimate.
+        estimate: changes of the goals of a model.
         goal: name of the goal.
-        density: nodal values of its change per area of S.
+        density: change of the goal per area of S, at each node of S.
     """
     surface, error, shares = Surface(estimate.better.model), estimate.goals[goal], []
     if error.zero or error.fixed or not np.isfinite(surface.distance_to_ends).any():

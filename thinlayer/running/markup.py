@@ -1,7 +1,8 @@
 """Conversion to HTML of text with `code`, **emphasis**, [links](to) and formulas, such as $\\bar\\mu [u_T]$.
 
 A formula is a small part of TeX. It may have letters, numbers, \\bar and \\dot over a letter, and the symbols listed in
-studies/data/signs.toml. Indices _ and exponents ^ have one symbol, or a group in braces that contains no other group.
+studies/data/signs.toml. Indices _ and exponents ^ consist of one symbol, or of a group in braces that contains no other
+group.
 """
 
 from __future__ import annotations
@@ -21,12 +22,20 @@ MARKUP_PATTERN = re.compile(r"\$([^$]+)\$|`([^`]+)`|\*\*([^*]+)\*\*|\[([^\]]+)\]
 
 
 def html_of(text: str) -> str:
-    """Convert text, whose paragraphs are separated by empty lines, to HTML; raise InputError for an unknown symbol."""
+    """Convert a text to HTML, each of its paragraphs to an element <p>; empty lines separate paragraphs.
+
+    Raises:
+        InputError: a formula has an unknown symbol or a group within a group.
+    """
     return "".join(f"<p>{line_of(part)}</p>" for part in re.split(r"\n\s*\n", text.strip()))
 
 
 def line_of(text: str) -> str:
-    """Convert text of one paragraph to HTML; raise InputError if a formula has an unknown symbol."""
+    """Convert a text to HTML without an element <p> around it, for use within a line.
+
+    Raises:
+        InputError: a formula has an unknown symbol or a group within a group.
+    """
 
     def marked(match: re.Match[str]) -> str:
         formula, code, stress, label, link = match.groups()
@@ -40,7 +49,11 @@ def line_of(text: str) -> str:
 
 
 def formula_of(tex: str) -> str:
-    """Convert a formula in TeX to HTML; raise InputError if it has an unknown symbol or a group within a group."""
+    """Convert a formula in TeX, without its dollar signs, to HTML.
+
+    Raises:
+        InputError: the formula has an unknown symbol or a group within a group.
+    """
 
     def sign(match: re.Match[str]) -> str:
         text = SIGN_ENTITIES.get(match[1][1:], match[1]) if match[1][0] == "\\" else match[1]

@@ -24,7 +24,7 @@ ELASTIC_PAIRS_TEXT = "E and nu, G and nu, K and G, or lmbda and mu (G is mu)"
 
 @dataclass(frozen=True)
 class MaterialEntry:
-    """Material of a body or a layer in an input file.
+    """Material of a body or a layer in an input file of the command `estimate`.
 
     Attributes:
         law: law of stress and strain, with the moduli of the material.
@@ -41,19 +41,22 @@ Materials = Mapping[str | None, MaterialEntry]  # by the name of a region or sea
 
 
 def read_materials(section: Section, key: str, *, thin: bool = False) -> Materials:
-    """Read the materials of all bodies or of all layers.
+    """Read the materials of all bodies, or those of all layers, from an input file.
+
+    The table of materials has the parameters of one law for all; or it has a table of parameters for each name of a
+    region or seam.
 
     Args:
-        section: the table that contains the key.
-        key: "body" or "layer". Its table has the parameters of one law, or name of a region or seam -> parameters.
-        thin: whether the materials are those of layers, with a thickness.
+        section: the whole input file.
+        key: key of the table of materials, "body" or "layer".
+        thin: whether the materials are those of layers, which have a thickness.
 
     Returns:
-        Name of a region or seam -> its material; the key None means all of them.
+        Name of a region or seam -> its material. The key None stands for all regions or seams.
 
     Raises:
-        DescriptionError: an unknown law, an unknown or missing parameter, moduli that are not a known pair, or
-            parameters that the law refuses.
+        DescriptionError: an unknown law, an unknown or missing parameter, moduli that do not determine an elastic law,
+            or parameters that the law refuses.
     """
     what, thickness = "the parameters of a law, such as E and nu", "the thickness of the layer, a length"
     whole = section.table(key, what)
@@ -70,18 +73,18 @@ def read_materials(section: Section, key: str, *, thin: bool = False) -> Materia
 
 @cache
 def laws_by_name() -> dict[str, type[BulkLaw]]:
-    """Name -> class of the laws of stress and strain that an input file may name."""
+    """Return name -> class of the laws of stress and strain that an input file may name."""
     classes = {name: law for name, law in sorted(vars(forms).items()) if isinstance(law, type)}
     return {name: law for name, law in classes.items() if issubclass(law, BulkLaw) and law not in (BulkLaw, KernelLaw)}
 
 
 def _law(section: Section, extra: Mapping[str, Reader], needed: Mapping[str, str]) -> tuple[BulkLaw, dict[str, Any]]:
-    """Read the law in a table {law = name, parameter = value, ...} or {sublayers = [...]}.
+    """Read a law from a table {law = name, parameter = value, ...}, or a stack of layers from {sublayers = [...]}.
 
     Args:
         section: the table.
-        extra: further allowed key -> function that reads its value.
-        needed: further required key -> explanation of it for errors.
+        extra: key that the table may have besides the law -> function that reads its value.
+        needed: key that the table must have besides the law -> explanation of the key, for errors.
 
     Returns:
         The law, and key -> value of all entries of the table.
@@ -121,7 +124,7 @@ def _sublayers(section: Section, key: str) -> list[tuple[float, BulkLaw]]:
 
 
 def _value(section: Section, key: str) -> object:
-    """Read a parameter of a law that need not be a number: a list as an array, any other value as it is."""
+    """Return the parameter of a law at `key` in the table `section`: a list as an array, any other value as it is."""
     value = section.values[key]
     try:
         return np.array(value, float) if isinstance(value, list) else value
@@ -130,7 +133,13 @@ def _value(section: Section, key: str) -> object:
 
 
 def _shear(section: Section, name: str, moduli: Mapping[str, float]) -> dict[str, float]:
-    """Return {"mu": shear modulus} of an incompressible law from its only modulus, mu, G or E = 3 mu."""
+    """Return {"mu": shear modulus} for an incompressible law, from the one modulus that the user gives.
+
+    Args:
+        section: table of the law, for errors.
+        name: name of the law, for errors.
+        moduli: the given modulus: "mu", "G" (the same) or "E", which is 3 mu.
+    """
     if len(moduli) != 1:
         section.refuse(f"moduli are {' and '.join(moduli) or 'missing'}; {name} has one: mu (which is G), or E = 3 mu")
     ((key, value),) = moduli.items()
@@ -138,7 +147,13 @@ def _shear(section: Section, name: str, moduli: Mapping[str, float]) -> dict[str
 
 
 def _pair(section: Section, name: str, moduli: Mapping[str, float]) -> dict[str, float]:
-    """Return Lamé's moduli, "lmbda" and "mu", from a pair of elastic constants; refuse other sets of constants."""
+    """Return Lamé's moduli, {"lmbda": ..., "mu": ...}, of an isotropic law, from two constants that the user gives.
+
+    Args:
+        section: table of the law, for errors.
+        name: name of the law, for errors.
+        moduli: the given constants: E and nu, G and nu, K and G, or lmbda and mu. Other sets are refused.
+    """
     constants = {"G" if key == "mu" and "lmbda" not in moduli else key: value for key, value in moduli.items()}
     if len(moduli) != 2 or constants.keys() not in ({"E", "nu"}, {"G", "nu"}, {"K", "G"}, {"lmbda", "mu"}):
         section.refuse(f"moduli are {' and '.join(moduli) or 'missing'}; {name} has a pair: {ELASTIC_PAIRS_TEXT}")

@@ -22,21 +22,25 @@ OK, CHECK_FAILED, BAD_INPUT, UNFINISHED = range(4)
 
 
 def end_on_interrupt() -> None:
-    """Let an interrupt end the process at once, without a Python exception.
+    """Let an interrupt (SIGINT) end the process at once, without a Python exception.
 
-    An exception that is raised while C++ modules load would abort them with a report.
+    Without this, an interrupt while C++ modules are loaded would end in a crash with a report.
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def is_first() -> bool:
-    """Whether this process is rank 0, by the launcher's environment variables; for use before MPI has started."""
+    """Return whether this process is rank 0, from environment variables of mpirun. For use before MPI is initialised.
+    """
     return all(os.environ.get(name, "0") == "0" for name in ("PMIX_RANK", "PMI_RANK", "OMPI_COMM_WORLD_RANK"))
 
 
 def set_signals() -> None:
-    """Restore Python's handling of signals. PETSc replaces it when it starts, and prints reports of its own."""
+    """Let Python handle signals again, instead of PETSc.
+
+    When PETSc starts, it installs handlers that print reports of their own.
+    """
     if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     for number in (signal.SIGPIPE, signal.SIGTERM, signal.SIGHUP):
@@ -46,16 +50,16 @@ def set_signals() -> None:
 def recorded(
     name: str, out: Path, work: Work, options: Mapping[str, object], petsc: Petsc, verbose: int, *, resume: bool = False
 ) -> int:
-    """Run a function that writes its results to a folder, and return the exit status. Collective.
+    """Run a function that writes results to a folder, print its checks, and return the exit status. Collective.
 
     Args:
-        name: name of the study, for run.json.
+        name: name of the study, stored in run.json.
         out: the folder.
-        work: function that does the work; its argument is the `Record` of the folder.
-        options: name of an option -> value chosen by the user, for run.json.
-        petsc: name of a PETSc option to set -> value; None: without a value.
-        verbose: 1: attempts of solves are shown; 2: their steps as well; below 0: progress, tables and checks that pass
-            are not shown.
+        work: the function; its argument is the `Record` of the folder.
+        options: name of an option -> value chosen by the user, stored in run.json.
+        petsc: name of a PETSc option to set -> its value; None: the option has no value.
+        verbose: how much is printed. 0: progress, tables and checks; 1: also attempts of solves; 2: also their steps.
+            -1: only errors, warnings and checks that fail.
         resume: whether to continue an earlier run in the folder.
     """
 
@@ -79,14 +83,15 @@ def recorded(
 def computed(work: Callable[[], int], *, petsc: Petsc, verbose: int, note: str = "") -> int:
     """Start MPI, PETSc and DOLFINx, run a function, and return the exit status. Collective.
 
-    An error of the input, a solve or a file, or an interrupt, is printed and gives an exit status. Other exceptions are
-    raised.
+    Wrong input, a failed solve, a file that cannot be written or an interrupt gives a printed message and an exit
+    status. Any other exception is raised.
 
     Args:
-        work: function that does the work and returns an exit status.
-        petsc: name of a PETSc option to set -> value; None: without a value.
-        verbose: 1: attempts of solves are shown; 2: their steps as well; below 0: progress is not shown.
-        note: text to print if `work` does not finish, about the results that remain.
+        work: the function, without arguments, which returns an exit status.
+        petsc: name of a PETSc option to set -> its value; None: the option has no value.
+        verbose: how much is printed. 0: progress; 1: also attempts of solves; 2: also their steps; -1: only errors and
+            warnings.
+        note: text printed after the error if `work` does not finish; it says where results so far are.
     """
     import petsc4py
 
@@ -134,13 +139,14 @@ def computed(work: Callable[[], int], *, petsc: Petsc, verbose: int, note: str =
 
 
 def error_text(error: BaseException, verbose: int) -> str:
-    """Text of an error that ends a command; with `verbose` > 0 it starts with the name of the error's class."""
+    """Return the text of an error that ends a command; with `verbose` > 0 it starts with the name of the error's class.
+    """
     words = str(error) if isinstance(error, ValueError) else error_reason(error)
     return f"{type(error).__name__}: {words}" if verbose > 0 else words
 
 
 def stop(root: bool, status: int, message: str) -> int:
-    """Print a message on standard error if this is rank 0 (`root`), and return `status`."""
+    """Print `message` on standard error if `root` is true (this is rank 0), and return the exit status `status`."""
     if root:
         print(f"thinlayer: {message}", file=sys.stderr)
     return status

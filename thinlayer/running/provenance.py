@@ -1,4 +1,4 @@
-"""Versions of packages, PETSc options and hash of the source code, on which results of a study also depend."""
+"""What results of a study depend on besides its input: versions of packages, PETSc options, hash of the source code."""
 
 from __future__ import annotations
 
@@ -22,21 +22,28 @@ RECORDED_PACKAGES = (
 
 @cache
 def versions() -> dict[str, str]:
-    """Name -> version of Python, PETSc and the packages that results depend on; "not installed" if one is missing."""
+    """Return name -> version of Python, PETSc and the packages that results depend on.
+
+    The version of a package that is missing is "not installed".
+    """
     core_versions = {"python": platform.python_version(), "thinlayer": VERSION}
     core_versions["petsc"] = ".".join(map(str, PETSc.Sys.getVersion()))
     return core_versions | {name: version_of(name) for name in RECORDED_PACKAGES.split()}
 
 
 def petsc_options() -> dict[str, object]:
-    """The PETSc options that are set, name -> value, and the environment variable PETSC_OPTIONS, which may set some."""
+    """Return all options in PETSc's database, and the environment variable from which some of them may come.
+
+    Returns:
+        {"options": {"-NAME": value}, "PETSC_OPTIONS": text of the variable}.
+    """
     options = {f"-{name}": value for name, value in sorted(PETSc.Options().getAll().items())}
     return {"options": options, "PETSC_OPTIONS": os.environ.get("PETSC_OPTIONS", "")}
 
 
 @cache
 def code() -> str:
-    """Hash of the Python and C source of the package and of its studies."""
+    """Return a hash of the Python and C sources of the package and of its studies."""
     folder = Path(__file__).parents[2]
     paths = (path for package in (*PACKAGES, "studies") for path in sorted((folder / package).rglob("*")))
     sources = [path for path in paths if path.suffix in (".py", ".c")]
@@ -44,7 +51,10 @@ def code() -> str:
 
 
 def constants(module: ModuleType) -> dict[str, object]:
-    """Name -> value of a module's constants (in capitals): numbers, texts, laws, and tuples and dicts of these."""
+    """Return name -> value of the constants of a study's module, to be stored with its results.
+
+    Constants are variables with a name in capitals whose value is a number, a text, a law, or a tuple or dict of these.
+    """
 
     def plain(value: object) -> bool:
         if isinstance(value, dict):

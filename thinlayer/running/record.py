@@ -1,4 +1,4 @@
-"""Record of a study's run: a folder with tables, pictures and a file run.json about input, checks and solves."""
+"""Record of a study's run: a folder with tables, pictures and the file run.json on input, checks and solves."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Check:
         name: what the number is, in words.
         value: the number.
         low, high: smallest and largest allowed value; None: no bound.
-        passed: whether the number lies in the range.
+        passed: whether the number lies in the range; NaN does not.
     """
 
     name: str
@@ -66,12 +66,12 @@ class Check:
 
 
 class Record:
-    """Results of a study's run in a folder: tables, pictures and checks, with their input in the file run.json.
+    """Results of a study's run in a folder: tables and pictures, and the file run.json with the input and the checks.
 
-    In a `with` statement the record owns its folder: other runs there are refused, and the files of an earlier run are
-    moved to a folder previous-1, previous-2, ... They are moved back if an InputError stops the study before it writes
-    anything. A file of other origin is moved there, too, before a file of the same name is written. At the end of the
-    statement run.json says whether the study is done, or why it is not. Only rank 0 writes.
+    Use it in a `with` statement. At its start the folder is locked, so that other runs there are refused. Files of an
+    earlier run are moved to a subfolder previous-1, previous-2, ... They are moved back if the statement ends with an
+    InputError before any file is written. A file that no run.json lists is moved there, too, before a file of the same
+    name is written. At the end run.json says whether the study is done, or why it is not. Only rank 0 writes files.
 
     Attributes:
         study: name of the study.
@@ -79,9 +79,9 @@ class Record:
         options: name of an option -> value chosen by the user.
         resume: whether to continue an earlier run of the study with the same options.
         checks: the checks so far.
-        parameters: name -> constant of the study, for run.json.
-        results: name -> number that the study computed in addition to its tables, for run.json.
-        solves: for each solved state its model, thickness, time and the solver's report, for run.json.
+        parameters: name -> constant of the study's module; written to run.json.
+        results: name -> number that the study computed in addition to its tables; written to run.json.
+        solves: for each solved state its model, thickness, time and the solver's report; written to run.json.
         root: whether this is rank 0.
         quiet: whether `say` prints nothing.
     """
@@ -100,7 +100,7 @@ class Record:
 
     # ---------------------------------------------------------------- the folder
     def __enter__(self) -> Self:
-        """Lock the folder, and move the files of an earlier run away unless this run continues it. Collective.
+        """Lock the folder and, unless this run continues an earlier one, move the files of that run away. Collective.
 
         Raises:
             InputError: the folder cannot be written, is in use by another run, or has tables without a run.json; or the
@@ -124,13 +124,17 @@ class Record:
             raise InputError(f"{self.out} has {', '.join(tables)}, but no run.json; give another --out, or remove them")
 
     def __exit__(self, _: type[BaseException] | None, error: BaseException | None, __: TracebackType | None) -> None:
-        """Write run.json and unlock the folder. Collective if the statement ends without an error.
+        """Write run.json with the reason for the end of the run, and unlock the folder.
 
-        After an InputError before any file was written, run.json is removed, and files of an earlier run return to
-        their places.
+        After an InputError before any file was written, run.json is removed instead, and files of an earlier run return
+        to their places. Collective if no exception ends the `with` statement; after an exception, each rank may call it
+        alone.
+
+        Args:
+            error: exception that ends the `with` statement; None: the run is done.
 
         Raises:
-            OSError: run.json cannot be written; on all ranks.
+            OSError: the run is done, but run.json cannot be written; all ranks raise it.
         """
         with self._lock:
             if error is None:
@@ -145,7 +149,11 @@ class Record:
                             move_back(self._previous)
 
     def _read(self) -> RunContent:
-        """Read run.json on rank 0; raise InputError if the file cannot be read or lacks entries."""
+        """Return the content of run.json as nested JSON data. To be called on rank 0 only.
+
+        Raises:
+            InputError: the file cannot be read or lacks entries.
+        """
         path = self.out / RUN_FILE
         try:
             run = dict(json.loads(path.read_text(encoding="utf-8")))
@@ -158,18 +166,24 @@ class Record:
             raise InputError(f"{path} cannot be read ({error}); give another folder, or remove it") from error
 
     def _of_study(self) -> RunContent:
-        """Read run.json on rank 0; raise InputError if the file cannot be read, or belongs to another study."""
+        """Return the content of run.json after a check that it is of this study. To be called on rank 0 only.
+
+        Raises:
+            InputError: the file cannot be read, lacks entries, or belongs to another study.
+        """
         run = self._read()
         if run["study"] != self.study:
             raise InputError(f"the run in {self.out} is of the study {run['study']}, not {self.study}")
         return run
 
     def same_run(self) -> RunContent:
-        """Read run.json of an earlier run, on rank 0, and check that the run had the same input.
+        """Return the content of run.json after a check that its run had the input of this one.
+
+        To be called on rank 0 only.
 
         Raises:
-            InputError: the file cannot be read; the study, its options, the package's PETSc options or the source code
-                were different.
+            InputError: the file cannot be read; or its run differs in the study, its options, the package's PETSc
+                options or the source code.
         """
         run = self._of_study()
         here: RunContent = {"options": self.identity()[1], "code": code(), "petsc": petsc_options()}
@@ -182,15 +196,26 @@ class Record:
         return run
 
     def identity(self) -> list[object]:
-        """Name of the study and its options, which identify the run in the hash of its sweeps and marches."""
+        """Return the study's name and its options as JSON data: [name, {option: value}].
+
+        They are part of the hash by which a sweep or march of this run recognises its files when it is resumed.
+        """
         return [self.study, json.loads(json.dumps(self.options, default=str))]
 
     def check_drawn(self) -> None:
-        """Raise InputError unless the folder has a run.json of this study. Collective."""
+        """Check that the folder has a run of this study, whose pictures can be drawn again. Collective.
+
+        Raises:
+            InputError: the folder has no readable run.json, or one of another study.
+        """
         on_root(default_comm(), self._of_study)
 
     def close(self) -> None:
-        """Write run.json for a run without errors. Collective; all ranks raise OSError if it cannot be written."""
+        """Write run.json for a run that is done. Collective.
+
+        Raises:
+            OSError: the file cannot be written; all ranks raise it.
+        """
         on_root(default_comm(), lambda: self._write(None))
 
     def _write(self, error: str | None) -> None:
@@ -206,9 +231,9 @@ class Record:
 
     # ---------------------------------------------------------------- files
     def path(self, name: str) -> Path:
-        """Return the path of a file in the folder, and list it in run.json as one of the run's files.
+        """Return the path of the file `name` in the folder, and add it to the files of this run, which run.json lists.
 
-        The folder need not exist yet; the function that writes the file makes it.
+        The file is not made, nor the folder: the function that writes the file makes both.
         """
         if name not in self._files:
             self._files.add(name)
@@ -219,18 +244,22 @@ class Record:
         return self.out / name
 
     def table(self, name: str) -> Table:
-        """Return a new table, which writes each added row at once to the file `name` in the folder. Collective."""
+        """Return a new, empty table, of which each added row is written at once to a csv file. Collective.
+
+        Args:
+            name: name of the csv file in the folder.
+        """
         self._tables[name] = Table(path=self.path(name))
         return self._tables[name]
 
     def rows(self, name: str, cases: Iterable[object], row: Callable[..., ColumnValues], label: str = "{}") -> Table:
-        """Compute a table with a row for each case, and write each row at once to the folder. Collective.
+        """Compute a table with one row for each case, and write each row at once to a csv file. Collective.
 
         Args:
-            name: name of the csv file.
-            cases: for each row the argument of `row`; a tuple has several arguments.
-            row: function that returns a row, name of a column -> entry.
-            label: format string that shows a case in the line of progress.
+            name: name of the csv file in the folder.
+            cases: for each row the argument of `row`; a tuple stands for several arguments.
+            row: function that returns a row of the table: name of a column -> entry.
+            label: format string that makes, of a case, the text shown while its row is computed.
         """
         table = self.table(name)
         for case in track(list(cases), self.study, label):
@@ -238,12 +267,12 @@ class Record:
         return table
 
     def write(self, name: str, table: Table) -> None:
-        """Write a whole table to the csv file `name` in the folder. Collective."""
+        """Write all rows of `table` to the csv file `name` in the folder. Collective."""
         table.write(self.path(name))
         self._tables[name] = table
 
     def has(self, name: str) -> bool:
-        """Whether the folder has a file of this name. Collective."""
+        """Return whether the folder has a file called `name`. Collective."""
         return on_root(default_comm(), (self.out / name).exists)
 
     def load(self, name: str) -> Table:
@@ -252,39 +281,43 @@ class Record:
 
     # ---------------------------------------------------------------- results
     def say_tables(self) -> None:
-        """Print the tables that have at most 40 rows."""
+        """Print the tables of this run that have at most 40 rows, unless `quiet` is set."""
         for name, table in self._tables.items():
             if len(table) <= MAX_PRINTED_ROWS:
                 self.say(f"{name}\n{table}")
 
     def say(self, text: object) -> None:
-        """Print a text on rank 0, unless `quiet` is set."""
+        """Print `text` on rank 0, unless `quiet` is set."""
         if self.root and not self.quiet:
             print_safely(text)
 
     def sweep(self, run: Callable[[float], ColumnValues], eps: Sequence[float], name: str = "table.csv") -> Table:
-        """Run `thinlayer.sweep`, and return its table, which is written to the folder. Collective.
+        """Compute a table of errors over thicknesses by `thinlayer.sweep`, and write it to the folder. Collective.
 
-        If the run continues an earlier run, so does the sweep.
+        If this run continues an earlier one, rows that are in the folder are not computed again.
 
         Args:
-            run: function of a thickness that returns a row.
+            run: function that takes a thickness and returns a row of the table.
             eps: the thicknesses.
             name: name of the csv file.
+
+        Returns:
+            The table.
         """
         self.path(f"{name}.json")
         self._tables[name] = sweep(run, eps, self.path(name), resume=self.resume)
         return self._tables[name]
 
     def march(self, model: Model, times: Sequence[float] | Adaptive, name: str, **choices: Any) -> History:
-        """Run `thinlayer.march`, list the solver's report of each state in `solves`, return the history. Collective.
+        """Solve a model step by step in time by `thinlayer.march`, and return its history. Collective.
 
-        States are stored in the folder until the run is done, so that a later run can continue from them.
+        The solver's report of each state is added to `solves`. States are stored in the folder until the run is done,
+        so that a later run can continue from them.
 
         Args:
             model: the model.
             times: ends of the time steps, or settings of adaptive steps.
-            name: name of the stored states.
+            name: name of the subfolder for the stored states.
             choices: further arguments of `march`.
         """
         try:
@@ -298,7 +331,11 @@ class Record:
         return history
 
     def solved(self, solution: SolvedType) -> SolvedType:
-        """List the solver's report of a state, or of a history's last state, in `solves`; return the argument."""
+        """Add the solver's report of a solution to `solves`, for run.json, and return the solution unchanged.
+
+        Args:
+            solution: a state; or a history, of which the report of the last state is added.
+        """
         state = solution if isinstance(solution, State) else solution.last
         thin = {name: layer.thin_layer.eps for name, layer in state.model.layers.items() if layer.thin_layer}
         eps = thin if len(thin) > 1 else next(iter(thin.values()), None)
@@ -307,7 +344,7 @@ class Record:
         return solution
 
     def check(self, name: str, value: float, *, low: float | None = None, high: float | None = None) -> None:
-        """Check that a number lies in a range; if it does not, the run continues and ends with exit status 1.
+        """Record whether a number lies in a range; if it does not, the run goes on, and its exit status will be 1.
 
         Args:
             name: what the number is, in words.
@@ -318,11 +355,18 @@ class Record:
         STUDY_LOGGER.info("check %s", self.checks[-1])
 
     def check_near(self, name: str, value: float, expected: float, tolerance: float) -> None:
-        """Check that a number agrees with `expected` to the relative `tolerance`; `name` is the number in words."""
+        """Record whether a number is near its expected value; if it is not, the exit status of the run will be 1.
+
+        Args:
+            name: what the number is, in words.
+            value: the number.
+            expected: its expected value.
+            tolerance: largest allowed difference, relative to the expected value.
+        """
         low, high = sorted((expected * (1 - tolerance), expected * (1 + tolerance)))
         self.check(name, value, low=low, high=high)
 
     @property
     def failed(self) -> list[Check]:
-        """The checks whose numbers lie outside their ranges."""
+        """The checks whose numbers do not lie in their ranges."""
         return [check for check in self.checks if not check.passed]

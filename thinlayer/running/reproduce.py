@@ -1,8 +1,9 @@
-"""Page in HTML with the numbers of the paper, section by section, next to those that the studies compute; also as JSON.
+"""Page in HTML, and file in JSON, with the numbers of the paper next to those that the studies compute.
 
-studies/data/paper.toml lists the statements of the paper, the runs of studies, and the checks that are shown.
-studies/data/paper.html is the template. Each row of a table shows a check that a study wrote to its run.json. The row
-"holds" if the check has passed.
+The paper is Lebon, Rizzoni and Ronel-Idrissi, Computers & Structures 82 (2004) 1929-1938. studies/data/paper.toml lists
+its statements, the runs of studies, and the checks that are shown. studies/data/paper.html is the template of the page.
+Each row of a table on the page shows a check that a study wrote to its run.json. The row "holds" if the check has
+passed.
 """
 
 from __future__ import annotations
@@ -41,20 +42,20 @@ MISSING_CHECK = {"value": None, "low": None, "high": None, "passed": None}  # en
 
 
 def reproduce(out: Path, *, quick: bool, at_a_time: int | None) -> int:
-    """Run the studies of the paper and write index.html and reproduce.json.
+    """Run the studies of the paper, and write the page index.html and the file reproduce.json with their numbers.
 
     Args:
         out: folder of the page and of the runs.
-        quick: whether the studies use coarser meshes and fewer rows (option --quick), where they can.
-        at_a_time: number of studies that run at the same time; None: the number of cores.
+        quick: whether to use the option --quick (coarser meshes and fewer rows) of those studies that have it.
+        at_a_time: largest number of studies that run at the same time; None: the number of cores.
 
     Returns:
         Exit status: `UNFINISHED` (3) if a run or a number is missing, else `CHECK_FAILED` (1) if a number does not
         agree with the paper, else `OK` (0).
 
     Raises:
-        InputError: started on several MPI ranks; `at_a_time` < 1; another batch uses `out`, or no files can be written
-            there.
+        InputError: the program runs on several MPI ranks; `at_a_time` < 1; another batch uses `out`; or no files can be
+            written there.
     """
     start, page = time.monotonic(), Page(out, quick=quick)
     run_all([*page.jobs.values()], out, at_a_time)
@@ -69,17 +70,17 @@ def reproduce(out: Path, *, quick: bool, at_a_time: int | None) -> int:
 
 
 class Page:
-    """The page of numbers of the paper, and the runs of studies that it is made from.
+    """The page with the numbers of the paper, and the runs of studies whose results it shows.
 
     Attributes:
         out: folder of the page and of the runs.
         data: content of studies/data/paper.toml.
-        jobs: name of a run -> the run, in its folder in `out`.
+        jobs: name of a run -> the run, whose folder in `out` has this name.
         results: name of a run -> content of its run.json; {} if there is none.
         unfinished: names of the runs that are not finished.
-        rows: for each number of the paper its label, its check and its verdict (`of`).
-        summary: sentence that says how many numbers hold, how many figures are shown, and how many places of the paper
-            are corrected.
+        rows: for each number of the paper its label, the check that computes it, and the verdict.
+        summary: sentence that counts the numbers that hold, the figures, and the errors of the paper that are
+            corrected.
     """
 
     def __init__(self, out: Path, *, quick: bool) -> None:
@@ -90,10 +91,10 @@ class Page:
             self.jobs[name] = Job(run["study"], options, out / name, run["seconds"][not quick])
 
     def write(self, facts: Mapping[str, str]) -> int:
-        """Write index.html and reproduce.json, and return the exit status.
+        """Write index.html and reproduce.json from the results of the runs, and return the exit status.
 
         Args:
-            facts: name -> text on how the page was made, such as versions and date.
+            facts: name -> text that says how the page was made, such as versions and date.
 
         Returns:
             3 if a run or a number is missing, else 1 if a number does not agree with the paper, else 0.
@@ -112,19 +113,20 @@ class Page:
         return max(UNFINISHED if self.unfinished else OK, *(STATUS_OF_VERDICT[row["verdict"]] for row in self.rows))
 
     def of(self, entries: Iterable[Mapping[str, str]], section: str = "") -> list[Entries]:
-        """Make rows of a table from entries of paper.toml and the checks of the runs.
+        """Make the rows of a table of numbers from entries of paper.toml and from the checks of the runs.
 
-        Each check of an entry's run whose name matches the pattern "check" of the entry gives a row. In the pattern *
-        stands for any text, which replaces the * in the entry's "label". Without such a check there is one row with the
-        verdict "missing", whose numbers are None.
+        An entry names a run and has a pattern for names of its checks, in which * stands for any text. Each check with
+        a matching name gives a row. The text that * stands for replaces the * in the entry's label. If no check
+        matches, the entry gives one row with the verdict "missing".
 
         Args:
-            entries: for each entry "run", "check", and perhaps "label" and "printed", the number in the paper.
+            entries: for each entry "run" (name of the run), "check" (the pattern), and perhaps "label" and "printed"
+                (the number in the paper, as text).
             section: identifier of the section of the page, stored in the rows.
 
         Returns:
-            Rows, each with the check's name, value and bounds, the label, and the verdict "holds", "fails" or
-            "missing".
+            Rows, each with the name, value and bounds of the check (None if it is missing), the label, and the verdict
+            "holds", "fails" or "missing".
         """
         rows: list[Entries] = []
         for entry in entries:
@@ -143,7 +145,7 @@ class Page:
         return rows
 
     def html(self, facts: Mapping[str, str]) -> str:
-        """HTML of the whole page; `facts`, name -> text, say how it was made."""
+        """Return the HTML of the whole page; `facts`, name -> text, say how it was made."""
         about = {name: html_of(text) for name, text in self.data["paper"].items() if name != "bibtex"}
         about |= {name: escape(self.data["paper"][name].strip()) for name in ("title", "bibtex")}
         sections = self.data["sections"]
@@ -155,7 +157,11 @@ class Page:
         return fill_template("page", **about, facts=html_pairs(facts), versions=html_pairs(versions()))
 
     def section(self, part: Entries) -> str:
-        """HTML of a section, an entry of paper.toml: the paper on the left, the results on the right, pictures."""
+        """Return the HTML of one section of the page: statements of the paper on the left, results on the right.
+
+        Args:
+            part: table of the section in paper.toml, with its texts, pictures and entries of numbers.
+        """
         words = {"id": part["id"], "title": line_of(part["title"])}
         words |= {name: html_of(part[name]) for name in ("problem", "says", "computed")}
         words["sketch"] = html_picture(DATA_FOLDER / part["sketch"], part["sketch_says"])
@@ -165,11 +171,13 @@ class Page:
         return fill_template("section", **words, numbers=html_table(NUMBERS, "number", self.of(part["rows"])))
 
     def details(self, run: str, tables: Iterable[str]) -> str:
-        """HTML of the details of a run, hidden until a reader opens them: command, tables, all checks, parameters.
+        """Return the HTML of a box with details of a run, closed until a reader opens it.
+
+        The box shows the run's command, tables, checks and parameters.
 
         Args:
             run: name of the run.
-            tables: names of csv files, as RUN/FILE; those of other runs are left out.
+            tables: names of csv files, as RUN/FILE. Only those of this run are shown.
         """
         result, job = self.results[run], self.jobs[run]
         paths = [self.out / name for name in tables if name.startswith(f"{run}/")]
@@ -180,7 +188,12 @@ class Page:
         return fill_template("details", **words, parameters=html_pairs(result.get("parameters", {})))
 
     def erratum(self, entry: Mapping[str, str]) -> dict[str, str]:
-        """Row of the table of errata, from an entry of paper.toml; its evidence is a check of a study, or a text."""
+        """Return a row of the table of the paper's errors: name of a column -> text.
+
+        Args:
+            entry: table of one error in paper.toml. What shows the error is a check of a run, in "run" and "check", or
+                a text, in "evidence".
+        """
         checks = self.of([entry]) if "check" in entry else ()
         shown = "; ".join(f"{row['label']}: {row['computed']}" for row in checks) or entry["evidence"]
         return {**entry, "shown": shown}
@@ -189,18 +202,29 @@ class Page:
 # ---------------------------------------------------------------- pieces of HTML
 @cache
 def templates() -> dict[str, Template]:
-    """Name -> part of the template studies/data/paper.html; "page" is the part before the first name."""
+    """Return name -> piece of the template studies/data/paper.html.
+
+    In the file, a comment "part: NAME" stands before each piece; the first piece, without a comment, is called "page".
+    """
     first, *rest = re.split(r"<!-- part: (.*) -->\n", (DATA_FOLDER / "paper.html").read_text(encoding="utf-8"))
     return {"page": Template(first)} | dict(zip(rest[::2], map(Template, rest[1::2]), strict=True))
 
 
 def fill_template(part: str, **values: str) -> str:
-    """HTML of a part of the template, in which `values`, in HTML, replace the names."""
+    """Return the piece of the template with a given name, with its placeholders filled in.
+
+    Args:
+        part: name of the piece.
+        **values: for each placeholder $NAME in the piece, the HTML text that replaces it, as argument NAME.
+    """
     return templates()[part].substitute(values)
 
 
 def bounds_text(check: Entries) -> str:
-    """Text for the range of a check: a bound, a number with a tolerance if the range is narrow, or both ends."""
+    """Return the bounds of a check as text: "≥ a" or "≤ b" if there is only one, else "a to b".
+
+    If the bounds are close together, the text is "middle ± half their distance" instead.
+    """
     low, high = check["low"], check["high"]
     if low is None or high is None:
         return "".join(f"{sign} {end:.6g}" for sign, end in (("≥", low), ("≤", high)) if end is not None)
@@ -210,11 +234,11 @@ def bounds_text(check: Entries) -> str:
 
 
 def html_table(heads: Mapping[str, str], part: str, rows: Iterable[Entries]) -> str:
-    """HTML of a table.
+    """Return the HTML of a table.
 
     Args:
-        heads: name of a column -> its heading.
-        part: name of the part of the template for a row.
+        heads: name of a column that is shown -> its heading.
+        part: name of the piece of the template that makes a row.
         rows: for each row, name of a column -> text.
     """
     lines = [fill_template(part, **row | {name: line_of(row[name]) for name in heads}) for row in map(dict, rows)]
@@ -222,13 +246,16 @@ def html_table(heads: Mapping[str, str], part: str, rows: Iterable[Entries]) -> 
 
 
 def html_pairs(values: Mapping[str, object]) -> str:
-    """HTML of a list of names with their values."""
+    """Return the HTML of a list of names, each with its value; values that are not texts are shown as JSON."""
     texts = {name: value if isinstance(value, str) else json.dumps(value) for name, value in values.items()}
     return "".join(fill_template("pair", name=escape(name), value=escape(text)) for name, text in texts.items())
 
 
 def html_picture(path: Path, text: str) -> str:
-    """HTML of a picture, embedded in the page, with the caption `text`; a note if the file is missing."""
+    """Return the HTML of the picture in the file `path`, embedded in the page, with the caption `text`.
+
+    If the file is missing, a note stands in its place.
+    """
     if not path.exists():
         return fill_template("no figure", caption=line_of(text))
     words = {"alt": escape(re.sub(r"[$`\\{}]", "", text)), "type": guess_type(path.name)[0] or "", "name": path.stem}

@@ -1,4 +1,4 @@
-"""Summary of an input file of `estimate` and its mesh before a solve: sizes, laws, supports, loads, their sum."""
+"""Summary of an input file of `estimate` and its mesh, printed without a solve: sizes, laws, supports, loads."""
 
 from __future__ import annotations
 
@@ -18,8 +18,11 @@ from thinlayer.running.materials import Materials
 def summarise(case: DescribedCase) -> str:
     """Summarise bodies, layers, supports, loads and goals in a text, with the names in the input file. Collective.
 
-    It includes the resultant force and moment about the origin of the loads at the last time. For bodies of revolution,
-    areas, volumes and the resultant are those of the whole revolution.
+    The text also has the resultant force and moment of the loads at the last time, about the origin. For bodies of
+    revolution, areas, volumes and resultants are those of the whole revolution.
+
+    Args:
+        case: structure, layer and goals, with the content of the input file.
 
     Raises:
         InputError: the interface law does not suit the layer, or a goal cannot be evaluated.
@@ -44,11 +47,11 @@ def summarise(case: DescribedCase) -> str:
 
 
 def _law(values: Mapping[str, Mapping[str, object]], materials: Materials, name: str) -> str:
-    """Text for the law of a body or a layer, with its parameters as the user wrote them.
+    """Return a text with the name of a body's or layer's law, and with its parameters as the user wrote them.
 
     Args:
         values: the table [body] or [layer] of the input file.
-        materials: the laws made from it.
+        materials: the materials that were read from this table.
         name: name of the region or seam.
     """
     key = name if name in materials else None
@@ -56,7 +59,10 @@ def _law(values: Mapping[str, Mapping[str, object]], materials: Materials, name:
 
 
 def _sizes(model: InterfaceModel) -> dict[str, float]:
-    """Return name -> volume of each body and area of each seam, in 2D area and length. Collective."""
+    """Return name -> volume of each body and area of each seam. Collective.
+
+    In plane models these are areas and lengths, in models of bodies of revolution those of the whole revolution.
+    """
     places = {name: (model.kinematics.factor, model.dx(model.domain.cell_values(name))) for name in model.joint.bodies}
     sides = {name: model.sides_of(name) for name in model.joint.seams}
     places |= {name: (interface.factor, interface.measure) for name, interface in sides.items()}
@@ -70,7 +76,7 @@ def _entries(table: Mapping[str, object]) -> str:
 
 
 def _shown(value: object) -> str:
-    """Text of a TOML value in one line."""
+    """Return the text of a value of the input file (number, text, list or table) in one line."""
     if isinstance(value, Mapping):
         return f"{{{_entries(value)}}}"
     if isinstance(value, list):

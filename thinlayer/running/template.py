@@ -1,4 +1,5 @@
-"""Template of an input file of `estimate`, with the names in a mesh file and gaps to fill in."""
+"""Template of an input file of `estimate`: it has the names in a mesh file, and a "?" for each value to be filled in.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +16,12 @@ quoted = partial(json.dumps, ensure_ascii=False)  # a text as a string or a key 
 
 
 def template(mesh: Path) -> str:
-    """Return an input file in TOML for a mesh file, with "?" for each value to fill in. Collective.
+    """Return the text of an input file in TOML that uses the names in a mesh file. Collective.
 
-    Reading the input file fails as long as a "?" stands in place of a number.
+    A "?" stands for each value that the user must fill in; a file that still has one is refused when it is read.
+
+    Args:
+        mesh: path of the mesh file.
 
     Raises:
         InputError: the mesh file cannot be read.
@@ -43,11 +47,14 @@ def _filled(mesh: Path, named: NamedGroups) -> str:
 
 
 def _seam(inside: dict[str, list[str]], names: str) -> tuple[str, str]:
-    """Return the arguments of `geometry.read` that say where the layer is, in TOML, and a comment on them.
+    """Return the entries of the input file that say where the layer is, and a comment that explains them.
 
     Args:
-        inside: name of a facet set inside the bodies -> regions that it touches.
-        names: names of all facet sets.
+        inside: name of a facet set that lies wholly inside the bodies -> names of the regions that it touches.
+        names: names of all facet sets, joined by commas.
+
+    Returns:
+        The entries, which are arguments of `geometry.read` in TOML; and the comment.
     """
     if len(inside) == 1:
         ((name, touched),) = inside.items()

@@ -1,7 +1,7 @@
-"""Tables of an input file in TOML: values by key, readers that check them, and errors that name the place.
+"""Tables of an input file in TOML, functions that read and check their values, and errors that say where a value is.
 
-The input file of the command `estimate` is called a description (`running/description.py`). A reader is a function of a
-table and a key that checks the value there and returns it.
+The input file of the command `estimate` is called a description (`running/description.py`). A function that takes a
+table and a key, and returns the checked value there, is called a reader.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ class DescriptionError(InputError):
 
 @dataclass(frozen=True)
 class TimeSeries:
-    """Values that depend on time in an input file.
+    """A value of an input file that depends on time, linear between given times.
 
     Attributes:
-        values: at least two times, each -> a number or the components of a vector; linear between the times.
-        keys: keys of nested tables that lead to them in the file.
+        values: time -> value, a number or the components of a vector; at least two times, increasing.
+        keys: place of the value in the file: the keys of its table, the tables within it, and the value.
     """
 
     values: Mapping[float, float | tuple[float, ...]]
@@ -37,18 +37,20 @@ class TimeSeries:
 
 
 def read_description(path: Path, settings: Sequence[str] = ()) -> Section:
-    """Read an input file in TOML, with some entries replaced.
+    """Read an input file in TOML, and replace some of its entries.
 
     Args:
-        path: the file; the name of the mesh file in it is relative to its folder.
-        settings: texts "KEY=VALUE" in TOML, such as "layer.E=2e3"; entries of lists are numbered from 1. A value that
-            is not TOML is read as a text, as shells remove quotes.
+        path: path of the input file. A relative path of the mesh file in it is relative to the folder of the input
+            file.
+        settings: texts "KEY=VALUE" in TOML, such as "layer.E=2e3", each of which replaces an entry. In a list, KEY is
+            the number of the entry, from 1. A value that is not TOML is taken as text, since shells remove quotes.
 
     Returns:
-        The whole file as a table; the path of the mesh file in it starts with the folder.
+        The whole file as a table. The path of its mesh file is now relative to the working folder.
 
     Raises:
-        DescriptionError: the file cannot be read, or is not TOML, with the line; a setting cannot be read.
+        DescriptionError: the file cannot be read; it is not TOML (the message has the line); or a text of `settings`
+            cannot be read.
     """
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8-sig"))
@@ -68,7 +70,12 @@ def read_description(path: Path, settings: Sequence[str] = ()) -> Section:
 
 
 def _assignment(text: str, option: str) -> tuple[Keys, object]:
-    """Return the keys of nested tables and the value in a text "KEY=VALUE"; `option` names the text in errors."""
+    """Return the keys and the value in the text "KEY=VALUE"; KEY joins the keys of nested tables by dots.
+
+    Args:
+        text: the text, as the user gave it.
+        option: the option with this text, for errors.
+    """
     name, equals, value_text = text.partition("=")
     try:
         keys: Keys = ()
@@ -85,7 +92,14 @@ def _assignment(text: str, option: str) -> tuple[Keys, object]:
 
 
 def _with_value(old: object, keys: Sequence[str], value: object, option: str) -> Any:
-    """Return a copy of a table or list in which the entry to which `keys` lead has another value."""
+    """Return a copy of a table or list in which one entry, perhaps in a nested table, has a new value.
+
+    Args:
+        old: the table or list.
+        keys: keys of the nested tables (in a list the number of an entry, from 1), and last that of the entry.
+        value: the new value.
+        option: option of the command line with the new value, for errors.
+    """
     if not keys:
         return value
     key, *rest = keys
@@ -103,9 +117,9 @@ class Section:
 
     Attributes:
         values: its entries, key -> value.
-        path: keys of nested tables that lead to it; () for the whole file.
-        name: name of the file and of options that replaced entries, for errors.
-        histories: values in time that have been read so far, in any table of the file.
+        path: keys of the nested tables by which this table is reached from the whole file; () for the whole file.
+        name: name of the file, and options of the command line that replaced entries; errors start with it.
+        histories: values that depend on time, read so far; one list for all tables of the file.
     """
 
     values: Mapping[str, Any]
@@ -114,12 +128,21 @@ class Section:
     histories: list[TimeSeries]
 
     def refuse(self, what: str, *keys: str) -> NoReturn:
-        """Raise a DescriptionError with the text `what` about this table, or about the entry to which `keys` lead."""
+        """Raise a DescriptionError about this table or, with `keys`, about an entry in it or in a table nested in it.
+
+        Args:
+            what: what is wrong.
+            *keys: keys of the nested tables, and last that of the entry; none: the error is about this table.
+        """
         raise DescriptionError(": ".join(filter(None, [self.name, ".".join((*self.path, *keys)), what])))
 
     @contextmanager
     def described(self, *keys: str) -> Iterator[None]:
-        """Context that turns an InputError into a DescriptionError about this table, or about its entry `keys`."""
+        """Context manager that turns an InputError into a DescriptionError about this table, or about an entry.
+
+        Args:
+            *keys: keys of nested tables, and last that of the entry; none: the error is about this table.
+        """
         try:
             yield
         except DescriptionError:
@@ -131,12 +154,12 @@ class Section:
         """Read and check all entries of the table; return key -> value.
 
         Args:
-            keys: allowed key -> function that reads its value.
-            needs: required key -> explanation of it for errors; None: no key is required.
-            kind: what a key is called in errors.
+            keys: allowed key -> function that takes the table and the key, checks the value and returns it.
+            needs: required key -> explanation of the key, for errors; None: no key is required.
+            kind: word for a key in errors, such as "component".
 
         Raises:
-            DescriptionError: a key that is not allowed, a required key that is missing, or a wrong value.
+            DescriptionError: a key is not allowed, a required key is missing, or a value is wrong.
         """
         if unknown := [key for key in self.values if key not in keys]:
             self.refuse(unknown_name_message(kind, unknown[0], keys))
@@ -145,22 +168,40 @@ class Section:
         return {key: read(self, key) for key, read in keys.items() if key in self.values}
 
     def checked(self, key: str, good: Callable[[Any], bool], wrong: str) -> Any:
-        """Return the value of a key; raise a DescriptionError with the text `wrong` unless `good(value)` is true."""
+        """Return the value at `key`, after a check of it.
+
+        Args:
+            key: key of the value.
+            good: function of the value that returns whether it is allowed.
+            wrong: text of the error, after the value, such as "is not a finite number".
+
+        Raises:
+            DescriptionError: the value is not allowed.
+        """
         if not good(value := self.values[key]):
             self.refuse("it is not filled in" if "?" in str(value) else f"{_shown(value)} {wrong}", key)
         return value
 
     def number(self, key: str) -> float:
-        """Return the finite number at a key; raise DescriptionError for another value."""
+        """Return the finite number at `key`; raise DescriptionError if the value is anything else."""
         return float(self.checked(key, is_finite, "is not a finite number"))
 
     def vector(self, key: str) -> tuple[float, ...]:
-        """Return the vector at a key, 2 or 3 finite numbers; raise DescriptionError for another value."""
+        """Return the vector at `key`, 2 or 3 finite numbers; raise DescriptionError if the value is anything else."""
         wrong = "is not a vector; give 2 components, in 3D 3, such as [0, -50]"
         return tuple(map(float, self.checked(key, lambda value: _are_finite(value) and len(value) in (2, 3), wrong)))
 
     def text(self, key: str, allowed: Collection[str] = (), kind: str = "choice") -> str:
-        """Return the text at a key, one of `allowed` unless it is empty; raise DescriptionError for another value."""
+        """Return the text at `key`, which must not be empty.
+
+        Args:
+            key: key of the text.
+            allowed: texts that are allowed; (): all are.
+            kind: what the text is, for errors.
+
+        Raises:
+            DescriptionError: the value is no text, is empty, or is not allowed.
+        """
         value = self.values[key]
         if not isinstance(value, str) or not value:
             self.refuse(f"{_shown(value)} is not a text" + (f"; allowed: {', '.join(allowed)}" if allowed else ""), key)
@@ -169,27 +210,49 @@ class Section:
         return value
 
     def texts(self, key: str) -> str | list[str]:
-        """Return the text or the list of texts at a key; raise DescriptionError for another value."""
+        """Return the text at `key`, or the list of texts; raise DescriptionError if the value is anything else."""
         value = self.values[key]
         several = isinstance(value, list) and value and all(isinstance(text, str) for text in value)
         return value if several else self.text(key)
 
     def table(self, key: str, what: str) -> Section:
-        """Return the table at a key, empty without the key; `what` says in errors what the table contains."""
+        """Return the table at `key` within this table, or an empty one if the key is missing.
+
+        Args:
+            key: key of the table.
+            what: what the table contains, for errors.
+
+        Raises:
+            DescriptionError: the value is not a table.
+        """
         return self.inner(self.values.get(key, {}), what, key)
 
     def inner(self, value: object, what: str, *keys: str) -> Section:
-        """Return a value to which `keys` lead in this table as a `Section`.
+        """Return a value within this table, or within a table nested in it, as a `Section` that knows its place in the
+        file.
+
+        Args:
+            value: the value, which must be a table.
+            what: what the table contains, for errors.
+            *keys: keys of nested tables, and last that of the value.
 
         Raises:
-            DescriptionError: the value is no table; `what` says what the table contains.
+            DescriptionError: the value is not a table.
         """
         if not isinstance(value, Mapping):
             self.refuse(f"{_shown(value)} is not a table; it has {what}", *keys)
         return replace(self, values=value, path=(*self.path, *keys))
 
     def tables(self, key: str, what: str) -> list[Section]:
-        """Return the tables in the list at a key; `what` says in errors what each table contains."""
+        """Return the tables in the list at `key`, as sections.
+
+        Args:
+            key: key of the list.
+            what: what each table contains, for errors.
+
+        Raises:
+            DescriptionError: the value is not a list of tables.
+        """
         tables = self.checked(key, lambda value: isinstance(value, list), f"is not a list of tables; each has {what}")
         return [self.inner(table, what, key, str(number)) for number, table in enumerate(tables, 1)]
 
@@ -199,12 +262,12 @@ Readers = Mapping[str, Reader]
 
 
 def choice_reader(*allowed: str) -> Reader:
-    """Return a reader of a text, which must be one of `allowed`."""
+    """Return a reader (function of a table and a key) of a text that must be one of `allowed`."""
     return lambda section, key: section.text(key, allowed)
 
 
 def positive_reader(what: str) -> Reader:
-    """Return a reader of a number > 0; `what` says in errors what the number is."""
+    """Return a reader (function of a table and a key) of a number > 0; `what` says in errors what the number is."""
 
     def read(section: Section, key: str) -> float:
         section.number(key)
@@ -214,7 +277,14 @@ def positive_reader(what: str) -> Reader:
 
 
 def time_series(read: Reader) -> Reader:
-    """Return a reader of a constant value, which `read` reads, or of values in time, {times = ..., values = ...}."""
+    """Return a reader of a value that may depend on time, in the form {times = [...], values = [...]}.
+
+    The reader, a function of a table and a key, returns this form as a `TimeSeries`. It returns a constant value as
+    `read` does.
+
+    Args:
+        read: reader of a constant value, and of each entry of "values".
+    """
 
     def read_each(section: Section, key: str) -> object:
         entry, what = section.values[key], "a history is {times = [0, 1], values = [0, 5]}: two or more times that grow"
@@ -233,7 +303,7 @@ def time_series(read: Reader) -> Reader:
 
 
 def is_growing(times: object) -> TypeGuard[list[float]]:
-    """Whether `times` is a list of finite numbers, each larger than the one before."""
+    """Return whether `times` is a list of finite numbers, each larger than the one before."""
     return _are_finite(times) and all(a < b for a, b in itertools.pairwise(times))
 
 
@@ -242,6 +312,6 @@ def _are_finite(value: object) -> TypeGuard[list[float]]:
 
 
 def _shown(value: object) -> str:
-    """Text of a value as written in TOML, shortened to 60 letters, for errors."""
+    """Return the text of a value for errors, nearly as in TOML, cut after some 60 characters."""
     text = str(value).lower() if isinstance(value, bool) else repr(value)
     return text if len(text) < 60 else f"{text[:56]} ..."
