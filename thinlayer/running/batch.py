@@ -46,8 +46,7 @@ class Job:
 
     @property
     def words(self) -> list[str]:
-        """Words of the command line that run this job: those that follow `thinlayer run`, without --out and the folder.
-        """
+        """Words of the command line that run this job: those after `thinlayer run`, without --out and the folder."""
         words = [self.study]
         for name, value in self.options.items():
             words += [f"--{name}"] if value is True else [f"--{name}", str(value)]

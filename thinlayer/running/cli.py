@@ -333,8 +333,7 @@ def _batch(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
 
 
 def _estimate(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
-    """Estimate how results change if a layer is not meshed. Keys of the file: thinlayer/docs/reference/description.md
-    """
+    """Estimate what changes if a layer is not meshed. Keys of the file: thinlayer/docs/reference/description.md"""
     ask = partial(computed, petsc=petsc, verbose=chosen.verbose)
     if chosen.new:
         if chosen.set:

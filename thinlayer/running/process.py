@@ -31,7 +31,9 @@ def end_on_interrupt() -> None:
 
 
 def is_first() -> bool:
-    """Return whether this process is rank 0, from environment variables of mpirun. For use before MPI is initialised.
+    """Return whether this process is rank 0, from environment variables of mpirun.
+
+    For use before MPI is initialised.
     """
     return all(os.environ.get(name, "0") == "0" for name in ("PMIX_RANK", "PMI_RANK", "OMPI_COMM_WORLD_RANK"))
 
@@ -139,8 +141,7 @@ def computed(work: Callable[[], int], *, petsc: Petsc, verbose: int, note: str =
 
 
 def error_text(error: BaseException, verbose: int) -> str:
-    """Return the text of an error that ends a command; with `verbose` > 0 it starts with the name of the error's class.
-    """
+    """Return the text of an error that ends a command; with `verbose` > 0 the name of the error's class comes first."""
     words = str(error) if isinstance(error, ValueError) else error_reason(error)
     return f"{type(error).__name__}: {words}" if verbose > 0 else words
 

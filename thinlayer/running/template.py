@@ -1,5 +1,4 @@
-"""Template of an input file of `estimate`: it has the names in a mesh file, and a "?" for each value to be filled in.
-"""
+"""Template of an input file of `estimate`: it has the names in a mesh file, and a "?" for each value to fill in."""
 
 from __future__ import annotations
 

@@ -228,8 +228,7 @@ class Section:
         return self.inner(self.values.get(key, {}), what, key)
 
     def inner(self, value: object, what: str, *keys: str) -> Section:
-        """Return a value within this table, or within a table nested in it, as a `Section` that knows its place in the
-        file.
+        """Return a value within this table, or within a table nested in it, as a `Section` with its place in the file.
 
         Args:
             value: the value, which must be a table.
