@@ -1,6 +1,6 @@
-"""Functions on spaces and forms that work with DOLFINx 0.9 to 0.11, whose interfaces differ.
+"""Functions on function spaces and forms that work with DOLFINx 0.9 to 0.11, whose interfaces differ.
 
-They try the signatures of the releases one after the other. `geometry/domain.py` does the same for meshes.
+Each function tries the arguments of one release after those of another. `geometry/domain.py` does the same for meshes.
 """
 
 from __future__ import annotations
@@ -30,10 +30,12 @@ EntityMaps = list[object] | dict[Mesh, IntArray]  # for fem.form, of DOLFINx 0.1
 def space_with_dofmap(V: fem.FunctionSpace, dofs: IntArray, imap: IndexMap) -> fem.FunctionSpace:
     """Make a function space with the mesh and element of V and another numbering of its degrees of freedom.
 
+    Degrees of freedom at one node, such as components of a vector, form a block with one number.
+
     Args:
         V: the function space.
-        dofs: (cells, k) numbers on this rank of the (block) dofs of each cell, ghosts included.
-        imap: index map of these numbers.
+        dofs: (cells, blocks per cell) numbers of the blocks of each cell of this rank, ghost cells included.
+        imap: DOLFINx's index map of the blocks, which says what rank owns each of them.
     """
     old, base = V._cpp_object, V.dofmap
     layout = base._cpp_object.dof_layout if hasattr(base, "_cpp_object") else base.dof_layout
@@ -44,20 +46,39 @@ def space_with_dofmap(V: fem.FunctionSpace, dofs: IntArray, imap: IndexMap) -> f
 
 
 def interior_facet_entities(mesh: Mesh, facets: IntArray) -> IntArray:
-    """Integration entities (n, 4) of interior facets: cell, local facet, cell, local facet.
+    """Return what DOLFINx needs to integrate over interior facets: the cells of each facet, and its number in them.
 
     Facets with only one cell on this rank are left out.
+
+    Args:
+        mesh: the mesh.
+        facets: numbers of the facets on this rank.
+
+    Returns:
+        (n, 4) for each facet a cell, the number of the facet among the facets of this cell, and both for the other
+        cell.
     """
     return _entities("interior_facet", mesh, facets).reshape(-1, 4)
 
 
 def exterior_facet_entities(mesh: Mesh, facets: IntArray) -> IntArray:
-    """Integration entities (n, 2) of exterior facets: cell, local facet."""
+    """Return what DOLFINx needs to integrate over facets on the boundary: the cell of each facet, and its number in it.
+
+    Args:
+        mesh: the mesh.
+        facets: numbers of the facets on this rank.
+
+    Returns:
+        (n, 2) for each facet its cell, and the number of the facet among the facets of this cell.
+    """
     return _entities("exterior_facet", mesh, facets).reshape(-1, 2)
 
 
 def _entities(name: str, mesh: Mesh, entities: IntArray) -> IntArray:
-    """Integration entities of cells or facets that belong to this rank; others are left out.
+    """Return integration entities of cells or facets in one flat array, as `compute_integration_domains` of DOLFINx.
+
+    Cells and facets of other ranks are left out. A cell gives its number. A facet gives, for each of its cells, the
+    cell and the facet's number in it.
 
     Args:
         name: type of integral, "cell", "exterior_facet" or "interior_facet".
@@ -72,12 +93,12 @@ def _entities(name: str, mesh: Mesh, entities: IntArray) -> IntArray:
 
 
 def by_domain(form: ufl.Form) -> dict[tuple[str, int, Tags], list[ufl.Integral]]:
-    """Sort the integrals of a form by type, subdomain data and tags.
+    """Group the integrals of a form by where they integrate: by type of integral, subdomain data and tags.
 
-    Integrals that differ only in their tags are joined to one over a tuple of tags.
+    Integrals that differ only in their tags become one integral, whose tag is the tuple of their tags.
 
     Returns:
-        (type of integral, `id` of the subdomain data, tag or tuple of tags) -> integrals.
+        (type of integral, `id` of its subdomain data, tag or tuple of tags) -> integrals.
     """
     joined: dict[tuple[object, ...], tuple[ufl.Integral, list[int | str]]] = {}
     for integral in form.integrals():
@@ -96,14 +117,16 @@ def by_domain(form: ufl.Form) -> dict[tuple[str, int, Tags], list[ufl.Integral]]
 
 
 def compiled(form: ufl.Form, maps: EntityMaps | None = None) -> fem.Form:
-    """Compile a form whose measures may have any tags, which may overlap, and different subdomain data.
+    """Compile a form. Unlike `fem.form`, it allows tags that overlap, and measures with different subdomain data.
 
-    Forms that differ only in their tags share one compiled code, as numbers 1, 2, ... replace the sets of tags. DOLFINx
-    itself refuses different subdomain data. Release 0.9 loses integrals if tags overlap and quadrature degrees differ.
+    The sets of tags are replaced by the numbers 1, 2, ..., so that forms which differ only in tags share one compiled
+    code. DOLFINx itself refuses different subdomain data. Its release 0.9 loses integrals if tags overlap and
+    quadrature degrees differ.
 
     Args:
         form: the form.
-        maps: entity maps for coefficients on other meshes, as `fem.form` of the release takes them; None: none.
+        maps: entity maps for coefficients on other meshes, in the type that `fem.form` of the installed release takes;
+            None: the form has no such coefficients.
     """
     numbered: dict[str, list[tuple[int, IntArray]]] = {}
     integrals = []
@@ -128,17 +151,22 @@ def compiled(form: ufl.Form, maps: EntityMaps | None = None) -> fem.Form:
 
 
 def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
-    """Interpolation points (n, d) of a space's element in the d-dimensional reference cell."""
+    """Return the interpolation points (n, d) of the element of V, in its reference cell of dimension d."""
     points = V.element.interpolation_points
     return points() if callable(points) else points
 
 
 def create_submesh(mesh: Mesh, dim: int, entities: IntArray) -> tuple[Mesh, EntityMaps, IntArray]:
-    """Make a submesh of mesh entities of dimension `dim`. Collective.
+    """Make a submesh of cells, facets, edges or vertices of a mesh. Collective.
+
+    Args:
+        mesh: the mesh.
+        dim: dimension of these entities.
+        entities: their numbers on this rank.
 
     Returns:
-        The submesh, its entity maps as `fem.form` of the release takes them, and the numbers of the entities that are
-        its cells.
+        The submesh; its entity maps, in the type that `fem.form` of the installed release takes; and for each of its
+        cells the number of the entity.
     """
     sub, entity_map = dolfinx.mesh.create_submesh(mesh, dim, entities)[:2]
     if hasattr(entity_map, "sub_topology_to_topology"):
@@ -152,7 +180,10 @@ def create_submesh(mesh: Mesh, dim: int, entities: IntArray) -> tuple[Mesh, Enti
 
 
 def belongs_to(bc: fem.DirichletBC, V: fem.FunctionSpace) -> bool:
-    """Whether a Dirichlet condition constrains degrees of freedom of this space or of one of its components."""
+    """Return whether a Dirichlet condition constrains degrees of freedom of the function space V.
+
+    Those of a component of V count, too.
+    """
     space = bc.function_space  # a C++ object in DOLFINx 0.9
     return bool(V._cpp_object.contains(getattr(space, "_cpp_object", space)))
 
@@ -160,13 +191,19 @@ def belongs_to(bc: fem.DirichletBC, V: fem.FunctionSpace) -> bool:
 # ---------------------------------------------------------------- reference cycles, which keep meshes alive until
 # Python's garbage collector runs: long runs would exceed MPI's limit of communicators
 def interpolate(f: fem.Function, values: object) -> None:
-    """Interpolate a function of points, an Expression or a Function into f, without leaving f in a reference cycle."""
+    """Interpolate `values` (a function of points, an Expression or a Function) into f.
+
+    Unlike `f.interpolate`, this leaves no reference cycle that keeps f alive.
+    """
     fem.Function.interpolate(proxy(f), values)
 
 
 @contextmanager
 def without_cycles() -> Iterator[None]:
-    """Context at whose end objects in reference cycles, in which UFL's visitors leave functions, are freed."""
+    """Context manager that at its end frees recent objects which are unused but refer to each other.
+
+    UFL's algorithms leave such cycles, which would keep functions and their meshes alive.
+    """
     try:
         yield
     finally:

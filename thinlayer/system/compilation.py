@@ -1,10 +1,10 @@
 """Cache of compiled forms and C sources, which stays intact if compilations are killed or run at the same time.
 
-FFCx compiles in this folder and uses a form's C file as a lock. If the process is killed, the lock stays, and every
-process that needs the form waits in vain. Here each compilation has its own folder. Its files are moved to the common
-folder when all are complete and on the disk, so that no file there is incomplete. Other processes that need the same
-form wait for a lock that the operating system frees when its process ends. FFCx is changed for the whole process: this
-also applies to forms that a script compiles itself.
+FFCx itself compiles in the folder of the cache, where the C file of a form also serves as a lock. If the process is
+killed, the C file stays, and every process that needs the form waits in vain. Here each compilation has its own folder.
+Its files are moved to the cache when all are complete and on the disk, so that the cache has no incomplete file. Other
+processes that need the same form wait for a lock that the operating system frees when its process ends. Importing this
+module changes FFCx for the whole process, also for forms that a user's script compiles.
 """
 
 from __future__ import annotations
@@ -52,10 +52,14 @@ class SourceError(ThinlayerError, RuntimeError):
 
 
 def acquire(folder: Path, name: str) -> None:
-    """Lock the library of this name for this process, after waiting for another process that compiles it.
+    """Lock a compiled library of the cache for this process; first wait while another process has it locked.
+
+    Args:
+        folder: folder of the cache, which is made if necessary.
+        name: name of the library.
 
     Raises:
-        InputError: the folder cannot be made, or written.
+        InputError: the folder cannot be made, or no files can be written there.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -67,13 +71,19 @@ def acquire(folder: Path, name: str) -> None:
 
 
 def release(folder: Path, name: str) -> None:
-    """Free the lock on the library of this name, so that other processes may compile it."""
+    """Free this process's lock on the library `name` in the cache `folder`, so that other processes may compile it."""
     if folder in _LOCK_FILES:
         _lock(folder, name, fcntl.LOCK_UN)
 
 
 def _lock(folder: Path, name: str, how: int) -> None:
-    """Lock or free a library, by a byte of the folder's lock file; `how` is `fcntl.LOCK_EX` or `fcntl.LOCK_UN`."""
+    """Lock or free a library of the cache, by a lock on one byte of the folder's lock file.
+
+    Args:
+        folder: folder of the cache.
+        name: name of the library, from which the number of the byte follows.
+        how: `fcntl.LOCK_EX` to lock, `fcntl.LOCK_UN` to free.
+    """
     byte = int(hashlib.sha256(name.encode()).hexdigest()[:15], 16)
     with suppress(OSError):  # a file system without locks: a library may be compiled twice, and the last one is kept
         if folder not in _LOCK_FILES:
@@ -83,7 +93,14 @@ def _lock(folder: Path, name: str, how: int) -> None:
 
 @contextmanager
 def workshop(folder: Path, name: str) -> Iterator[Path]:
-    """Context with an empty folder in which to compile a locked library; old ones of killed processes are deleted."""
+    """Context manager of a new, empty folder in which to compile a library, which is locked; removed at the end.
+
+    Such folders that killed processes have left for the same library are removed, too.
+
+    Args:
+        folder: folder of the cache, in which the new one is made.
+        name: name of the library.
+    """
     prefix = f".{name}.{os.getpid()}-"
     for old in folder.glob(f".{name}.*"):
         if not old.name.startswith(prefix):
@@ -93,14 +110,14 @@ def workshop(folder: Path, name: str) -> Iterator[Path]:
 
 
 def keep_file(made: Path, file: Path) -> None:
-    """Flush the file `made` to the disk and move it to its final path `file`."""
+    """Move the file `made` to the path `file`, after all of its data are on the disk."""
     with made.open("rb") as written:
         os.fsync(written.fileno())
     made.replace(file)
 
 
 def load_library(library: Path) -> ModuleType:
-    """Load a compiled library as a module.
+    """Load the compiled library in the file `library` as a Python module.
 
     Raises:
         ImportError: the file is not such a library.
@@ -112,14 +129,22 @@ def load_library(library: Path) -> ModuleType:
 
 
 def _mend_ffcx() -> None:
-    """Replace FFCx's functions that find and compile a form by ones with a lock and a folder for each compilation."""
+    """Replace FFCx's functions that look for a compiled form and that compile one.
+
+    The new functions use locks of the operating system, and a folder of its own for each compilation.
+    """
     find, build = ffcx_jit.get_cached_module, ffcx_jit._compile_objects
     parameters = inspect.signature(build)
 
     def read_cache(module_name: str, object_names: list[str], folder: Path) -> FormModule:
-        """Return the objects and the module of a compiled form; (None, None) if files are missing or broken.
+        """Return the objects and the module of a compiled form in the cache; (None, None) if files are missing or broken.
 
         FFCx itself would list the whole folder for each form, which takes long with thousands of files.
+
+        Args:
+            module_name: name of the form's library.
+            object_names: names of the objects in the library.
+            folder: folder of the cache.
         """
         source, ready = (folder / f"{module_name}{end}" for end in (".c", ".c.cached"))
         for library in (folder / f"{module_name}{end}" for end in EXTENSION_SUFFIXES):
@@ -164,7 +189,10 @@ _mend_ffcx()
 
 
 def load_options() -> None:
-    """Let FFCx and DOLFINx's compiler read their options now, without option files in the working folder."""
+    """Make FFCx and DOLFINx's compiler read their options now, so that option files in the working folder have no effect.
+
+    Both keep the options that they read first.
+    """
     with tempfile.TemporaryDirectory() as empty, chdir(empty):
         ffcx.get_options()
         dolfinx.jit.get_options()
@@ -172,13 +200,14 @@ def load_options() -> None:
 
 # ---------------------------------------------------------------- C sources
 def library(source: Path, comm: MPI.Intracomm = MPI.COMM_SELF) -> ModuleType:
-    """Compile a C source and return its module, or load the module if it is in the cache. Collective over `comm`.
+    """Return the Python module of a C source: compile the source, unless the cache has its library. Collective.
 
-    The attribute `lib` of the module has all non-static functions that return int or double.
+    The attribute `lib` of the module has all functions of the source that are not static and return int or double.
 
     Args:
-        source: the C file.
-        comm: communicator whose rank 0 compiles; by default each process does it by itself.
+        source: path of the C file.
+        comm: communicator of the ranks that call this; its rank 0 compiles. By default each process compiles for
+            itself.
 
     Raises:
         SourceError: the source cannot be read or compiled; on all ranks.
@@ -200,19 +229,30 @@ _loaded = functools.cache(load_library)
 
 
 def pointers(library: ModuleType, *arrays: np.ndarray) -> list[object]:
-    """Return C pointers to arrays, or to contiguous copies of others; arrays that C writes to must be contiguous."""
+    """Return C pointers to the data of arrays, for calls of functions of a compiled library.
+
+    An array that is not contiguous is copied first, so that C cannot write to it: arrays for results must be
+    contiguous.
+
+    Args:
+        library: module of the library.
+        *arrays: arrays of int32, intp, bool or float64.
+    """
     return [library.ffi.from_buffer(C_ARRAY_TYPES[a.dtype.char], a) for a in map(np.ascontiguousarray, arrays)]
 
 
 def _file_of(source: Path) -> Path:
-    """Path in the cache of the library of a C source; its name has a hash of the source and the files it includes."""
+    """Return the path at which the cache has, or would have, the compiled library of the C file `source`.
+
+    The name of the library contains a hash of the source and of the files that it includes.
+    """
     folder = Path(dolfinx.jit.get_options()["cache_dir"]).expanduser()
     name = hashlib.sha256(source_content(source) + cffi.__version__.encode()).hexdigest()[:16]
     return folder / f"thinlayer_{source.stem}_{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
 
 
 def _build(source: Path, file: Path) -> None:
-    """Compile a C source to the library `file`, unless it exists."""
+    """Compile the C file `source` to the library `file` in the cache; do nothing if `file` exists."""
     if file.exists():
         return
     name = file.name.split(".")[0]

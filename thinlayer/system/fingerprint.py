@@ -1,7 +1,7 @@
 """Descriptions of the data and functions that a run depends on, as nested JSON data that two runs can compare.
 
-A run may continue an earlier run only if both descriptions are equal: the same numbers, and unchanged files of the
-user's functions. Otherwise the differences are named.
+A run may continue an earlier run only if both have the same description: the same numbers, and unchanged files of the
+user's functions. Otherwise an error names the differences.
 """
 
 from __future__ import annotations
@@ -53,25 +53,31 @@ INCLUDED_FILE = re.compile(rb'^[ \t]*#[^"<\n]*["<]([^">\n]+)[">]', re.MULTILINE)
 
 
 def describe(value: object) -> object:
-    """Return a description of a value in JSON, which is the same in every process if the value is the same.
+    """Return a description of a value as nested JSON data; equal values have the same description in every process.
 
-    Numbers, texts, arrays and containers are described by their entries, whatever the order of a dict. Dataclasses and
-    other objects are described by the data that a copy needs. Users' functions are described by their bytecode, the
-    hash of their file, and the values that they read: closure variables, defaults, attributes and globals. Users'
-    classes are described by their functions and files, users' modules by their files. Functions, classes and modules of
-    libraries are described by their names. Any other object, such as an open file or a function on a mesh, differs from
-    all objects of another process. The description leaves out files that a run reads, modules that a function itself
-    imports, `sys.argv` and `os.environ`.
+    - Numbers, texts, arrays and containers are described by their entries, whatever the order of a dict.
+    - Dataclasses are described by their fields, other objects by the data that `copy` would make a copy from.
+    - Users' functions are described by their bytecode, the hash of their file, and the values that they read. These are
+      closure variables, defaults, attributes and globals.
+    - Users' classes are described by their functions and files, users' modules by their files.
+    - Functions, classes and modules of libraries are described by their names.
+    - Any other object, such as an open file or a function on a mesh, has a description that no object of another
+      process has.
+
+    The description does not cover files that a run reads, modules that a function itself imports, `sys.argv` and
+    `os.environ`.
     """
     return _Describer().of(value)
 
 
 def code_of(description: object, *, is_code: bool = True) -> object:
-    """Return the part of a description that is fixed while functions run: their code, and numbers they refer to.
+    """Return the part of a description that stays the same while functions run: their code, and constants in them.
+
+    Numbers and texts in lists or objects are left out, since functions may collect values there.
 
     Args:
-        description: a description, or a part of it.
-        is_code: whether this part describes a function; numbers and texts in other parts are left out.
+        description: what `describe` returns, or a part of it.
+        is_code: whether numbers and texts in this part are kept, as it belongs directly to a function.
     """
     if isinstance(description, dict):
         parts = {key: code_of(value, is_code=CODE_KEY in description) for key, value in description.items()}
@@ -82,11 +88,12 @@ def code_of(description: object, *, is_code: bool = True) -> object:
 
 
 def random_states(value: object, *, shared: bool = False) -> list[object]:
-    """Return the states of all random number generators and iterators that a value, such as a function, refers to.
+    """Return the states of all random number generators and iterators to which a value refers.
 
     Args:
-        value: the value.
-        shared: whether to add the global states of `random` and `numpy.random`, unless code of the value seeds them.
+        value: the value, such as a function.
+        shared: whether to append the states of Python's and NumPy's global generators. They are left out if a function
+            of the value uses the name "seed".
     """
     describer = _Describer()
     describer.of(value)
@@ -96,11 +103,13 @@ def random_states(value: object, *, shared: bool = False) -> list[object]:
 
 
 def differences(value: object, other: object, path: tuple[str, ...] = ()) -> Iterator[Difference]:
-    """Yield each difference of two descriptions: the keys that lead to it, and both values.
+    """Yield the differences between two descriptions: for each, the keys that lead to it, and the two values there.
+
+    Where only one description has a value, the other value is `MISSING_VALUE`.
 
     Args:
-        value, other: the descriptions.
-        path: keys that lead to them.
+        value, other: the descriptions, or parts of them.
+        path: keys that lead from the whole descriptions to these parts.
     """
     if isinstance(value, list) and isinstance(other, list):
         value, other = ({f"{k}": entry for k, entry in enumerate(values)} for values in (value, other))
@@ -112,7 +121,13 @@ def differences(value: object, other: object, path: tuple[str, ...] = ()) -> Ite
 
 
 def differences_text(changes: list[Difference]) -> str:
-    """Text of at most four differences between an earlier run and this one, with each pair of values once."""
+    """Return a text that names at most four differences between the descriptions of an earlier run and of this one.
+
+    Differences with the same two values are named once.
+
+    Args:
+        changes: the differences: keys that lead to each, and both values, that of the earlier run first.
+    """
     pairs = {(_short(value), _short(other)): ".".join(path) for path, value, other in reversed(changes)}
     words = [f"{path}: {value} there, {other} here" for (value, other), path in reversed(pairs.items())]
     return "; ".join(words[:MAX_CHANGES]) + f"; and {len(words) - MAX_CHANGES} more" * (len(words) > MAX_CHANGES)
@@ -124,23 +139,23 @@ def _short(value: object) -> str:
 
 
 def require_resume(resume: object) -> None:
-    """Raise InputError unless `resume` is True, False or "anyway"."""
+    """Check that `resume` is True, False or "anyway"; raise InputError otherwise."""
     allowed = isinstance(resume, bool) or (isinstance(resume, str) and resume == "anyway")
     require(allowed, "resume", resume, "allowed: True, False, and 'anyway' for a run that may be another one")
 
 
 def digest(value: object) -> str:
-    """Hash with twelve hexadecimal digits of a JSON value or of bytes."""
+    """Return a hash of a JSON value or of bytes, as a text of twelve hexadecimal digits."""
     text = value if isinstance(value, bytes) else json.dumps(value, sort_keys=True).encode()
     return hashlib.sha256(text).hexdigest()[:12]
 
 
 class _Describer:
-    """Makes the description of one value (`describe`).
+    """Worker behind `describe`, which describes one value and all values within it.
 
     Attributes:
         random: states of the random number generators and iterators found so far.
-        names: names of globals and attributes in the code of functions found so far.
+        names: names of globals and attributes that occur in the code of functions found so far.
     """
 
     def __init__(self) -> None:
@@ -150,11 +165,13 @@ class _Describer:
         self._places: dict[int, tuple[str, object]] = {}
 
     def of(self, value: object, at: str = "") -> object:
-        """Describe a value; an object that occurs again is described by the place where it occurred first.
+        """Return the description of a value.
+
+        If the same object occurs again, its description is only a reference to the place where it occurred first.
 
         Args:
             value: the value.
-            at: its place in the whole, keys joined by dots.
+            at: place of the value in the whole: names of attributes and entries that lead to it, joined by dots.
         """
         plain = None if _is_user_module(type(value).__module__) else _plain(value)
         if plain is not None or value is None:
@@ -210,7 +227,14 @@ class _Describer:
         return {name: self.of(item, f"{at}.{name}") for name, item in sorted(texts.items(), key=lambda entry: entry[0])}
 
     def _copied(self, value: object, at: str) -> object:
-        """Describe an object by the data from which a copy of it is made."""
+        """Return the description of an object, from the data that `copy` would make a copy from.
+
+        An object that cannot be copied gets a description that belongs to this process alone.
+
+        Args:
+            value: the object.
+            at: place of the object in the whole: names that lead to it, joined by dots.
+        """
         kind, top = type(value), type(value).__module__.partition(".")[0]
         if isinstance(value, ufl.core.expr.Expr) and not extract_domains(value):
             return f"{_name(kind)}, {compute_expression_signature(value, {})[:12]}"
@@ -245,7 +269,10 @@ class _Describer:
 
 
 def _number(value: object) -> int:
-    """Number of an object, unique in this process; objects that allow weak references are not kept alive."""
+    """Return a number for an object, which no other object of this process gets.
+
+    If the object allows weak references, this does not keep it alive.
+    """
     entry = _OBJECT_NUMBERS.get(id(value))
     if entry is None or entry[0]() is not value:
         reference = weakref.ref(value) if type(value).__weakrefoffset__ else lambda: value
@@ -254,7 +281,8 @@ def _number(value: object) -> int:
 
 
 def _members(kind: type) -> dict[str, object]:
-    """Name -> what identifies a user's class: its functions, its file, and the content of its C source, if any."""
+    """Return what identifies the user's class `kind`: name -> method, and entries for its file and its C source, if any.
+    """
     functions = {name: _function_of(value) for name, value in vars(kind).items()}
     made = {name for name, f in functions.items() if f and name[:2] == "__" and f.__code__.co_filename == "<string>"}
     # without those that `dataclass` makes
@@ -266,14 +294,17 @@ def _members(kind: type) -> dict[str, object]:
 
 
 def _file_of(name: str | None) -> dict[str, str]:
-    """Return {FILE_KEY: name and hash} of a user's Python file; {} for files of libraries and missing files."""
+    """Return {FILE_KEY: text} with the name and hash of a user's Python file, whose path is `name`.
+
+    For a file of a library, a missing file or None it is {}.
+    """
     if name is None or not Path(name).is_file() or not _is_user_file(name):
         return {}
     return {FILE_KEY: f"{Path(name).name} {digest(Path(name).read_bytes())}"}
 
 
 def _function_of(value: object) -> types.FunctionType | None:
-    """Return the Python function that a value is or wraps (property, cached function); None for other values."""
+    """Return the Python function that `value` is, or that it wraps as a property or cached function; else None."""
     while not isinstance(value, types.FunctionType):
         ready = type(value).__module__.partition(".")[0] in ("builtins", "functools")
         if not ready or value is None or isinstance(value, (type, types.MethodType, functools.partial)):
@@ -284,19 +315,26 @@ def _function_of(value: object) -> types.FunctionType | None:
 
 
 def _codes(code: types.CodeType) -> list[types.CodeType]:
-    """List of a code object and of the code objects of all functions defined within it."""
+    """Return a list of the code object `code` and of the code objects of all functions defined within it."""
     return [code, *(inner for part in code.co_consts if isinstance(part, types.CodeType) for inner in _codes(part))]
 
 
 def _bytecode(code: object) -> object:
-    """Bytecode of a code object as JSON, without file names and line numbers; of a constant its `repr`."""
+    """Return the bytecode, names and constants of a code object as JSON data, without file names and line numbers.
+
+    A constant (no code object) gives its `repr`.
+    """
     if isinstance(code, types.CodeType):
         return [code.co_code.hex(), [*code.co_names], [_bytecode(constant) for constant in code.co_consts]]
     return repr(sorted(code, key=repr) if isinstance(code, frozenset) else code)
 
 
 def _is_user_module(module: str) -> bool:
-    """Whether a module, by its name, is the user's: neither of Python, nor installed, nor of this package."""
+    """Return whether a module is the user's own: not of Python, not an installed package, not of this package.
+
+    Args:
+        module: name of the module.
+    """
     top = module.partition(".")[0]
     if module == "__main__" or top in sys.stdlib_module_names:
         return module == "__main__"
@@ -312,7 +350,7 @@ def _is_user_file(file: str) -> bool:
 
 
 def _plain(value: object) -> bool | float | str | None:
-    """JSON value of a number or a text, or the hash of bytes; None for any other type."""
+    """Return the JSON value of a number or a text; for bytes a text with their hash; for any other type None."""
     if isinstance(value, (str, bool)):
         return value if isinstance(value, bool) else str(value)
     if isinstance(value, Integral) and abs(int(value)) > 1 / sys.float_info.epsilon:
@@ -328,12 +366,16 @@ def _name(kind: type | types.FunctionType) -> str:
 
 # ---------------------------------------------------------------- C sources
 def source_content(source: Path) -> bytes:
-    """Return the content of a C source and of the files that it includes by relative names, also indirectly.
+    """Return the content of a C source, followed by that of all files that it includes directly or indirectly.
 
-    Nothing is preprocessed: a file counts even if a condition excludes it.
+    Only files with paths relative to the source are found. Nothing is preprocessed: a file counts even if a condition
+    excludes it. An included file that cannot be read is skipped; the compiler will report it.
+
+    Args:
+        source: path of the C file.
 
     Raises:
-        OSError: the source cannot be read. The compiler reports included files that cannot be read.
+        OSError: the source itself cannot be read.
     """
     contents, todo = {source: source.read_bytes()}, [source]
     while todo:

@@ -27,7 +27,10 @@ NO_LOCK_ERRORS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EINVAL)  # er
 # ---------------------------------------------------------------- whole files
 @contextmanager
 def replace_file(path: Path) -> Iterator[BinaryIO]:
-    """Context that yields a new file, which replaces `path` when it is complete; after an error `path` is unchanged."""
+    """Context manager that yields a new binary file; at its end the file takes the place of `path`.
+
+    If an error occurs in the `with` statement, the file at `path` stays as it was.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f"{path.name}.part")
     try:
@@ -45,21 +48,21 @@ def replace_file(path: Path) -> Iterator[BinaryIO]:
 
 
 def hash_of(path: Path) -> str | None:
-    """SHA-256 hash of the content of a file; None if the file does not exist."""
+    """Return the SHA-256 hash of the content of the file `path`, as a text; None if the file does not exist."""
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.exists() else None
 
 
 def write_sealed(path: Path, content: Mapping[str, object]) -> None:
-    """Write data to a JSON file together with their hash, by which `read_sealed` detects damage."""
+    """Write the data `content` to the JSON file `path`, with a hash of them by which `read_sealed` detects damage."""
     with replace_file(path) as file:
         file.write(json.dumps({**content, "hash": _seal(content)}).encode())
 
 
 def read_sealed(path: Path) -> dict[str, Any]:
-    """Read data from a JSON file with their hash, as `write_sealed` writes them.
+    """Return the data in a JSON file that `write_sealed` has written, without their hash.
 
     Raises:
-        InputError: the file cannot be read, or its hash is wrong.
+        InputError: the file cannot be read, or its hash is not that of its data.
     """
     try:
         content = dict(json.loads(path.read_text(encoding="utf-8")))
@@ -77,10 +80,10 @@ def _seal(content: Mapping[str, object]) -> str:
 # ---------------------------------------------------------------- locks
 @contextmanager
 def own_folder(folder: Path | None, comm: MPI.Intracomm | None = None, name: str = LOCK_FILE) -> Iterator[None]:
-    """Context that locks a folder, so that no other run writes into it. Collective.
+    """Context manager that locks a folder, so that no other run writes into it. Collective.
 
-    The folder is made if necessary, and removed again if it is empty at the end. The lock is the operating system's:
-    it ends with the process that holds it, even if this is killed.
+    The folder is made if necessary, and removed at the end if it is empty. The operating system frees the lock when the
+    process that holds it ends, even if the process is killed.
 
     Args:
         folder: the folder; None: nothing is locked.
@@ -88,7 +91,7 @@ def own_folder(folder: Path | None, comm: MPI.Intracomm | None = None, name: str
         name: name of the lock file; runs that write different files of the folder use different names.
 
     Raises:
-        InputError: another run is at work there, or no files can be written.
+        InputError: another run has locked the folder, or no files can be written there.
     """
     with ExitStack() as stack:
         if folder is not None:
@@ -98,14 +101,14 @@ def own_folder(folder: Path | None, comm: MPI.Intracomm | None = None, name: str
 
 @contextmanager
 def lock_folder(folder: Path, name: str = LOCK_FILE, *, wait: bool = False) -> Iterator[None]:
-    """Context that locks a folder on this rank, so that no other run writes into it.
+    """Context manager that locks a folder, so that no other run writes into it. Only this rank takes part.
 
-    The folder is made if necessary, and removed again if it is empty at the end.
+    The folder is made if necessary, and removed at the end if it is empty.
 
     Args:
         folder: the folder.
         name: name of the lock file in it.
-        wait: whether to wait for another run that has locked the folder.
+        wait: whether to wait until another run that has locked the folder frees it.
 
     Raises:
         InputError: another run has locked the folder, and `wait` is False; or no files can be written there.
@@ -131,10 +134,16 @@ def lock_folder(folder: Path, name: str = LOCK_FILE, *, wait: bool = False) -> I
 
 
 def _lock(path: Path, wait: bool) -> int:
-    """Open and lock a file, write into it which process has the lock, and return its descriptor.
+    """Open and lock a file, made if necessary, and return its descriptor.
 
-    If another run has removed the file meanwhile, it is made again. With `wait` the lock of another run is waited for;
-    without, it raises an InputError.
+    The number of this process and the name of its computer are written into the file.
+
+    Args:
+        path: path of the file.
+        wait: whether to wait until another run that has locked the file frees it.
+
+    Raises:
+        InputError: another run has locked the file, and `wait` is False.
     """
     while True:
         with ExitStack() as stack:
@@ -158,10 +167,14 @@ def _lock(path: Path, wait: bool) -> int:
 
 # ---------------------------------------------------------------- earlier runs
 def move_away(folder: Path, names: Iterable[str]) -> Path | None:
-    """Move those of the named files in a folder that exist into a new folder previous-1, previous-2, ... in it.
+    """Move files of a folder into a new subfolder previous-1, or previous-2 if that exists, and so on.
+
+    Args:
+        folder: the folder.
+        names: names of the files; those that do not exist are skipped.
 
     Returns:
-        The new folder; None if none of the files exists.
+        The subfolder; None if none of the files exists.
     """
     there = [folder / name for name in names if (folder / name).exists()]
     if not there:
@@ -175,7 +188,10 @@ def move_away(folder: Path, names: Iterable[str]) -> Path | None:
 
 
 def move_back(previous: Path) -> None:
-    """Move the files in a folder previous-N back to its parent folder, and remove the empty folder."""
+    """Move all files of the subfolder `previous`, which `move_away` has made, back to its parent.
+
+    The subfolder, then empty, is removed.
+    """
     for path in [*previous.iterdir()]:
         path.rename(previous.parent / path.name)
     previous.rmdir()

@@ -1,10 +1,10 @@
 """Reports of the progress of long work on standard error, and messages through Python's `logging`, by one rank.
 
-A report names the work, its present piece, the time spent and the time left. On a terminal it is one changing line,
-shown after 5 s and removed at the end. Elsewhere it is a line a minute, and a line for each compilation of more than
-5 s. Work within other work shares one line with it. `logging.getLogger("thinlayer").setLevel("ERROR")` turns reports
-off. Messages are shown if the user asks for them: `logging.basicConfig(level="INFO")`, or `--verbose` on the command
-line.
+A report names the work and the part of it now being done, the time spent and the time left. On a terminal it is one
+changing line, shown after 5 s and removed at the end. Elsewhere it is a line a minute, and a line for each compilation
+of more than 5 s. Work within other work is reported on the same line.
+`logging.getLogger("thinlayer").setLevel("ERROR")` turns reports off. Messages are shown if the user asks for them:
+`logging.basicConfig(level="INFO")`, or `--verbose` on the command line.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ def logger(part: str, comm: MPI.Intracomm | None = None) -> logging.Logger:
     """Return the logger "thinlayer.PART" on rank 0 of a communicator, and a silent logger on other ranks.
 
     Args:
-        part: what messages are about: "solve" (what a solve tries), "march" (steps in time), "study" (what a study has
-            done).
+        part: PART of this name: "solve" for messages on what a solve tries, "march" on steps in time, "study" on what a
+            study has done.
         comm: communicator of the model; None: all ranks, in an `ensemble` those of the group.
     """
     return _SILENT_LOGGER if (comm or default_comm()).rank else logging.getLogger(f"thinlayer.{part}")
@@ -43,13 +43,13 @@ def logger(part: str, comm: MPI.Intracomm | None = None) -> logging.Logger:
 
 @dataclass(eq=False)
 class _Task:
-    """Work in progress.
+    """Work whose progress is reported, in pieces done one after the other.
 
     Attributes:
         what: name of the work.
-        share: fraction of the work that is done.
-        piece: fraction of the work that its present piece makes up.
-        now: text on the present piece.
+        share: finished fraction of the work, 0 to 1.
+        piece: fraction of the work, 0 to 1, that is done in the piece that now runs.
+        now: text that names this piece.
     """
 
     what: str
@@ -59,7 +59,7 @@ class _Task:
 
 
 class ProgressReporter:
-    """Prints the progress of work that may contain other work.
+    """Prints the progress of work, and of other work that is done within it.
 
     Args:
         stream: function that returns the file to write to.
@@ -74,10 +74,11 @@ class ProgressReporter:
 
     @contextmanager
     def report(self, what: str) -> Iterator[Callable[..., None]]:
-        """Context of some work, which yields a function to report its progress; also a decorator.
+        """Context manager of long work, which yields a function that reports its progress; also a decorator.
 
-        The function has the arguments `share`, fraction of the work that is done, and `now`, text on its present piece.
-        Further ones are `piece`, fraction of the work in this piece, and `at_once`, whether to print in any case.
+        The yielded function has four arguments. `share` is the finished fraction of the work (0 to 1). `now` is a text
+        that names the piece of work that now runs, and `piece` is the fraction of the work in it. `at_once` says
+        whether to print even if the last line was printed a short time ago.
 
         Args:
             what: name of the work.
@@ -104,7 +105,13 @@ class ProgressReporter:
 
     @contextmanager
     def report_call(self, what: str) -> Iterator[None]:
-        """Context of one call without intermediate progress; if it takes over 5 s, it is reported, on any output."""
+        """Context manager of one long call, whose progress is not known, such as a compilation.
+
+        If the call takes more than 5 s, a line names it, also where standard error is not a terminal.
+
+        Args:
+            what: name of the work.
+        """
         with self.report(what) as set_share:
             timer = threading.Timer(FIRST_REPORT_SECONDS[True], set_share, (0.0,), {"at_once": True})
             timer.daemon = True
@@ -115,12 +122,12 @@ class ProgressReporter:
                 timer.cancel()
 
     def track(self, items: Sequence[ResultType], what: str, label: str = "{}") -> Iterator[ResultType]:
-        """Yield items one after the other and report how many are done.
+        """Yield items one after the other, and report how many of them are done.
 
         Args:
             items: the items.
             what: name of the work.
-            label: format string whose only argument is the present item.
+            label: format string that makes, of the item that was yielded last, a text for the report.
         """
         with self.report(what) as set_share:
             for k, item in enumerate(items):

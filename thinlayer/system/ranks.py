@@ -1,7 +1,7 @@
-"""MPI ranks: collective checks of data and errors, messages between ranks, and abort if one rank alone has an error.
+"""MPI ranks: collective checks of data and errors, messages between ranks, and an abort if one rank alone fails.
 
-This module imports neither DOLFINx nor PETSc. It must be imported before them, so that all ranks end if an error occurs
-on one rank while they start.
+This module imports neither DOLFINx nor PETSc. It must be imported before them, so that all ranks end if one of them
+fails while DOLFINx and PETSc start.
 """
 
 from __future__ import annotations
@@ -47,17 +47,17 @@ _NESTED_BLOCKS: Counter[int] = Counter()  # communicator -> number of nested blo
 # ---------------------------------------------------------------- agreement
 @contextmanager
 def errors_on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
-    """Context at whose end an error that occurred on one rank is raised on all ranks. Collective.
+    """Context manager at whose end an error that occurred on one rank is raised on all ranks. Collective.
 
-    The code in the block may be the user's and may make collective calls. If an error keeps a rank from a call in which
-    the others wait, they never reach the end of the block. The rank then waits for 60 s, or for the time it has been in
-    the block if that is longer, and ends all ranks.
+    The statements in the `with` block may be the user's and may make collective calls. If an error keeps one rank from
+    such a call, the other ranks wait in it and never reach the end of the block. The rank with the error therefore
+    waits for them, and then ends all ranks. It waits as long as it has spent in the block, and at least 60 s.
 
     Args:
         comm: communicator of the ranks; None: all ranks, in an `ensemble` those of the group.
 
     Raises:
-        InputError: an error occurred on some ranks; it names the first of these. If all ranks have an error, each
+        InputError: some ranks have an error; the message names the first of them. If all ranks have an error, each
             raises its own.
     """
     comm = comm or default_comm()
@@ -82,15 +82,16 @@ def errors_on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
 
 
 def _error_texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, patience: float) -> list[str | None]:
-    """Return the text of each rank's error (None: no error) when all ranks have reached the end of the same block.
+    """Wait until all ranks are at the end of the same `errors_on_all` block; return each rank's error as a text.
 
-    Ranks in an inner block receive the errors there, and then reach this block with errors of their own.
+    The text is None for a rank without an error. Ranks that are still in a block nested within this one receive the
+    errors there. They then leave it with an error, and so reach the end of this block.
 
     Args:
         comm: communicator of the ranks.
         depth: number of nested blocks that this rank is in.
         problem: error of this rank; None: no error.
-        patience: time that this rank waits for the others if it has an error, s. After it all ranks are ended.
+        patience: longest time, s, for which this rank waits if it has an error. After it all ranks are ended.
     """
     kind = "" if isinstance(problem, ValueError) else f"{type(problem).__name__}: "
     text = None if problem is None else f"{kind}{problem}"
@@ -110,15 +111,18 @@ def _error_texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, pat
 
 
 def require_same(comm: MPI.Intracomm | None, **data: object) -> str:
-    """Raise InputError on all ranks unless all have the same data; return the data's hash. Collective.
+    """Check that all ranks have the same data, and return a hash of the data. Collective.
 
-    Without other ranks nothing is compared, and the hash is "".
+    On a single rank nothing is compared, and the hash is "".
 
     Args:
         comm: communicator of the ranks; None: all ranks, in an `ensemble` those of the group.
-        data: name for messages -> value of any type, with the same names on all ranks. Values are compared by their
+        data: name for errors -> value of any type, with the same names on all ranks. Values are compared by their
             descriptions (`thinlayer.system.fingerprint.describe`). Objects that belong to one process, such as a
             function on a mesh, are compared by class.
+
+    Raises:
+        InputError: the data differ; on all ranks.
     """
     comm = comm or default_comm()
     if comm.size == 1:
@@ -139,18 +143,18 @@ def require_same(comm: MPI.Intracomm | None, **data: object) -> str:
 
 
 def _raised_on_all(error: Exception) -> Exception:
-    """Mark an error as raised on all ranks, and return it."""
+    """Return `error`, marked by an attribute as one that all ranks raise."""
     error.on_all_ranks = True  # type: ignore[attr-defined]
     return error
 
 
 # ---------------------------------------------------------------- messages
 def communicator(mesh: Mesh) -> MPI.Intracomm:
-    """Return a communicator of the ranks of a mesh that outlives the mesh. Collective.
+    """Return a communicator with the ranks of `mesh`, which can still be used when the mesh is gone. Collective.
 
-    It is COMM_SELF, COMM_WORLD, or a duplicate of the mesh's communicator that is kept for later calls.
+    It is COMM_SELF, COMM_WORLD, or a duplicate of the mesh's communicator. The duplicate is kept for later calls.
 
-    The mesh's own communicator cannot be used. If it ever served a pickled collective call, mpi4py 4.0 waits for itself
+    Do not use the mesh's own communicator. If it ever served a pickled collective call, mpi4py 4.0 waits for itself
     when Python's garbage collector frees the mesh during another such call.
     """
     for comm in (MPI.COMM_SELF, MPI.COMM_WORLD, *_COPIED_COMMS):
@@ -161,12 +165,14 @@ def communicator(mesh: Mesh) -> MPI.Intracomm:
 
 
 def collect(comm: MPI.Intracomm, used: FunctionSpace | None = None) -> None:
-    """Free PETSc objects that Python no longer uses, which on several ranks needs this call. Collective.
+    """Free PETSc objects that Python no longer uses. Collective.
+
+    On several ranks, PETSc frees such objects only in a call that all ranks make together.
 
     Args:
         comm: communicator of the ranks.
-        used: function space whose communicator this and later calls clean, too. PETSc objects on it may outlive the
-            space. None: none is added.
+        used: function space, on whose own communicator PETSc objects have been made. This call and later ones free
+            these objects, too, the last time after the space is gone. None: no space is added.
     """
     from petsc4py import PETSc
 
@@ -184,32 +190,44 @@ def collect(comm: MPI.Intracomm, used: FunctionSpace | None = None) -> None:
 
 
 class Destroyable(Protocol):
-    """Type of PETSc objects, and of objects that own such objects, with a method `destroy`."""
+    """Any object with a method `destroy`: a PETSc object, or one that owns PETSc objects."""
 
     def destroy(self) -> object: ...  # noqa: D102
 
 
 def destroy(*things: Destroyable | None) -> None:
-    """Call `destroy` of PETSc objects and of objects that own such objects; None is skipped."""
+    """Call the method `destroy` of each of `things`, PETSc objects or owners of such; None is skipped."""
     for thing in things:
         if thing is not None:
             thing.destroy()
 
 
 def send(comm: MPI.Intracomm, rank: Array, rows: Array) -> Array:
-    """Send row k of this rank's `rows` to the rank `rank[k]`, and return the rows received, by source. Collective."""
+    """Send rows of an array to other ranks, and return the rows that this rank receives. Collective.
+
+    Args:
+        comm: communicator.
+        rank: (n,) number of the rank to which each row is sent.
+        rows: (n, ...) rows of this rank.
+
+    Returns:
+        (m, ...) the received rows, those from rank 0 first, then those from rank 1, and so on.
+    """
     return np.concatenate(comm.alltoall([rows[rank == r] for r in range(comm.size)]))
 
 
 def ask(comm: MPI.Intracomm, rank: Array, questions: Array, answer: Callable[[Array, Array], Array]) -> Array:
-    """Send row k of `questions` to the rank `rank[k]`, and return the answers in the same order. Collective.
+    """Send each row of numbers to a rank that answers it, and return the answers in the order of the rows. Collective.
 
     Args:
         comm: communicator.
-        rank: (n,) rank that answers each row.
+        rank: (n,) number of the rank that answers each row.
         questions: (n, ...) rows of numbers to send.
-        answer: function called once on each rank with all rows received and the rank each came from; it returns an
-            array with a row for each of them.
+        answer: function that is called once on each rank. Its arguments are all rows that the rank receives, and the
+            number of the rank from which each came. It returns an array with one row of answers for each.
+
+    Returns:
+        (n, ...) for each row of `questions` its row of answers.
     """
     order = [np.flatnonzero(rank == r) for r in range(comm.size)]
     received = comm.alltoall([questions[rows] for rows in order])
@@ -222,16 +240,18 @@ def ask(comm: MPI.Intracomm, rank: Array, questions: Array, answer: Callable[[Ar
 
 
 def carry_cell_values(comm: MPI.Intracomm, cells: Array, values: Callable[[Array], Array], wanted: Array) -> Array:
-    """Send values of cells, which all ranks number in the same way, to the ranks that need them. Collective.
+    """Send values of cells from the ranks that have them to the ranks that need them. Collective.
+
+    Cells have the numbers of the joint, which are the same on all ranks.
 
     Args:
         comm: communicator.
-        cells: (n,) numbers in the joint of the cells whose values this rank has.
-        values: function that returns the values (i, k) of cells, from their positions (i,) in `cells`.
-        wanted: (m,) numbers in the joint of the cells whose values this rank needs.
+        cells: (n,) numbers of the cells whose values this rank has.
+        values: function that takes positions (i,) in `cells`, and returns the values (i, k) of the cells there.
+        wanted: (m,) numbers of the cells whose values this rank needs.
 
     Returns:
-        (m, k) values; NaN for cells whose values no rank has.
+        (m, k) values of the cells in `wanted`; NaN for cells whose values no rank has.
     """
     highest = comm.allreduce(int(max(cells.max(initial=-1), wanted.max(initial=-1))), MPI.MAX) + 1
 
@@ -243,7 +263,15 @@ def carry_cell_values(comm: MPI.Intracomm, cells: Array, values: Callable[[Array
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
 
     def find_holders(questions: Array, _: Array) -> Array:
-        """Return the rank that has each cell's values and the cell's position there, (m, 2); -1: no rank has them."""
+        """Return which rank has the values of each cell, and at what position in its array `cells`.
+
+        Args:
+            questions: (m,) numbers of cells.
+            _: ranks that ask; not used.
+
+        Returns:
+            (m, 2) rank and position; -1 for cells whose values no rank has.
+        """
         out = np.full((len(questions), 2), -1)
         if len(rows):
             at = np.minimum(np.searchsorted(rows[:, 0], questions), len(rows) - 1)
@@ -260,13 +288,13 @@ def carry_cell_values(comm: MPI.Intracomm, cells: Array, values: Callable[[Array
 
 # ---------------------------------------------------------------- the end
 def abort(error: BaseException) -> None:
-    """Print an error with its traceback, and end the processes of all ranks."""
+    """Print `error` with its traceback, and end the processes of all ranks."""
     traceback.print_exception(error)
     _end(EXIT_STATUS)
 
 
 def is_done(request: MPI.Request, within: float) -> bool:
-    """Whether an MPI request completes within `within` seconds."""
+    """Wait for an MPI request, at most `within` seconds, and return whether it has completed."""
     end = time.monotonic() + within
     while not request.Test():
         if time.monotonic() > end:
@@ -282,7 +310,7 @@ def _end(status: int) -> None:
 
 
 def _end_before_petsc() -> None:
-    """Let `python3 -m mpi4py` abort all ranks as soon as a script ends with an error on one rank.
+    """Make `python3 -m mpi4py` abort all ranks as soon as a script ends with an error on only one of them.
 
     mpi4py itself aborts only after Python has freed the script's PETSc objects and PETSc has ended. Both are
     collective, so that the rank with the error would wait for the others.

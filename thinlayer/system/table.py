@@ -24,17 +24,17 @@ ColumnValues = Mapping[str, Any]  # column -> entry, or entries, as a user gives
 
 
 class ColumnError(InputError, KeyError):
-    """Error about a column that a table does not have, or that has texts where numbers are needed."""
+    """Error for a column that a table does not have, or that has texts where numbers are needed."""
 
 
 class Table:
-    """Rows of numbers and texts with the same columns.
+    """Rows of numbers and texts, all with the same columns.
 
-    All MPI ranks have the same table, and only rank 0 reads and writes files. A csv file has no types: entries that
-    `float` accepts are read back as numbers ("007" is 7), and empty ones as None.
+    All MPI ranks have the same table, and only rank 0 reads and writes files. A csv file has no types. When it is read,
+    entries that `float` accepts become numbers ("007" becomes 7), and empty entries become None.
 
     Attributes:
-        rows: the rows so far, name of a column -> number, text, or None for an empty entry.
+        rows: the rows so far; each is a dict, name of a column -> number, text, or None for an empty entry.
         path: csv file to which added rows are written at once; None: no file.
 
     Example:
@@ -56,16 +56,27 @@ class Table:
         self.extend(rows)
 
     def append(self, row: ColumnValues) -> None:
-        """Add a row, and write the table to its file, if it has one, before returning. Collective if it has a file.
+        """Add a row; if the table has a file, the row is on the disk when this returns. Collective if it has a file.
+
+        Args:
+            row: name of a column -> entry.
 
         Raises:
-            InputError: columns that differ from those of the first row, or a name of a column that is no text.
+            InputError: the row has other columns than the first row, or a name of a column is not a text.
             OSError: the file could not be written; on all ranks.
         """
         self.extend([row])
 
     def extend(self, rows: Iterable[ColumnValues]) -> None:
-        """Add several rows, and write the table once to its file, if it has one. Collective if it has a file."""
+        """Add several rows; if the table has a file, write it once, after the last row. Collective if it has a file.
+
+        Args:
+            rows: for each row, name of a column -> entry.
+
+        Raises:
+            InputError: a row has other columns than the first row, or a name of a column is not a text.
+            OSError: the file could not be written; on all ranks.
+        """
         before = len(self.rows)
         for row in rows:
             if self.rows and list(row) != self.columns:
@@ -77,10 +88,10 @@ class Table:
             self.write(self.path)
 
     def write(self, path: str | Path, comm: MPI.Intracomm | None = None) -> None:
-        """Write all rows to a csv file, which is replaced as a whole. Collective.
+        """Write all rows to a csv file, in place of what it had before. Collective.
 
         Args:
-            path: the file.
+            path: path of the file.
             comm: communicator whose rank 0 writes; None: all ranks, in an `ensemble` those of the group.
 
         Raises:
@@ -89,7 +100,7 @@ class Table:
         on_root(comm, lambda: self.put(Path(path)))
 
     def put(self, path: Path) -> None:
-        """Write all rows to a csv file on this rank, whichever it is."""
+        """Write all rows to the csv file `path`, on the one rank that calls this."""
         text = io.StringIO()
         writer = csv.writer(text)
         writer.writerow(self.columns)
@@ -99,13 +110,14 @@ class Table:
 
     @classmethod
     def of(cls, columns: ColumnValues) -> Table:
-        """Make a table from columns.
+        """Make a table from its columns.
 
         Args:
-            columns: name -> entries, as many for all columns, or one entry for all rows.
+            columns: name of a column -> its entries, of the same number in all columns; or one entry, repeated in all
+                rows.
 
         Raises:
-            InputError: columns of different lengths.
+            InputError: the columns have different numbers of entries.
         """
         entries = [np.atleast_1d(np.asarray(column, object)) for column in columns.values()]
         try:
@@ -117,15 +129,15 @@ class Table:
 
     @classmethod
     def load(cls, path: str | Path, comm: MPI.Intracomm | None = None) -> Table:
-        """Read a table back from its csv file. Collective.
+        """Return the table in a csv file. Collective.
 
         Args:
-            path: the file.
+            path: path of the file.
             comm: communicator whose rank 0 reads; None: all ranks, in an `ensemble` those of the group.
 
         Raises:
             FileNotFoundError: the file does not exist; on all ranks.
-            InputError: it cannot be read, or is not a table; on all ranks.
+            InputError: the file cannot be read, or does not contain a table; on all ranks.
         """
 
         def read() -> list[list[str]]:
@@ -147,27 +159,37 @@ class Table:
 
     @property
     def columns(self) -> list[str]:
-        """Names of the columns, in order; [] without rows."""
+        """Names of the columns, in order; [] for a table without rows."""
         return list(self.rows[0]) if self.rows else []
 
     def orders(self, errors: str, of: str = "eps") -> list[float | None]:
-        """Observed rates of convergence, log(e_k-1/e_k)/log(h_k-1/h_k) in row k with the error e_k and the size h_k.
+        """Return the observed rate of convergence between each row and the row before it.
 
-        It is None in the first row, and where one of the two errors is zero or not a number.
+        With errors e and sizes h in rows k - 1 and k, the rate is log(e[k-1]/e[k]) / log(h[k-1]/h[k]).
 
         Args:
-            errors: name of the column of errors e.
-            of: name of the column of sizes h, such as a thickness or a cell size.
+            errors: name of the column of errors.
+            of: name of the column of sizes, such as a thickness or a cell size.
+
+        Returns:
+            For each row the rate; None in the first row, and where an error is zero or missing.
 
         Raises:
-            ColumnError: no such column.
+            ColumnError: a column does not exist or has texts.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             slopes = np.diff(np.log(self[errors])) / np.diff(np.log(self[of]))
         return [None, *(order if math.isfinite(order) else None for order in slopes.tolist())]
 
     def split(self, column: str) -> dict[Any, Table]:
-        """Return value in a column -> table of the rows with this value; raise ColumnError for an unknown column."""
+        """Split the table by the values in a column: return value -> table of the rows with this value.
+
+        Args:
+            column: name of the column.
+
+        Raises:
+            ColumnError: there is no such column.
+        """
         values = dict.fromkeys(self._entries(column))
         return {value: Table(row for row in self if row[column] == value) for value in values}
 
@@ -181,7 +203,14 @@ class Table:
         return len(self.rows)
 
     def __getitem__(self, column: str) -> npt.NDArray[np.float64]:
-        """Entries of a column as an array of numbers, NaN where empty; ColumnError: no such column, or texts in it."""
+        """Return the entries of a column as an array (rows,) of numbers; empty entries are NaN.
+
+        Args:
+            column: name of the column.
+
+        Raises:
+            ColumnError: there is no such column, or it has texts.
+        """
         entries = [np.nan if value is None else value for value in self._entries(column)]
         try:
             return np.array(entries, float)

@@ -1,4 +1,4 @@
-"""Version of the package, printing to standard output, and texts of errors that end a run; without MPI."""
+"""Version of the package, printing to standard output, and texts of errors that end a run; all without MPI."""
 
 from __future__ import annotations
 
@@ -12,14 +12,17 @@ VERSION = "1.0.0"  # version of these packages; pyproject.toml reads it
 
 
 def version_of(package: str) -> str:
-    """Version of an installed package, or "not installed"."""
+    """Return the version of an installed package as a text, or "not installed"."""
     with suppress(PackageNotFoundError):
         return version(package)
     return "not installed"
 
 
 def error_reason(error: BaseException) -> str:
-    """Text for an error that ends a run: the reason, with the file of an OSError and the class of a defect."""
+    """Return a text that says why `error` ended a run, such as "interrupted".
+
+    For an OSError it names the file. For an error that only a bug can raise it starts with the error's class.
+    """
     if isinstance(error, OSError):
         where = f" {str(error.filename)!r}" if error.filename else ""
         return f"a file{where} could not be written or read: {error.strerror or error}"
@@ -29,7 +32,7 @@ def error_reason(error: BaseException) -> str:
 
 
 def print_safely(text: object) -> None:
-    """Print a text; do nothing if the reader of standard output has gone, as in `thinlayer list | head -1`."""
+    """Print `text`; do nothing if no process reads standard output any more, as in `thinlayer list | head -1`."""
     try:
         print(text, flush=True)
     except BrokenPipeError:
@@ -37,6 +40,6 @@ def print_safely(text: object) -> None:
 
 
 def two_columns(texts: Mapping[str, str]) -> str:
-    """Write name -> text as lines of two columns."""
+    """Return the names and texts of `texts` (name -> text) as lines with two aligned columns."""
     width = max(map(len, texts), default=0)
     return "\n".join(f"{name:<{width}}  {text}" for name, text in texts.items())
