@@ -137,7 +137,7 @@ def _mend_ffcx() -> None:
     parameters = inspect.signature(build)
 
     def read_cache(module_name: str, object_names: list[str], folder: Path) -> FormModule:
-        """Return the objects and the module of a compiled form in the cache; (None, None) if files are missing or broken.
+        """Return the objects and the module of a compiled form in the cache; (None, None) if it is not there or broken.
 
         FFCx itself would list the whole folder for each form, which takes long with thousands of files.
 
@@ -189,7 +189,7 @@ _mend_ffcx()
 
 
 def load_options() -> None:
-    """Make FFCx and DOLFINx's compiler read their options now, so that option files in the working folder have no effect.
+    """Make FFCx and DOLFINx's compiler read their options now; then option files in the working folder have no effect.
 
     Both keep the options that they read first.
     """

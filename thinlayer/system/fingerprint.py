@@ -281,7 +281,9 @@ def _number(value: object) -> int:
 
 
 def _members(kind: type) -> dict[str, object]:
-    """Return what identifies the user's class `kind`: name -> method, and entries for its file and its C source, if any.
+    """Return what identifies the user's class `kind`: name -> method.
+
+    Further entries are the file of the class and, if it has one, the content of its C source.
     """
     functions = {name: _function_of(value) for name, value in vars(kind).items()}
     made = {name for name, f in functions.items() if f and name[:2] == "__" and f.__code__.co_filename == "<string>"}

@@ -36,11 +36,12 @@ class Pace:
     """Data of a march from which the length of its next step follows.
 
     Attributes:
-        step: largest length of the next step; None: no limit.
-        largest: three norms, of displacements, jumps and forces, to which errors of adaptive steps are relative. They
-            are the largest norms so far or, after rest, the norms at the end of the first step that was tried.
-        weight: factor 1/U^2 of squared displacements in the squared arc length of a path, with the unit U of
-            displacements; 0 before the first step.
+        step: largest length of the next step, as a time or, on a path, relative to the first step; None: no limit.
+        largest: norms of displacements, jumps and forces (in this order) to which errors of adaptive steps are
+            relative. They are the largest norms so far. For a quantity that was zero before the first step, they start
+            with the norm at the end of the first step that was tried.
+        weight: factor 1/U^2 of squared displacements in the squared arc length of a path; 0 before the first step. U is
+            the unit of displacements, a length.
     """
 
     step: float | None = None
@@ -51,19 +52,21 @@ class Pace:
 class Checkpoint:
     """Files of a march in a folder, with methods that write and read them. All methods are collective.
 
-    They are march.json with the table so far and the `Pace`, a file for each state, and table.csv. Values of states are
-    ordered by the numbers of their cells or facets in the joint, whatever the distribution of the mesh is.
-    Files are replaced as a whole, and those of states before march.json, which has their hashes. So a killed run leaves
-    valid files.
+    The file march.json has the table so far and the `Pace`. Each state has a file of its own, and table.csv has the
+    table once more. In the files, values of a state are sorted by the numbers of their cells or facets in the joint. So
+    they do not depend on how the mesh is distributed over ranks.
+
+    Each file is replaced as a whole. The files of states are written before march.json, which has their hashes, so that
+    a run that is killed leaves valid files.
 
     Args:
         folder: folder of the files.
         equations: the equations of the model.
-        mark: data for JSON that identify the march: the model's identity and arguments of the march. Only a march with
-            the same mark is resumed.
+        mark: JSON data that identify the march, from the model and the arguments of the march. Only a march with equal
+            data is resumed.
 
     Raises:
-        InputError: the memory of a part is an array that has no order in files.
+        InputError: a part keeps an array as memory and does not define the order of its rows in files.
     """
 
     def __init__(self, folder: Path, equations: Equations, mark: JsonObject) -> None:
@@ -92,14 +95,14 @@ class Checkpoint:
 
     # ---------------------------------------------------------------- writing
     def write(self, table: Table, states: Mapping[int, State], pace: Pace, first: int) -> None:
-        """Write the states of the table's rows from `first` on, and replace the files of the table.
+        """Write the states that are not in files yet, and replace the files of the table.
 
         Files of states that are not in `states` are removed. If `first` is 0, all files of an earlier march are removed
         before.
 
         Args:
             table: table of the march so far.
-            states: the states to be stored, by the numbers of their rows in the table.
+            states: number of a row of the table -> its state, for all states that are to be in files.
             pace: data from which the length of the next step follows.
             first: number of the first row that has not been written yet.
 
@@ -114,7 +117,10 @@ class Checkpoint:
         on_root(self.comm, lambda: self._write_table(table, states, pace))
 
     def _remove_files(self) -> None:
-        """Remove the files of an earlier march: table.csv first, as only march.json shows to which march it belongs."""
+        """Remove the files of an earlier march.
+
+        The file table.csv goes first, because only march.json shows to which march it belongs.
+        """
         for file in (self.folder / CSV_FILE, self.path, *self._files()):
             file.unlink(missing_ok=True)
 
@@ -141,11 +147,15 @@ class Checkpoint:
         on_root(self.comm, write)
 
     def _gather(self, order: FileOrder, values: Array) -> Array:
-        """Gather values on rank 0, in rows of a cell's or facet's number and its values, sorted, without duplicates.
+        """Return, on rank 0, the values that all ranks have in their cells or facets, sorted for a file. Collective.
 
         Args:
             order: order of the values in files.
-            values: (n, v) values on this rank.
+            values: (n, v) v values in each of n rows of this rank.
+
+        Returns:
+            On rank 0 one row for each cell or facet: its number in the joint, then its values. Other ranks get no
+            useful rows.
         """
         rows = np.column_stack([order.numbers.astype(float), order.ordered(values)])
         rows = np.concatenate(self.comm.gather(rows[: order.n_owned]) or [rows[:0]])
@@ -153,17 +163,20 @@ class Checkpoint:
 
     # ---------------------------------------------------------------- reading
     def read(self, resume: Resume, last: int) -> tuple[Table, dict[int, State], Pace] | None:
-        """Read table, states by the numbers of their rows, and pace of the march in the folder.
-
-        None: there is no march, or `resume` is False.
+        """Read a march from the files in the folder.
 
         Args:
-            resume: whether the march in the folder is to be resumed; "anyway": also if it is another march, by whose
-                mark the files remain identified.
+            resume: whether the march is to be resumed. "anyway": also if it is another march; its files then keep the
+                data that identify it.
             last: how many states are read, counted from the end of the march; 0: all.
 
+        Returns:
+            The table, number of a row -> its state, and the data from which the length of the next step follows. None:
+            there is no march, or `resume` is False.
+
         Raises:
-            InputError: the files belong to another march, or it is to be resumed and they are damaged.
+            InputError: the files belong to another march, or march.json is damaged; or the march is to be resumed, and
+                the file of a state is damaged.
         """
         content = on_root(self.comm, lambda: self._content(resume))
         if content is None:
@@ -175,10 +188,16 @@ class Checkpoint:
         return table, states, Pace(**content["pace"])
 
     def _content(self, resume: Resume) -> JsonObject | None:
-        """Content of march.json, if it may be resumed; None: there is no march, or `resume` is False. On rank 0 only.
+        """Return the content of march.json; None if there is no such file or `resume` is False.
+
+        To be called on rank 0 only.
+
+        Args:
+            resume: whether the march is to be resumed; "anyway": also if it is another march.
 
         Raises:
-            InputError: the files are of another march or version, or observe other columns.
+            InputError: the file is damaged or has the format of another version; it is of another march; or its table
+                has other columns from `observe`.
         """
         if not self.path.exists():
             if (self.folder / CSV_FILE).exists():
@@ -223,16 +242,20 @@ class Checkpoint:
         return state
 
     def _received(self, row: int, rows: Array | None, numbers: IntArray, width: int) -> Array:
-        """Values (cells, width) that belong to some cells or facets of each rank, from a state's file.
+        """Return the values of this rank's cells or facets from the content of a state's file. Collective.
 
         Args:
-            row: number of the state's row in the table, for messages.
-            rows: on rank 0 the content of the file: rows of a cell's or facet's number and its values; else None.
+            row: number of the state's row in the table, for errors.
+            rows: on rank 0 the content of the file, one row for each cell or facet: its number, then its values; on
+                other ranks None.
             numbers: (cells,) numbers in the joint of the cells or facets of this rank.
             width: number of values of each cell or facet.
 
+        Returns:
+            (cells, width) values.
+
         Raises:
-            InputError: a value is missing.
+            InputError: the file lacks a value.
         """
         rows = rows if rows is not None and rows.shape[1] == width + 1 else np.empty((0, width + 1))
         values = carry_cell_values(self.comm, rows[:, 0].astype(np.int64), lambda at: rows[at, 1:], numbers)
@@ -242,21 +265,25 @@ class Checkpoint:
 
 
 def _copied(memory: Memory) -> Memory:
-    """Copy of a part's memory."""
+    """Return a copy of the `memory` of a part: an array, or a dict of functions."""
     return {name: f.copy() for name, f in memory.items()} if isinstance(memory, Mapping) else memory.copy()
 
 
 def _state_functions(state: State) -> dict[str, fem.Function]:
-    """Functions of a state, by their names in its file: displacements, and memories of parts that are functions.
+    """Return the functions of a state that are written to files: name in the file -> function.
 
-    Unknowns of parts besides displacements are left out.
+    They are the displacements, called "u", and those memories of parts that are functions. Other unknowns of parts,
+    such as pressures, are left out.
     """
     kept = [(key, memory) for key, memory in state.memory.items() if isinstance(memory, Mapping)]
     return {"u": state.u, **{f"{MEMORY_PREFIX}{key}/{name}": f for key, memory in kept for name, f in memory.items()}}
 
 
 def _state_values(state: State) -> dict[str, Array]:
-    """Arrays (n, v) of a state's values, by their names in its file; not copies."""
+    """Return all values of a state that are written to files: name in the file -> array (n, v).
+
+    The arrays have n rows of v values. They are views of the state's data, so that writing into them changes the state.
+    """
     arrays = {name: f.x.array.reshape(-1, f.function_space.dofmap.bs) for name, f in _state_functions(state).items()}
     arrays |= {FIELD_PREFIX + key: f.x.array[:, None] for key, f in state.fields.items()}
     arrays |= {MEMORY_PREFIX + key: kept for key, kept in state.memory.items() if not isinstance(kept, Mapping)}

@@ -22,14 +22,14 @@ from thinlayer.time.journal import Journal
 
 
 class StepAttempt(NamedTuple):
-    """One method by which a controller tries to make a step.
+    """A method that a controller may use for a step, such as Newton's method or a search by weak springs.
 
     Attributes:
-        name: name in the log.
-        make: function of the step's length that returns the states of a step from the last state. It also sets the
-            largest length of the next step, and raises SolveError if the step fails.
-        until: length of a step. After another method has failed, this one is tried only if the step would otherwise be
-            shortened to this length or below.
+        name: name of the method in messages.
+        make: function that takes the length of a step, makes the step from the last state, and returns the new states.
+            It also sets the largest length of the next step, and raises SolveError if the step fails.
+        until: bound for use after a failure. If another method has failed, this one is tried only if the shorter step
+            to be tried next has at most this length.
     """
 
     name: str
@@ -38,13 +38,13 @@ class StepAttempt(NamedTuple):
 
 
 def is_divisible(start: float, end: float) -> bool:
-    """Whether a step between two times can be halved, as its middle differs from both in floating point."""
+    """Return whether a step from `start` to `end` can be halved, as its middle differs from both in floating point."""
     return start < (start + end) / 2 < end
 
 
 @dataclass(eq=False)
 class Controller(ABC):
-    """Base class of controllers, which choose length and method of each step of a march, and shorten failed steps.
+    """Base class of controllers, which choose length and method of each step of a march, and shorten steps that fail.
 
     Attributes:
         solver: solver of the model.
@@ -68,17 +68,17 @@ class Controller(ABC):
 
     @property
     def last(self) -> State:
-        """The last accepted state."""
+        """The accepted state from which the next step starts."""
         return self.journal.history.last
 
     @property
     def done(self) -> bool:
-        """Whether the march has ended: the last state is at the last of `targets`, or after it."""
+        """Whether the march has ended, as its last state is at the last time of `targets`, or after it."""
         return self._passed_times == len(self.targets)
 
     @property
     def target(self) -> float:
-        """The next time at which a step must end."""
+        """The first time of `targets` that is after the last state; the next step must not go beyond it."""
         return self.targets[self._passed_times]
 
     @property
@@ -87,28 +87,38 @@ class Controller(ABC):
 
     @abstractmethod
     def length(self) -> float:
-        """Length of the next step: a time, or on a path the arc length relative to the first step."""
+        """Return the length of the next step: a duration, or for a path the arc length over that of the first step."""
 
     @property
     @abstractmethod
     def attempts(self) -> list[StepAttempt]:
-        """Methods for a step, in the order in which they are tried."""
+        """Methods for the next step, in the order in which they are tried."""
 
     def shorter(self, length: float, error: SolveError) -> float:
-        """Length to try after a step of a given length has failed with an error; by default half of it."""
+        """Return the length to be tried after a step has failed; by default half of its length.
+
+        Args:
+            length: length of the step that has failed.
+            error: error of the first method that was tried for it.
+        """
         return length / 2
 
     @abstractmethod
     def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:
-        """Error with which the march ends if the shortest step fails.
+        """Return the error with which the march ends when even the shortest step has failed.
 
         Args:
-            length: length of the step.
-            errors: errors of the methods that were tried, in order.
+            length: length of this step.
+            errors: errors of the methods that were tried for it, in order.
         """
 
     def error(self, what: str, advice: str = "") -> SolveError:
-        """SolveError of the march with a message, advice for the user, and the history of accepted states."""
+        """Return a SolveError that carries the history of the accepted states.
+
+        Args:
+            what: message that says what has failed.
+            advice: what the user may do; "": no advice.
+        """
         return SolveError(what, self.journal.history, advice=advice)
 
     # ---------------------------------------------------------------- the loop
@@ -116,12 +126,15 @@ class Controller(ABC):
         """Make all steps of the march, and return its history. Collective.
 
         Args:
-            resume: whether to continue the march in the journal's folder; "anyway": also if it is another march.
-            begun: initial state, after the state before it if that is known; (): the march starts from rest.
+            resume: whether to continue the march that is in the journal's folder; "anyway": also if it is another
+                march.
+            begun: states of an earlier march from which this one continues: its last state, perhaps with the state
+                before it in front. (): the march starts from rest.
 
         Raises:
-            InputError: the folder has another march, damaged files, or a march that is already beyond the end.
-            SolveError: the first state, or the shortest step, cannot be computed.
+            InputError: the folder has another march, damaged files, or a march that is already beyond the last of
+                `targets`.
+            SolveError: the first state cannot be computed, or even the shortest step fails.
         """
         with report("march") as progress:
             end = self.targets[-1]
@@ -140,9 +153,13 @@ class Controller(ABC):
         return self.journal.history
 
     def _first_state(self) -> None:
-        """Add the first state to the journal: at rest if a part depends on rates, else under sudden loads.
+        """Add the first state to the journal, for a march that starts from rest.
 
-        A state at rest is written to files together with the first step.
+        If a part depends on rates, this is the state at rest, which is written to files only together with the first
+        step. Otherwise it is the response to the loads that act suddenly at the start.
+
+        Raises:
+            SolveError: this response cannot be computed.
         """
         if self.solver.equations.traits.rate:
             self.journal.note(self.solver.rest(self.start))
@@ -153,7 +170,11 @@ class Controller(ABC):
             raise self.error(f"the first state, under the sudden load at t = {self.start:g}: {error}") from error
 
     def _next_states(self) -> list[State]:
-        """Make the next step, shortened until a method succeeds, and return its states."""
+        """Make the next step, shortened until one of the methods succeeds, and return its states.
+
+        Raises:
+            SolveError: even the shortest step fails.
+        """
         length, t = self.length(), self.last.t
         while True:
             errors: list[SolveError] = []

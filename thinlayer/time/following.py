@@ -25,10 +25,12 @@ UNLIMITED_STEPS = 10**6
 
 @dataclass(eq=False)
 class ArcLengthController(Controller):
-    """Controller of steps by arc length along an equilibrium path. Lengths are relative to that of the first step.
+    """Controller of steps of given arc length along an equilibrium path.
+
+    In its methods, the length of a step is its arc length over that of the first step.
 
     Attributes:
-        path: settings of the user: ends of the path and limits of the lengths of steps.
+        path: settings of the user: ends of the path, and limits of the lengths of steps.
         options: PETSc options of the linear solver, which override the package's defaults.
     """
 
@@ -66,19 +68,30 @@ class ArcLengthController(Controller):
         return min(pace.step or 1.0, path.largest)
 
     def _aim(self, *, anew: bool = False) -> None:
-        """Compute the direction of the path at the last state: away from the state before it, or along increasing t.
+        """Compute the direction of the path at the last state.
+
+        It leads away from the state before the last one. If there is no such state, t increases along it.
 
         Args:
-            anew: whether t must increase along the direction.
+            anew: whether t must increase along the direction even if there is a state before.
+
+        Raises:
+            SolveError: the direction cannot be computed.
         """
         self._curve.weight, self._aimed_state = self.journal.pace.weight, self.last
         self._curve.aim(None if anew else self.journal.previous, self.last)
 
     def _weight(self, before: State, last: State) -> float:
-        """Factor 1/U^2 of squared displacements in the squared arc length, from the first two states.
+        """Return the factor 1/U^2 of squared displacements in the squared arc length.
 
-        U is the norm of the change of nodal displacements in the first step, scaled to a change `ArcLength.first` of t.
-        Raise SolveError if U is 0.
+        U is the norm of the change of nodal displacements between the first two states, per change of t, times
+        `ArcLength.first`.
+
+        Args:
+            before, last: the first two states of the path.
+
+        Raises:
+            SolveError: U is 0, as nothing moves.
         """
         unit = float((last.u.x.petsc_vec - before.u.x.petsc_vec).norm()) * self.path.first / (last.t - before.t)
         if not unit:
@@ -92,15 +105,24 @@ class ArcLengthController(Controller):
         return [ahead, corner] if self._curve.weight else [ahead]
 
     def _arc(self, length: float) -> float:
-        """Arc length of a step whose length is given relative to the first step.
+        """Return the arc length of a step from its length relative to the first step.
 
-        The first step has the arc length sqrt(2): 1 from displacements over their unit U, and 1 from t. Until U is
-        known, it is only the 1 from t.
+        The squared arc length is a sum of two terms, from displacements and from t. In the first step each term is 1,
+        so that its arc length is sqrt(2). Until the unit of displacements is known, only the term from t counts.
         """
         return length * math.sqrt(2.0) if self._curve.weight else length
 
     def _step_ahead(self, length: float) -> list[State]:
-        """State after a step along the path, or at the next of `targets` if the step would pass it, in a list."""
+        """Make a step along the path, and return its state in a list.
+
+        If the step would pass the next time of `targets`, the state is the one at this time.
+
+        Args:
+            length: arc length of the step over that of the first step.
+
+        Raises:
+            SolveError: the step fails.
+        """
         last, target, arc = self.last, self.target, self._arc(length)
         state = None
         if last.t + arc * self._curve.slope >= target - self.time_slack:
@@ -117,7 +139,11 @@ class ArcLengthController(Controller):
     def _accepted_states(self, state: State, length: float) -> list[State]:
         """Accept a state as the next one of the path, and return it in a list.
 
-        Computes the path's direction there, and sets the largest length of the next step, after a step of this length.
+        This also computes the direction of the path at the state, and the largest length of the next step.
+
+        Args:
+            state: the state.
+            length: length of the step that has led to it, over that of the first step.
 
         Raises:
             SolveError: the path turns within the step, or the state seems to be on another path.
@@ -134,11 +160,11 @@ class ArcLengthController(Controller):
 
 
 class PathToTimesController(ArcLengthController):
-    """Controller of steps to given times along an equilibrium path, with an error where time would decrease along it.
+    """Controller of steps along an equilibrium path to given times; it stops where time would decrease along the path.
 
     Loads and displacements of supports are functions of the time t. Steps along the path follow each bend of it,
-    whereas a step in time could end beyond a loop of the path. At the break times of `piecewise` data a step ends, and
-    the path begins anew with t increasing.
+    whereas a step in time could end beyond a loop of the path. A step ends at each break time of `piecewise` data,
+    where slopes of loads change. There the direction of the path is chosen anew, with t increasing.
     """
 
     _turns_back = False  # whether the path has turned back in the last step tried
@@ -152,9 +178,13 @@ class PathToTimesController(ArcLengthController):
     def _accepted_states(self, state: State, length: float) -> list[State]:
         """Accept a state as the next one of the path, and return it in a list.
 
+        Args:
+            state: the state.
+            length: length of the step that has led to it, over that of the first step.
+
         Raises:
-            SolveError: the path turns back in time up to this state, or within the step, or the state seems to be on
-                another path.
+            SolveError: t decreases up to this state or beyond it; the path turns within the step; or the state seems to
+                be on another path.
         """
         states = super()._accepted_states(state, length)
         self._turns_back = not (self._curve.slope > 0 and state.t > self.last.t)

@@ -29,16 +29,17 @@ OBSERVED_TOLERANCE = 1e-6
 
 @dataclass(eq=False)
 class Journal:
-    """Record of the accepted states of a march. All methods are collective.
+    """Record of the accepted states of a march, which also writes and reads its files. All methods are collective.
 
     Attributes:
         equations: the equations of the model.
-        choices: arguments of the march, by name, that must be the same to resume it; with "start" and "theta".
+        choices: name of an argument of the march -> its value; among them are "start" and "theta". To be resumed, a
+            march must have the same values.
         observe: name of a column of the table -> function of a state that returns a number.
         keep: "all": keep all states; "last": keep only the last one.
         out: folder for the table and the files from which to resume; None: no files.
         history: table and states of the march so far.
-        pace: data from which the length of the next step follows; written with the states.
+        pace: data from which the length of the next step follows; written to the files.
         previous: the state before the last one, from which the direction of a path follows; None: there is none.
         start: time of the first state.
     """
@@ -65,13 +66,17 @@ class Journal:
             self._checkpoint = Checkpoint(self.out, self.equations, mark)
 
     def read(self, resume: Resume) -> bool:
-        """Read the march in the folder `out`, to continue it; return whether there is one and it may be resumed.
+        """Read the march in the folder `out`, so that it can be continued.
 
         Args:
-            resume: whether to continue it; "anyway": also if it is another march.
+            resume: whether the march is to be continued; "anyway": also if it is another march.
+
+        Returns:
+            Whether a march has been read. False: there is none, or `resume` is False.
 
         Raises:
-            InputError: the folder has another march, or damaged files that are to be resumed.
+            InputError: the folder has another march, or march.json is damaged; or the march is to be continued, and the
+                file of a state is damaged.
         """
         saved_march = self._checkpoint.read(resume, 2 if self.keep == "last" else 0) if self._checkpoint else None
         if saved_march is None:
@@ -83,16 +88,18 @@ class Journal:
         return True
 
     def begin(self, states: Sequence[State]) -> None:
-        """Take the last of some states of another march as the first state of this one.
+        """Add the first state of a march that continues from states of another march.
 
-        The direction of a path follows from the state before it, if there is one.
+        Args:
+            states: states of the other march. The last of them is the first state of this one. The state before it, if
+                there is one, gives the direction of an equilibrium path.
         """
         self.note(states[-1])
         self.history.begun = True
         self.previous = states[-2] if len(states) > 1 else None
 
     def accept(self, states: Sequence[State]) -> None:
-        """Add accepted states to the history, and write them to the files."""
+        """Add accepted states to the history, each with a row of the table, and write them to the files."""
         for state in states:
             self.note(state)
         if self._checkpoint:
@@ -104,7 +111,10 @@ class Journal:
         collect(self.equations.comm)
 
     def note(self, state: State) -> None:
-        """Add a state and its row of the table to the history; the next `accept` writes them to the files."""
+        """Add a state and its row of the table to the history, but not to the files.
+
+        The next call of `accept` writes them to the files, too.
+        """
         history, report = self.history, state.report
         self.previous = history.last if history.states else None
         summary = state.t, report.method, report.iterations, report.residual
@@ -119,10 +129,14 @@ class Journal:
         history.states[len(history) - 1] = state
 
     def _observed_value(self, name: str, state: State) -> float:
-        """Value of a function of `observe` at a state, from rank 0.
+        """Return the value of one of the functions in `observe` at a state, as rank 0 has computed it.
+
+        Args:
+            name: name of the function's column in the table.
+            state: the state.
 
         Raises:
-            InputError: the function fails, or returns different values on different ranks.
+            InputError: the function fails, or its values on several ranks differ by more than rounding.
         """
         label = f"observe[{name!r}] at t = {state.t:g}"
         try:

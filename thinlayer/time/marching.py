@@ -1,4 +1,4 @@
-"""`march`, which solves a model step by step in time, and estimates of the errors of its steps."""
+"""The function `march`, which solves a model step by step in time, and estimates of the errors of its steps."""
 
 from __future__ import annotations
 
@@ -44,63 +44,65 @@ def march(
     resume: Resume = False,
     **solver: Unpack[SolverChoices],
 ) -> History:
-    """Solve a model step by step in time, from rest just before `start` or from a state. Collective.
+    """Solve a model step by step in time, from rest just before `start` or from a given state. Collective.
 
-    The loads may be sudden at `start`. If every law has an instantaneous response (elastic, Maxwell), the first
+    The loads may begin suddenly at `start`. If every law responds to them at once (elastic, Maxwell), the first
     accepted state is this response, at `start`. Other laws and parts depend on rates: Kelvin-Voigt, Norton, a stack
     with one of them, user-defined parts such as inertia. With them the first state is at rest, and the response to
-    sudden loads is in the first step. A step that fails is halved. If a law or a part has a memory, depends on rates or
-    softens, steps also end at the break times of `piecewise` data.
+    sudden loads is in the first step. A step that fails is halved. Steps also end at the break times of `piecewise`
+    data, where slopes change, if a law or a part has a memory, depends on rates or softens.
 
-    A model with a layer whose stress falls as jumps grow (trait `softens`) follows its equilibrium path, as long as
-    time increases along it. Steps are as short as the path needs. So displacements of supports take the layer beyond
-    the largest load. Where time would decrease along the path, the march ends with a `TurningPoint`. It can be
-    continued by `march(error.history, ArcLength(...))`.
+    A layer softens if its stress falls as jumps grow (trait `softens`). A model with such a layer follows its
+    equilibrium path, as long as time increases along it. Steps are as short as the path needs. In this way, prescribed
+    displacements of supports take the layer beyond the largest load. Where time would decrease along the path, the
+    march ends with a `TurningPoint`. It can be continued by `march(error.history, ArcLength(...))`.
 
-    A layer of pure phases (`forms.NonMonotoneUnrelaxed`) follows a local minimum of the energy. Each of its columns,
-    the cells above each other through the thickness or a facet of S, has one phase. A step ends at the time when one of
-    its columns is no longer in the phase of lowest energy. Two states are recorded at this time: before and after the
-    switch of this column and of all columns that switch as a consequence (`History.snaps`). If loads or temperatures
-    are not linear in time within a step, columns are tested at seven times within the step. Between two of these times
-    a column may leave its phase of lowest energy and return unnoticed. Switches under a sudden load at `start` are not
-    snaps: the first state is the state after them. Let loads grow from zero to see these snaps.
+    A layer of pure phases (`forms.NonMonotoneUnrelaxed`) follows a local minimum of the energy. It consists of columns,
+    each of which has one phase. In a full model a column is the cells above each other through the thickness, in an
+    interface model a facet of S. A step ends at the time when a column is no longer in the phase of lowest energy. This
+    column switches, and so do all columns that leave their phase of lowest energy as a consequence. Two states are
+    recorded at this time, before and after the switches (`History.snaps`). If loads or temperatures are not linear in
+    time within a step, columns are tested at seven times within the step. Between two of these times a column may leave
+    its phase of lowest energy and return unnoticed. Switches under a sudden load at `start` are not recorded as snaps:
+    the first state is the state after them. Let loads grow from zero to see these snaps.
 
     Args:
-        begin: the model; or a history, such as `error.history`, or a state of a solve or march. From the state, or the
-            last state of the history, the march continues; this state is its first row.
-        times: ends of the steps, increasing, > start; or `Adaptive`, for steps by an estimate of their error; or
-            `ArcLength`, to follow an equilibrium path. On a path t is only the parameter of loads and supports, and may
-            decrease. A path from a model starts from the response to sudden loads at `start`; a path from a history
-            starts in the direction of its last step.
-        start: time of the first state (default: 0). It must not be set for a state or a history, which has its own
-            time.
+        begin: the model, which starts from rest; or a state, or a history, such as `error.history`. The march continues
+            from this state, or from the last state of the history, which is then its first row.
+        times: ends of the steps, increasing, > start; or `Adaptive`, for steps whose length follows from an estimate of
+            their error; or `ArcLength`, to follow an equilibrium path. On a path t is only the parameter of loads and
+            supports, and may decrease. A path from a model starts from the response to sudden loads at `start`; a path
+            from a history starts in the direction of its last step.
+        start: time of the first state (default: 0). It must not be set if `begin` is a state or a history, which has
+            its own time.
         theta: fraction of each step after which forces balance. 1 is backward Euler, of first order in the length of
             the steps; 1/2 is the midpoint rule, of second order. With theta below 1, the first step from rest consists
             of two steps of backward Euler, which damp the oscillation after a sudden load. Values below 1 are allowed
-            for linear laws, and for laws that creep or relax whose response to sudden strains, if any, is linear.
-            Parameters that vary in time are taken at the time of balance.
-        observe: name of a column of the table -> function of a state that returns a number, the same on all ranks;
-            evaluated at every accepted state.
+            for linear laws. They are also allowed for laws that creep or relax, if any response of these laws to sudden
+            strains is linear. Parameters that vary in time are taken at the time of balance.
+        observe: name of a column to be added to the history's table -> function of a state that returns a number, the
+            same on all ranks. It is evaluated at every accepted state.
         keep: "all": keep all states; "last": keep only the last one.
-        out: folder for table.csv and the files from which to resume, written at every accepted step; None: no files.
-            Only one march at a time may use the folder, and no march that continues from a history or a state.
+        out: folder for table.csv and the files from which to resume, written after every accepted step; None: no files.
+            Only one march at a time may use the folder. A march that continues from a history or a state cannot have
+            one.
         resume: True: continue the march in `out`, if there is one; times may be added. The model's numbers, names and
             mesh must be the same, and no user's file with functions or laws may have changed. "anyway": continue it in
             spite of such changes. False: the files of the same march are replaced; files of another march are an error.
-        **solver: options and method of the solver, which are those of `solve`: `options` for PETSc and `method`.
+        **solver: further arguments of `solve`: `options`, for PETSc, and `method`.
 
     Warns:
         RangeWarning: a law or state is out of the range of validity that `solve` checks; issued once, at the end, for
-            the states that are kept. Warnings of strains of bodies are issued also if the march fails. Or steps that
-            end at given times leave an estimated error above 2 % (`History.step_errors`). It is estimated for laws that
-            are not linear and depend on history (yield, friction, damage, creep), by a repeated march with half as many
-            steps; fewer than eight steps are repeated as 8 to 14. Or, before the march: steps between given times are
-            not well below a relaxation or retardation time of a law.
+            the states that are kept. Warnings of strains of bodies are issued also if the march fails. A second reason
+            is an estimated error above 2 % of steps that end at given times (`History.step_errors`). It is estimated
+            for laws that are not linear and depend on history (yield, friction, damage, creep). To this end the march
+            is repeated with half as many steps; fewer than eight steps are repeated as 8 to 14. A third reason, before
+            the march, are steps between given times that are not well below a relaxation or retardation time of a law.
 
     Raises:
-        InputError: times, theta, names or loads out of range, before the first solve; theta < 1 with a contact law, or
-            with a law that yields, has phases, or has a non-linear instantaneous response; files of another march in
-            `out`; a folder `out` that cannot be written, or that another march uses.
+        InputError: times, theta, names or loads are out of range, which is found before the first solve; theta < 1 with
+            a contact law, or with a law that yields, has phases, or has a non-linear instantaneous response; `out` has
+            files of another march, cannot be written, or is used by another march.
         OSError: a file could not be written; on all ranks.
         SolveError: even the shortest step fails; accepted states are in `out` and in the error's `history`.
         TurningPoint: a layer softens, and time would decrease along its equilibrium path.
@@ -165,9 +167,14 @@ def march(
 
 
 def _initial_states(begin: object) -> tuple[Model, list[State]]:
-    """Model and initial states of a march from `begin`: none from a model, else the last state of the history.
+    """Return the model of a march, and the states from which the march continues.
 
-    If the history keeps the state before the last one, it comes first.
+    Args:
+        begin: argument of `march`: a model, a history or a state.
+
+    Returns:
+        The model. The states: none for a model; a state itself; for a history its last state, after the state before it
+        if that is kept.
 
     Raises:
         InputError: `begin` is no model, history or state.
@@ -203,17 +210,17 @@ def _check(model: Model, theta: float, keep: str, out: object, resume: Resume, o
 
 # ---------------------------------------------------------------- errors of planned steps
 def warn_of_step_errors(controller: Controller, theta: float, begun: Sequence[State]) -> None:
-    """Estimate the errors that steps to given times leave at the end of a march; warn if they are large. Collective.
+    """Estimate the errors at the end of a march with steps to given times, and warn if they are large. Collective.
 
     The march is repeated with half as many steps, which adds half as many solves. Fewer than eight steps are repeated
-    as 8 to 14. Break times of `piecewise` data remain ends of steps. The difference of the final states gives the error
-    of the whole march to leading order; one halved step would only give its own error. A march that has dissipated
-    nothing is not repeated, and its errors are set to 0. The errors are stored in `History.step_errors`.
+    as 8 to 14. The difference of the final states gives the error of the whole march to leading order, which no single
+    halved step would give. A march that has dissipated nothing is not repeated, and its errors are set to 0. The errors
+    are stored in `History.step_errors`.
 
     Args:
-        controller: controller of the march, after it.
+        controller: controller of the march, which has ended.
         theta: fraction of each step after which forces balance.
-        begun: initial states from which the march continued; (): it started from rest.
+        begun: states from which the march continued; (): it started from rest.
     """
     solver, history, n = controller.solver, controller.journal.history, len(controller.targets)
     dissipated, supplied = (np.abs(np.array(history.table[name], float)).sum() for name in ("dissipated", "supplied"))
@@ -241,14 +248,15 @@ def warn_of_step_errors(controller: Controller, theta: float, begun: Sequence[St
 
 
 def _halved_targets(targets: Sequence[float], start: float, breaks: set[float]) -> list[float]:
-    """Times for a repeated march with half as many steps: every second target, counted from the end, and break times.
+    """Return the ends of steps for a repeated march with half as many steps.
 
-    If that leaves too few steps, or hardly fewer, all steps are divided into equal parts instead.
+    They are every second time of the march, counted from its end, and the break times. If these are too few, or not
+    clearly fewer than before, each step of the march is divided into equal parts instead.
 
     Args:
         targets: times at which the steps of the march ended.
         start: time at which it started.
-        breaks: break times of `piecewise` data.
+        breaks: break times of `piecewise` data, where slopes change.
     """
     last = len(targets) - 1
     coarse = [t for k, t in enumerate(targets) if (last - k) % 2 == 0 or t in breaks]

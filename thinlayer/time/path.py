@@ -3,13 +3,13 @@
 With residual R(u, t) and stiffness K = dR/du, a path has the direction (v, 1). Here K v = -dR/dt, and at supports v is
 the rate of the prescribed displacements. A step of length s starts at the predictor P = (u, t) + s d, with the
 direction d scaled to length 1. From there Newton's method leads to the equilibrium in the plane through P that is
-normal to d. The scalar product of (u_1, t_1) and (u_2, t_2) is u_1.u_2/U^2 + t_1 t_2/T^2, with units U of displacements
-and T of t. Turning points of t need no special treatment: K is nearly singular there and indefinite beyond, and the
-factorisation allows both.
+normal to d. The scalar product of (u_1, t_1) and (u_2, t_2) is u_1.u_2/U^2 + t_1 t_2/T^2, with units U of u and T of t.
+Turning points of t need no special treatment. There K is nearly singular, and beyond them it is indefinite, but it can
+be factorised.
 
 Where the tangent of a law jumps (a kink of the law), the path has a corner. It may be sharp: beyond a peak the path may
 fall steeply and lead almost all the way back. The plane through P then misses the path, however short the step. A step
-through a corner uses another plane instead. It is normal to the solution of K v = -dR/dt at P, which is the direction
+through a corner therefore uses another plane. It is normal to the solution of K v = -dR/dt at P, which is the direction
 of the branch beyond the corner.
 """
 
@@ -44,10 +44,11 @@ FORCE_CHANGE_TOLERANCE = 1e-7  # change of forces in a step, relative to the for
 
 
 class EquilibriumPath:
-    """Equilibrium path of a model, which is followed in steps of given arc length. Collective.
+    """Equilibrium path of a model, which is followed in steps of given arc length. Its methods are collective.
 
     A point of the path, and a direction, is an array (n + 1,): the n unknowns of this rank, then the load parameter t.
-    Laws with memory start from the memory of the last state, whether t increases or decreases.
+    The path has a direction of length 1 at its last state, which `aim` computes and `step` follows. Laws with memory
+    start from the memory of the last state, whether t increases or decreases.
 
     Args:
         equations: the equations of the model.
@@ -55,9 +56,10 @@ class EquilibriumPath:
         options: PETSc options of the linear solver, which override the package's defaults; options of SNES are ignored.
 
     Attributes:
-        weight: 1/U^2 of the arc length; 0 until U is known, so that the first step has a length in t only.
-        middle: a time between those at which loads and supports are evaluated. Difference quotients by t step towards
-            it, so that they stay between these times.
+        weight: factor 1/U^2 in the arc length. It is 0 until the unit U of displacements is known, so that the arc
+            length of the first step depends on t only.
+        middle: a time between those at which loads and supports are evaluated. Difference quotients by t take their
+            second value on its side, so that they stay between these times.
     """
 
     def __init__(self, equations: Equations, unit: float, options: Options) -> None:
@@ -71,7 +73,7 @@ class EquilibriumPath:
 
     @property
     def slope(self) -> float:
-        """Change of t per arc length along the direction of the path."""
+        """Change of t per arc length at the last state, in the direction of the path."""
         return float(self._direction[-1])
 
     def _point(self, state: State) -> Array:
@@ -90,13 +92,14 @@ class EquilibriumPath:
 
     # ---------------------------------------------------------------- the balance of forces
     def _residual(self, last: State, point: Array) -> float | None:
-        """Compute the residual at a point; return its size over the reference force if forces balance, else None.
+        """Compute the residual at a point; return its size over a reference force if forces balance there, else None.
 
-        The point's constrained unknowns are set to their prescribed values, and the residual there is zero.
+        Unknowns of `point` that supports prescribe are set to their prescribed values first. The residual is kept in
+        `_r`, with zeros at these unknowns.
 
         Args:
             last: the last state, with the memory of laws.
-            point: (n + 1,) unknowns and t.
+            point: (n + 1,) the n unknowns of this rank, then t; changed in place.
 
         Raises:
             SolveError: a law fails, or loads or supports are not finite at t.
@@ -121,13 +124,17 @@ class EquilibriumPath:
             raise SolveError(self.equations.failure())
 
     def _linearise(self, last: State, t: float) -> tuple[Array, Array]:
-        """Newton step at fixed t, and derivative of the path's point by t, at the point of the last residual.
+        """Linearise the equations at the point of the last residual.
 
-        Both are arrays (n + 1,): the n unknowns of this rank, then t. Derivatives by t are difference quotients.
+        Derivatives by t are difference quotients.
 
         Args:
             last: the last state, with the memory of laws.
             t: value of t at the point.
+
+        Returns:
+            (n + 1,) Newton's increment at fixed t, and (n + 1,) derivative of the path's point by t. Both have the n
+            unknowns of this rank, then t.
 
         Raises:
             SolveError: a law fails, loads or supports are not finite, or the matrix cannot be factorised.
@@ -161,18 +168,18 @@ class EquilibriumPath:
 
     # ---------------------------------------------------------------- direction
     def aim(self, before: State | None, last: State, *, check: bool = False) -> None:
-        """Compute the direction of the path at the last state.
+        """Compute the direction of the path at a state.
 
-        It is tangent to the path and leads away from the state before; without such a state, t increases along it. If
-        the stiffness is singular, the direction is that from the state before to the last state.
+        The direction is tangent to the path, and leads away from the state before. Without such a state, t increases
+        along it. If the stiffness is singular, the direction is that from the state before to `last`.
 
         Args:
             before: the state before `last`; None: `last` is the first state.
-            last: the last state.
-            check: whether to compare the direction with the direction at `before`.
+            last: the state at which the direction is computed.
+            check: whether to compare the new direction with the present one, that at `before`.
 
         Raises:
-            SolveError: with `check`, the path turns between the states, or `last` is on another path; the old
+            SolveError: with `check`, the path turns between the two states, or `last` is on another path; the present
                 direction is kept. Or the direction at the first state cannot be computed.
         """
         point = self._point(last)
@@ -196,21 +203,29 @@ class EquilibriumPath:
         self._direction = direction
 
     def _crossing(self, last: State, direction: Array, length: float) -> float:
-        """Number that says whether a direction must be reversed beyond a kink of a law: < 0 if so, > 0 if not.
+        """Return a number whose sign says whether a new direction of the path must be reversed beyond a kink of a law.
 
-        It is 0 if there is no kink. At corners sharper than 90 degrees the angle with the last increment, by which
-        `aim` and Crisfield (1981) choose a sign, does not decide this. The residual R is continuous at a kink. Let 1 be
-        the branch before the kink, and 2 the branch beyond it. Then the derivatives A = [K, dR/dt] of R on them differ
-        by a matrix c n^T. Here n is the normal of the boundary between the branches, and c is a vector of forces. The
-        direction d_1 at the last state, with A_1 d_1 = 0, crosses this boundary. Let d_2 be the direction of the last
-        linearisation, with A_2 d_2 = 0. The path continues along d_2 if d_2 crosses the boundary in the same sense:
-        (n.d_1)(n.d_2) > 0. As n is not known, the forces (A_2 - A_1) d = c (n.d) are computed for both directions. The
-        result is their scalar product, |c|^2 (n.d_1)(n.d_2). Forces as small as their errors count as zero.
+        It is negative if the direction must be reversed, positive if not, and 0 if there is no kink. It serves for
+        corners of the path sharper than 90 degrees. There the angle with the last increment, by which `aim` and
+        Crisfield (1981) choose a sign, does not decide.
+
+        The residual R is continuous at a kink. Let 1 be the branch before the kink, and 2 the branch beyond it. Then
+        the derivatives A = [K, dR/dt] of R on them differ by a matrix c n^T. Here n is the normal of the boundary
+        between the branches, and c is a vector of forces. The present direction d_1, with A_1 d_1 = 0, crosses this
+        boundary. The new direction d_2 satisfies A_2 d_2 = 0. The path continues along d_2 if d_2 crosses the boundary
+        in the same sense: (n.d_1)(n.d_2) > 0. As n is not known, the forces (A_2 - A_1) d = c (n.d) are computed for
+        both directions. The result is their scalar product, |c|^2 (n.d_1)(n.d_2). Forces as small as their errors count
+        as zero.
+
+        The matrix A_2 is that of the last call of `_linearise`.
 
         Args:
-            last: the state before the kink.
-            direction: (n + 1,) d_2: the n unknowns of this rank, then t.
+            last: the state before the kink, at which the path has its present direction.
+            direction: (n + 1,) the new direction d_2: the n unknowns of this rank, then t.
             length: arc length of the step.
+
+        Raises:
+            SolveError: a law fails, or loads or supports are not finite.
         """
         equations, step = self.equations, PATH_QUOTIENT_STEP * length
         reduced = self._dR  # (A_2 - A_1) d_1 = A_2 d_1, as A_1 d_1 = 0; and with A_2 (change, 1) = 0
@@ -232,29 +247,31 @@ class EquilibriumPath:
 
     # ---------------------------------------------------------------- steps
     def step(self, last: State, length: float, *, turn: bool = False) -> State:
-        """Equilibrium after a step along the path.
+        """Make a step along the path, and return the equilibrium at its end.
 
         Args:
             last: the last state.
             length: arc length of the step.
-            turn: whether to look for the equilibrium on the branch beyond a corner of the path within this length.
+            turn: whether to look for the equilibrium on the branch beyond a corner of the path, which must be within
+                this length.
 
         Raises:
-            SolveError: no equilibrium is found, or it is too far from the predictor, or there is no corner.
+            SolveError: no equilibrium is found, or it is too far from the predictor; or, with `turn`, there is no
+                corner.
         """
         return self._solve_in_plane(last, self._point(last) + length * self._direction, self._direction, length, turn)
 
     def solve_at_time(self, last: State, beyond: State | None, t: float) -> State:
-        """Equilibrium of the path at a given value of t.
+        """Return the equilibrium of the path at a given value of t.
 
         Args:
             last: the last state.
-            beyond: state after a step beyond t, between which and `last` the predictor is interpolated; None: the
-                predictor is along the direction of the path.
+            beyond: state after a step from `last` that has passed t; Newton's method starts from a point between the
+                two. None: it starts from a point in the direction of the path.
             t: value of t.
 
         Raises:
-            SolveError: no equilibrium is found, or it is too far from the predictor.
+            SolveError: no equilibrium is found, or it is too far from this point.
         """
         point, at_t = self._point(last), np.zeros_like(self._direction)
         at_t[-1] = 1.0
@@ -265,17 +282,20 @@ class EquilibriumPath:
         return self._solve_in_plane(last, target, at_t, self._norm(increment), turn=False)
 
     def _solve_in_plane(self, last: State, target: Array, row: Array, step: float, turn: bool) -> State:
-        """Solve by Newton's method for the equilibrium in a plane.
+        """Find the equilibrium of the path in a plane by Newton's method, and return it.
 
         Args:
             last: the last state.
-            target: (n + 1,) predictor, through which the plane goes: the n unknowns of this rank, then t.
+            target: (n + 1,) predictor, from which Newton's method starts: the n unknowns of this rank, then t. The
+                plane goes through it.
             row: (n + 1,) normal of the plane: the direction of the path, or that of t.
             step: arc length of the step.
-            turn: whether the plane is instead one beyond a corner of the path.
+            turn: whether to use a plane beyond a corner of the path instead (`_direction_beyond`); `row` is then not
+                used.
 
         Raises:
-            SolveError: no equilibrium is found, or it is too far from the predictor, or there is no corner.
+            SolveError: no equilibrium is found, or it is too far from the predictor; or, with `turn`, there is no
+                corner.
         """
         begin, offset, iterations, point = time.perf_counter(), 0.0, 0, target.copy()
         most, far = (MAX_TURN_STEPS, MAX_TURN_ERROR * step) if turn else (MAX_NEWTON_STEPS, MAX_PREDICTION_ERROR * step)
@@ -300,15 +320,18 @@ class EquilibriumPath:
         return self.equations.accept(self._x, Report("newton", iterations, residual, time.perf_counter() - begin))
 
     def _direction_beyond(self, last: State, tangent: Array, length: float) -> tuple[Array, float]:
-        """Unit direction (n + 1,) of the path beyond a corner, and the distance of a plane from the predictor.
+        """Return the direction of the path beyond a corner, and the distance of a plane in which to look for equilibria.
 
-        The plane is normal to this direction, and beyond the predictor by this arc length. Newton's method looks in it
-        for the equilibrium after the step. The direction has the n unknowns of this rank, then t.
+        The plane is normal to this direction.
 
         Args:
             last: the state before the corner.
             tangent: (n + 1,) derivative by t of the path's point, from the linearisation at the predictor.
             length: arc length of the step.
+
+        Returns:
+            (n + 1,) direction of length 1: the n unknowns of this rank, then t. Distance, in arc length, from the
+            predictor to the plane, measured along this direction.
 
         Raises:
             SolveError: the path has no corner here.

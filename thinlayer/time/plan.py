@@ -34,13 +34,16 @@ NO_PATH_REASONS = {
 
 
 class Plan(ABC):
-    """Settings of the steps of a march, which check that they suit a model, and make the controller of the steps.
+    """Settings of the steps of a march; base class of the arguments `times` of `march`.
+
+    Its methods check that the settings suit a model, and make the controller of the steps.
 
     Attributes:
         first: length of the first step; None: it ends at the first of the given times.
-        tolerance: largest estimated error of a step, for steps whose length follows from this error; they also end at
-            the break times of `piecewise` data. None: the length of steps does not follow from their error.
-        is_path: whether steps follow an equilibrium path for every model; else only for models that soften, or never.
+        tolerance: largest estimated error of a step, if the length of steps follows from this error. Steps then end at
+            the break times of `piecewise` data, too. None: the length of steps does not follow from their error.
+        is_path: whether steps follow an equilibrium path for every model. If not, given times follow one for models
+            that soften.
     """
 
     first: float | None  # a value would become the default of fields
@@ -49,7 +52,7 @@ class Plan(ABC):
 
     @abstractmethod
     def targets(self, start: float, breaks: Iterable[float] = ()) -> list[float]:
-        """Times at which steps must end, increasing.
+        """Return the times at which steps must end, increasing.
 
         Args:
             start: time of the first state.
@@ -61,17 +64,20 @@ class Plan(ABC):
 
     @abstractmethod
     def check_model(self, equations: Equations, theta: float, method: str | None) -> None:
-        """Raise InputError if the settings do not suit the model, `theta` or the solver's `method`. Collective.
+        """Check that the settings suit the model, theta and the method of the solver. Collective.
 
         Args:
             equations: the equations of the model.
             theta: fraction of each step after which forces balance.
             method: method of the solver that the user chose; None: the default.
+
+        Raises:
+            InputError: they do not.
         """
 
     @abstractmethod
     def controller(self, solver: Solver, journal: Journal, targets: list[float], options: Options) -> Controller:
-        """Make the controller of the steps.
+        """Make the controller of the steps, which carries out the march.
 
         Args:
             solver: solver of the model.
@@ -83,9 +89,10 @@ class Plan(ABC):
 
 @dataclass(frozen=True)
 class PlannedTimes(Plan):
-    """Times at which steps end.
+    """Times at which the steps of a march end.
 
-    A model with a layer whose stress falls as jumps grow follows its equilibrium path to these times, in shorter steps.
+    If a layer softens (its stress falls as jumps grow), the model follows its equilibrium path to these times, in
+    shorter steps.
 
     Attributes:
         times: the times, increasing.
@@ -133,23 +140,24 @@ class PlannedTimes(Plan):
 class Adaptive(Plan):
     """Steps in time whose length follows from an estimate of their error.
 
-    Each step is made once as a whole and once as two halves. The halves are accepted if the error that their
-    difference shows is at most the tolerance. Loads that jump within a step are not noticed: put the times at which
-    functions jump into `at`. The break times of `piecewise` data are added to these times.
+    Each step is made once as a whole and once as two halves. The difference of the two results gives the error of the
+    halves. They are accepted if this error is at most the tolerance. Loads that jump within a step are not noticed: put
+    the times at which functions jump into `at`. Steps end at the break times of `piecewise` data without this.
 
     Attributes:
         end: time at which the march ends.
         first: length of the first step.
-        tolerance: largest estimated error of a step: the largest of three relative errors. They are those of nodal
-            displacements, of jumps (in a meshed layer strains), and of the nodal forces of the bodies' stresses. These
-            forces change with reactions and tractions on the layer. Norms are Euclidean or, for jumps, L2. Errors are
-            relative to the largest norms so far or, after rest, to those at the end of the first step tried.
+        tolerance: largest estimated error of a step, > 0. The error is the largest of the relative errors of three
+            quantities. These are nodal displacements, jumps (in a meshed layer strains), and nodal forces of the
+            bodies' stresses, which change with reactions and with tractions on the layer. Norms are Euclidean, those of
+            jumps L2. Errors are relative to the largest norms so far. For quantities that are zero before the first
+            step, they are relative to the norms at the end of the first step that is tried.
         at: times between start and end at which a step must end.
         smallest: length below which a step is not shortened further (default: first/1e6).
         largest: length of the longest step (default: no limit).
 
     Raises:
-        InputError: values out of range.
+        InputError: a value is out of range.
 
     Example:
         >>> from forms import LinearElastic, Maxwell
@@ -190,14 +198,17 @@ class Adaptive(Plan):
 
 
 def _require_numbers(plan: Plan, *positive: str, signed: tuple[str, ...]) -> None:
-    """Convert attributes of settings to floats; raise InputError if they are out of range.
+    """Check numbers among the attributes of settings, and convert them to floats.
 
-    Attributes with the default None may be None, and `largest` may be infinite.
+    Attributes whose default is None may be None, and `largest` may be infinite.
 
     Args:
-        plan: the settings.
+        plan: the settings, which are changed.
         *positive: names of attributes that must be finite and > 0.
         signed: names of attributes that must be finite.
+
+    Raises:
+        InputError: an attribute is no such number.
     """
     for name in (*signed, *positive):
         value = getattr(plan, name)
@@ -213,9 +224,9 @@ def _require_numbers(plan: Plan, *positive: str, signed: tuple[str, ...]) -> Non
 class ArcLength(Plan):
     """Steps by arc length along an equilibrium path, where t is a parameter of loads and supports and may decrease.
 
-    The path starts at the state of t = start, with t increasing, and continues in the direction of its last step.
-    Energies are not compared: stable and unstable equilibria are followed alike. Steps should be short compared with
-    bends and loops of the path, as a step may pass over them.
+    The path starts at the state at t = start, in the direction in which t increases. Each step goes on in the direction
+    of the one before. Energies are not compared: stable and unstable equilibria are followed alike. Steps should be
+    short compared with bends and loops of the path, as a longer step may pass over them.
 
     The length of a step is sqrt(|du|^2/U^2 + dt^2/T^2). Here |du| is the Euclidean norm of the change of nodal
     displacements, and dt the change of t. T is `first`, and U is |du| of the first step, scaled to a change `first` of
@@ -227,12 +238,12 @@ class ArcLength(Plan):
         smallest: length, relative to the first step, below which a step is not shortened further (default: 1e-6).
         largest: length of the longest step, relative to the first step (default: 1; longer steps may pass over loops of
             the path).
-        steps: largest number of steps; if the path has not ended then, the march raises a SolveError.
-        back: value of t < start; the march ends, too, when t falls below it. None: t may fall to
-            start - (end - start), and the march raises a SolveError below. Loads and supports must be defined there.
+        steps: largest number of steps; if the path has not reached `end` then, the march raises a SolveError.
+        back: value of t < start; the march also ends, without an error, when t falls below it. None: the march raises a
+            SolveError when t falls below 2 start - end. Loads and supports must be defined down to this value.
 
     Raises:
-        InputError: values out of range.
+        InputError: a value is out of range.
     """
 
     end: float
@@ -252,7 +263,11 @@ class ArcLength(Plan):
             raise InputError(f"ArcLength: largest is {self.largest:g}; allowed: >= smallest = {self.smallest:g}")
 
     def lowest(self, start: float) -> float:
-        """Value of t below which the march ends: `back`; if it is None, 2 start - end, with a SolveError."""
+        """Return the value of t below which the march ends: `back`, or 2 start - end if `back` is None.
+
+        Args:
+            start: value of t at the first state.
+        """
         return 2 * start - self.end if self.back is None else float(self.back)
 
     def targets(self, start: float, breaks: Iterable[float] = ()) -> list[float]:
@@ -276,17 +291,17 @@ Times = Sequence[float] | Plan
 
 # ---------------------------------------------------------------- ends of steps
 def _targets(times: Sequence[float], start: float, breaks: Iterable[float]) -> list[float]:
-    """Given times together with the break times between them, increasing.
+    """Return given times together with break times between them, increasing.
 
     Break times that differ from given times only by rounding are left out.
 
     Args:
         times: the given times.
-        start: time of the first state.
+        start: time of the first state; earlier break times are left out.
         breaks: times at which slopes of `piecewise` data change.
 
     Raises:
-        InputError: no times, or times that are not finite or do not increase from `start`.
+        InputError: there are no times, or they are not finite or do not increase from `start`.
     """
     targets, all_times = [*times], np.array([start, *times])
     if not targets or not np.isfinite(all_times).all() or (np.diff(all_times) <= 0).any():
@@ -301,16 +316,19 @@ def _targets(times: Sequence[float], start: float, breaks: Iterable[float]) -> l
 
 # ---------------------------------------------------------------- what models allow
 def require_in_time(equations: Equations, theta: float, ends: list[float]) -> None:
-    """Raise InputError unless a model can be marched in time with a value of theta. Collective.
+    """Check that a model can be marched in time with a value of theta. Collective.
 
     With theta = 1 all models can. With theta < 1, contact laws and laws that bound stresses or switch phases are
-    refused. Laws that creep or relax may be non-linear. Other laws must declare that they are linear, and their
-    parameters, if they are compiled, must not change in time.
+    refused. Laws that creep or relax may be non-linear. All further laws must declare that they are linear, and
+    parameters of compiled laws must not change in time.
 
     Args:
         equations: the equations of the model.
         theta: fraction of each step after which forces balance.
         ends: start of the march, and the times at which steps end.
+
+    Raises:
+        InputError: the model cannot be marched with this theta.
     """
     if theta == 1:
         return
@@ -326,14 +344,17 @@ def require_in_time(equations: Equations, theta: float, ends: list[float]) -> No
 
 
 def _require_path(equations: Equations, theta: float, method: str | None) -> None:
-    """Raise InputError unless equilibrium paths of a model can be followed by arc length. Collective.
+    """Check that the equilibrium path of a model can be followed by arc length. Collective.
 
-    Refused are contact laws, incompressible laws, and laws that bound stresses, switch phases, creep or relax.
+    It cannot with contact laws, incompressible laws, or laws that bound stresses, switch phases, creep or relax.
 
     Args:
         equations: the equations of the model.
         theta: fraction of each step after which forces balance; it must be 1.
-        method: method of the solver that the user chose; None: the default.
+        method: method of the solver that the user chose; None: the default. Only "newton" is allowed.
+
+    Raises:
+        InputError: the path cannot be followed.
     """
     if theta != 1:
         raise InputError(f"theta is {theta}; forces on a path balance at t itself: theta = 1")

@@ -1,4 +1,4 @@
-"""Controllers of steps in time, to given times, adaptive, or from snap to snap; and estimates of errors of steps."""
+"""Controllers of steps in time, to given times, of adaptive length, or from snap to snap; and estimates of errors."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ LIMIT_HINT = "no equilibrium was found, which need not be a limit of the loads: 
 
 @dataclass(eq=False)
 class PlannedStepsController(Controller):
-    """Controller of steps that end at given times, or earlier if longer steps fail; it also finds limit loads.
+    """Controller of steps that end at given times, or earlier if longer steps fail. It also finds limit loads.
 
     Attributes:
         theta: fraction of each step after which forces balance.
@@ -66,10 +66,12 @@ class PlannedStepsController(Controller):
 
     @property
     def attempts(self) -> list[StepAttempt]:
-        """Methods for a step, in the order in which they are tried.
+        """Methods for the next step, in the order in which they are tried.
 
-        Where Newton's method fails, homotopy laws are tried if no step has failed before, if the last step needed them,
-        or in the shortest step. If loads may have a limit, weak springs at all nodes are tried last.
+        The first is Newton's method. Where it fails, it may continue with stiffer laws that approach the given ones
+        (homotopy). It does so until a step has failed, and later if the last step needed it. If loads may have a limit,
+        two more methods follow in the shortest step: Newton's method with such laws in any case, and weak springs at
+        all nodes.
         """
         thorough = self._failed_at == math.inf or self.last.report.homotopy_steps > 0
         newton = StepAttempt("Newton's method", partial(self._step, thorough=thorough))
@@ -91,7 +93,7 @@ class PlannedStepsController(Controller):
         return bool((changes > LOAD_CHANGE_TOLERANCE * sizes).any())
 
     def _resultant(self, t: float) -> list[float]:
-        """Resultant force (d,) of the loads on the bodies and on rigid plates at time t; d: number of dimensions."""
+        """Return the resultant force of the loads at time `t`, on bodies and rigid plates, as its 2 or 3 components."""
         model, loads = self.solver.model, self.solver.equations.loads_at(t)
         translations = [*model_motions(model, PLANE_STRAIN).values()][: model.joint.dim]
         return [float(loads.dot(motion.x.petsc_vec)) for motion in translations]
@@ -111,13 +113,15 @@ class PlannedStepsController(Controller):
         return states
 
     def _states(self, old: State, end: float, theta: float, thorough: bool) -> list[State]:
-        """Solve a step, and return its states; in two halves if `theta` differs from the attribute `theta`.
+        """Solve a step, and return its states.
+
+        If `theta` differs from the attribute `theta`, the step is made as two halves, with a state at the end of each.
 
         Args:
             old: the state before the step.
             end: time at the end of the step.
             theta: fraction of the step after which forces balance; 1 in the first step from rest.
-            thorough: whether homotopy laws are tried if Newton's method fails.
+            thorough: whether stiffer laws that approach the given ones (homotopy) are tried if Newton's method fails.
         """
         return self._successive_states(old, [end] if theta == self.theta else [(old.t + end) / 2, end], theta, thorough)
 
@@ -126,17 +130,22 @@ class PlannedStepsController(Controller):
         return [*states][1:]
 
     def _set_pace(self, length: float, end: float) -> None:
-        """Set the largest length of the next step, after a step of a given length that ended at the time `end`."""
+        """Set the largest length of the next step after a step that has succeeded.
+
+        Args:
+            length: length of this step.
+            end: time at its end.
+        """
         if end >= self._failed_at:
             self._failed_at = math.inf
         grows = self._failed_at == math.inf or not self.solver.bounded
         self.journal.pace.step = None if end == self.target else length * (2 if grows else 1)
 
     def _regularised_step(self, length: float) -> list[State]:
-        """Find an equilibrium, as late as possible in time, by weak springs at all nodes; return its states.
+        """Find an equilibrium by weak springs at all nodes, as late in time as possible, and return its states.
 
         Args:
-            length: length of the step for which other methods have failed.
+            length: length of a step for which other methods have failed.
 
         Raises:
             NoEquilibrium: displacements grew without bound as the springs were softened.
@@ -158,17 +167,24 @@ class PlannedStepsController(Controller):
             t = max(old.t + (t - old.t) / SPRING_STEP_RATIO, end)
 
     def _latest_time(self, length: float) -> float:
-        """Latest time at which weak springs look for an equilibrium, after a step of the given length has failed."""
+        """Return the latest time at which weak springs look for an equilibrium.
+
+        Args:
+            length: length of the step for which other methods have failed.
+        """
         return self.target
 
     def _regularised_state(self, state: State) -> list[State]:
-        """Accept a state that was found by weak springs, in a list, and set the largest length of the next step."""
+        """Accept a state found by weak springs, and return it in a list.
+
+        This also sets the largest length of the next step.
+        """
         self._set_pace(state.t - self.last.t, state.t)
         return [state]
 
 
 class _StepTooLarge(SolveError):
-    """Error of a step whose estimated error is above the tolerance.
+    """Error of an adaptive step whose estimated error is above the tolerance.
 
     A step of `factor` times its length is expected to meet the tolerance.
     """
@@ -182,7 +198,7 @@ class _StepTooLarge(SolveError):
 class AdaptiveController(PlannedStepsController):
     """Controller of steps that are as long as their estimated error allows.
 
-    Each step is made as a whole and as two halves. The states of the halves are kept.
+    Each step is made once as a whole and once as two halves. The states of the halves are kept.
 
     Attributes:
         settings: tolerance of the error, and limits of the lengths of steps.
@@ -200,18 +216,19 @@ class AdaptiveController(PlannedStepsController):
         return length * error.factor if isinstance(error, _StepTooLarge) else super().shorter(length, error)
 
     def _states(self, old: State, end: float, theta: float, thorough: bool) -> list[State]:
-        """Make a step as a whole and as two halves, and return the states of the halves.
+        """Make a step once as a whole and once as two halves, and return the states of the halves.
 
-        Errors are relative to the largest norms of displacements, jumps and forces so far. For quantities at rest
-        before it, they are relative to the norms at the end of the first step tried, accepted or not. Reason: a
-        quantity that grows from zero as a power of time has a constant relative error in its first step, however short.
-        A quantity is at rest if its norm is less than the tolerance times its norm at the end of the step.
+        Errors are relative to the largest norms of displacements, jumps and forces so far. A quantity counts as being
+        at rest if its norm is less than the tolerance times its norm at the end of the step. Its errors are relative to
+        its norm at the end of the first step that was tried, whether accepted or not. The reason is a quantity that
+        grows from zero as a power of time. Relative to its own norm, its error is the same in any first step, however
+        short.
 
         Args:
             old: the state before the step.
             end: time at the end of the step.
             theta: fraction of each step after which forces balance.
-            thorough: whether homotopy laws are tried if Newton's method fails.
+            thorough: whether stiffer laws that approach the given ones (homotopy) are tried if Newton's method fails.
 
         Raises:
             _StepTooLarge: the estimated error is above the tolerance.
@@ -235,7 +252,7 @@ class AdaptiveController(PlannedStepsController):
     def _set_pace(self, length: float, end: float) -> None:
         """Set the largest length of the next step to what the error of the last one allows.
 
-        A step that was shortened to end at one of `targets` does not limit the next one.
+        A step that was shortened to end at one of `targets` does not shorten the next one.
 
         Args:
             length: length of the last step.
@@ -253,18 +270,21 @@ class AdaptiveController(PlannedStepsController):
 
 
 class SnapController(PlannedStepsController):
-    """Controller of steps to given times and to the times between them at which columns switch their phases.
+    """Controller of steps to given times, and to the times between them at which columns switch their phases.
 
-    A column is a facet of S, or the cells above each other through the thickness of a meshed layer.
+    In a full model a column is the cells above each other through the layer's thickness, in an interface model a facet
+    of S.
     """
 
     def _states(self, old: State, end: float, theta: float, thorough: bool) -> list[State]:
-        """States of a step: two at every snap, before and after it, then the state at the end. Collective.
+        """Solve a step, with all snaps (sudden changes of phase) within it, and return its states. Collective.
 
-        A snap has no duration: both its states have the same t. The energy that layer and bodies lose in it is
-        `dissipated`. Steps end at the break times of `piecewise` data. If loads, supports and parameters are linear in
-        time within the step, the first switch is found. Otherwise phases are tested at a few times within the step.
-        A column that leaves its phase of lowest energy only between two of them is missed.
+        The states are two for each snap, before and after it, and the state at the end. A snap has no duration: both
+        its states have the same t. The energy that layer and bodies lose in it counts as dissipated.
+
+        If loads, supports and parameters are linear in time within the step, the first switch is found. Otherwise
+        columns are tested at a few times within the step. A column that leaves its phase of lowest energy only between
+        two of these times is missed.
 
         Args:
             old: the state before the step.
@@ -303,16 +323,26 @@ class SnapController(PlannedStepsController):
                 return states[1:]
 
     def _at_fixed_phases(self, old: State, t: float) -> tuple[State, float]:
-        """State at a time with the phases of `old`, and how far its columns are beyond switching.
+        """Solve for the state at a time with the phases of an earlier state; tell whether a column must switch there.
 
-        The number is > 0 if a column must switch. It is the largest energy that a column would lose by a change of
-        phase, over the energy of the transformation, minus a tolerance.
+        Args:
+            old: the earlier state.
+            t: the time.
+
+        Returns:
+            The state; and a number, > 0 if a column must switch. It is the largest energy that a column would lose by a
+            change of phase, over the energy of the transformation, minus a tolerance.
         """
         state = self.solver.step(old, t, keep_phases=True)
         return state, self.solver.equations.excess - 2 * EXCESS_TOLERANCE
 
     def _switch_time(self, old: State, end: float) -> float:
-        """First time after the state `old` at which a column must switch, to rounding; at `end` one must."""
+        """Return the first time at which a column must switch its phase, exact up to rounding.
+
+        Args:
+            old: the state at which the search starts.
+            end: time at which the search ends, and at which a column must switch.
+        """
         from scipy.optimize import brentq  # not needed by most marches
 
         def excess(t: float) -> float:
@@ -338,8 +368,8 @@ class ErrorEstimate:
       at nodes;
     - the nodal forces of the bodies' stresses, which change with reactions of supports and tractions on the layer.
 
-    Displacements are not enough. A layer may relax under bodies that hardly move, and a jump may be small compared with
-    the motion of a whole body.
+    Displacements alone would not be enough. A layer may relax under bodies that hardly move, and a jump may be small
+    compared with the motion of a whole body.
 
     Args:
         equations: the equations of the model.
@@ -352,12 +382,14 @@ class ErrorEstimate:
         self._unit = float(np.sqrt(sum(part.unit_jump_measure() for part in self._measuring)))
 
     def differences(self, other: State, state: State, largest: Sequence[float] | Array = (0.0, 0.0, 0.0)) -> Array:
-        """Relative differences (3,) of two states in displacements, jumps or strains, and forces.
+        """Return the relative differences (3,) of two states in displacements, in jumps or strains, and in forces.
+
+        Each is the norm of the difference over the norm in `state` or, if this is larger, over the norm in `largest`.
 
         Args:
             other: the state from longer steps.
-            state: the state from shorter steps. Differences are relative to the norms in it or, if larger, `largest`.
-            largest: three norms, as `sizes` returns them.
+            state: the state from shorter steps.
+            largest: (3,) norms, as `sizes` returns them.
         """
         quantities = [self._quantities(end_state) for end_state in (other, state)]
         differences = self._norms([b - a for a, b in zip(*quantities, strict=True)])
@@ -367,11 +399,14 @@ class ErrorEstimate:
         return np.asarray(np.divide(differences, sizes, out=np.zeros(3), where=sizes > 0))
 
     def sizes(self, state: State) -> Array:
-        """Norms (3,) of displacements, jumps or strains, and forces in a state."""
+        """Return the norms (3,) of displacements, of jumps or strains, and of forces in `state`."""
         return self._norms(self._quantities(state))
 
     def _quantities(self, state: State) -> list[Array]:
-        """Arrays of this rank's displacements, jumps or strains, and forces in a state."""
+        """Return the three compared quantities in `state`, as arrays of this rank's values.
+
+        They are displacements, jumps or strains, and forces.
+        """
         u = state.u
         forces = u.x.petsc_vec.duplicate()
         forces.set(0.0)
