@@ -1,1 +1,1 @@
-"""The command line, the catalogue of studies, and the folders of results of their runs."""
+"""The command line, the catalogue of the studies that it runs, and the folders with their results."""

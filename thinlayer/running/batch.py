@@ -1,4 +1,4 @@
-"""Batches: several studies run at the same time, each in a process; a killed batch can be started again."""
+"""Batches of studies that run at the same time, each in a process; a batch started again goes on after a kill."""
 
 from __future__ import annotations
 
@@ -101,11 +101,11 @@ class Job:
 
 
 def quick_options(study: str, quick: bool) -> dict[str, bool]:
-    """Options that run a study on coarse meshes, if that is wanted and possible: {"quick": True}, else {}.
+    """Return {"quick": True}, the option for coarse meshes, if it is wanted and the study has it; else {}.
 
     Args:
         study: name of the study.
-        quick: whether coarse meshes are wanted. Only studies with an option "quick" have them.
+        quick: whether coarse meshes are wanted.
     """
     return {"quick": True} if quick and "quick" in studies()[study].options else {}
 

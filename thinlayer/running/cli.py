@@ -104,7 +104,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0 after success, 1 if a check of a study failed, 2 after wrong input, 3 if a study did not finish.
 
     Raises:
-        Exception: any error that is neither wrong input nor a failed solve, such as a bug of the package.
+        SystemExit: the command line itself is wrong (its status is then 2), or asks for help.
+        Exception: any other error than wrong input or a failed solve, such as a bug of the package.
     """
     words = [*(sys.argv[1:] if arguments is None else arguments)]
     several = words[:1] == ["run"] and ("--all" in words or [word[:1] == "-" for word in words[1:3]] == [False, False])
@@ -185,7 +186,7 @@ def _several_studies() -> Parser:
 
 
 def _add_batch(parser: Parser, out: Path) -> None:
-    """Add the options --quick, --out and -j of commands that run several studies to `parser`.
+    """Add to `parser` the options --quick, --out and -j, which commands that run several studies have.
 
     `out` is the default of --out, the folder of the results.
     """
@@ -212,7 +213,7 @@ def _command(commands: Commands, name: str, work: Command, example: str, what: s
 
 
 def _computing(parser: Parser) -> Parser:
-    """Add the options --verbose, --quiet and --out to `parser`, that of a command which computes, and return `parser`.
+    """Add to `parser` the options --verbose, --quiet and --out, which commands that compute have, and return `parser`.
 
     Its help also gets a sentence about PETSc options and the list of exit statuses.
     """
@@ -290,7 +291,7 @@ def _draw(parser: Parser, chosen: argparse.Namespace, _: Petsc) -> int:
 
 
 def _run(_: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
-    """Run the study of this name; several names or --all run several. STUDY --help shows the options of a study."""
+    """Run one study; several names, or --all, run several studies. STUDY --help shows the options of a study."""
     study = studies()[chosen.study]
     options = {name: value for name, value in vars(chosen).items() if name in study.options and value is not None}
 

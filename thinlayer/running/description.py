@@ -1,8 +1,8 @@
 """Input file in TOML of the command `estimate`: mesh file, laws, supports, loads and goals.
 
-The file is called a description. Its entries are checked without reading the mesh. Its keys are names of arguments: of
-`geometry.read` in the table [mesh], of `ThinLayer` in [layer], of the classes of goals in [goals], else of `Structure`.
-Moduli of layers are those of the material, not divided by the thickness.
+The file is called a description. Its entries are checked without reading the mesh. Most keys are names of arguments: of
+`geometry.read` in the table [mesh], of `ThinLayer` in [layer], of the classes of goals in [goals], of `Structure`
+elsewhere. Moduli of layers are those of the material, not divided by the thickness.
 """
 
 from __future__ import annotations
@@ -64,9 +64,9 @@ class Description:
         bodies: "kept" (the meshed layer would move the bodies apart) or "extended" (it would be cut out of them).
         times: ends of the time steps, for laws with a rate or a memory; (): the structure is solved once, at t = 0.
         goals: name -> "kind" and further arguments of a quantity of interest.
-        tolerance: name of a quantity -> its largest allowed relative change, < 1. For each entry, the thickness is also
-            sought below which the change is smaller.
-        bonded: whether a second change is estimated, too: that if the layer is left out and the bodies are bonded.
+        tolerance: name of a quantity -> its largest allowed relative change, < 1. The command then also looks for the
+            thickness of the layer below which the change is smaller.
+        bonded: whether to estimate, too, what changes if the layer is left out and the bodies are bonded.
     """
 
     section: Section
@@ -145,9 +145,9 @@ def _mesh(section: Section, key: str) -> Arguments:
 
 
 def _sides(section: Section, key: str) -> object:
-    """Read which facets form S, at `key` in the table `section`: one name of a facet set, several, or a table.
+    """Read which facets form S, at `key` in the table `section`: one name of a facet set, several names, or a table.
 
-    The table has, for each seam, its name and its sides; only `geometry.read` checks it.
+    The table has the sides of each seam by the name of the seam; only `geometry.read` checks it.
     """
     value = section.values[key]
     return value if isinstance(value, Mapping) else section.texts(key)

@@ -42,10 +42,10 @@ def run(record: Record, description: Description, file: Path) -> None:
     """Estimate how quantities of a structure change if its layer is not meshed. Collective.
 
     The answer is printed in sentences. The folder gets the table estimate.csv and pictures of the change along S. With
-    tolerances it also gets thin_enough.csv, with the thicknesses at which the changes are as large as allowed.
+    tolerances it also gets thin_enough.csv, with the thicknesses below which the changes are allowed.
 
     Args:
-        record: folder of the results.
+        record: record of the run, with the folder of the results.
         description: content of the input file.
         file: path of the input file, whose hash is stored with the results.
 
@@ -93,7 +93,7 @@ def _thicknesses(record: Record, case: DescribedCase, name: str) -> list[Row]:
     """Compute and print the thickness below which each quantity changes by less than its tolerance.
 
     Args:
-        record: folder of the results, which also prints.
+        record: record of the run, through which text is printed.
         case: structure, layer and goals, with the tolerances.
         name: model whose results are compared with those of the meshed layer: `LAW`, with an interface law, or `BOND`,
             with the bodies bonded.
@@ -127,7 +127,7 @@ def _draw(record: Record, case: DescribedCase, name: str, estimate: Estimate) ->
     A goal whose change has no known distribution is named in a message instead.
 
     Args:
-        record: folder of the pictures, which also prints.
+        record: record of the run, with the folder of the pictures; text is printed through it.
         case: the input, for the unit of lengths.
         name: model that is used without the layer's mesh: `LAW`, with an interface law, or `BOND`, with the bodies
             bonded.

@@ -79,7 +79,7 @@ def laws_by_name() -> dict[str, type[BulkLaw]]:
 
 
 def _law(section: Section, extra: Mapping[str, Reader], needed: Mapping[str, str]) -> tuple[BulkLaw, dict[str, Any]]:
-    """Read a law from a table {law = name, parameter = value, ...}, or a stack of layers from {sublayers = [...]}.
+    """Read a law from a table {law = name, parameter = value, ...}, or the law of a stack from {sublayers = [...]}.
 
     Args:
         section: the table.

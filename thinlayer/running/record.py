@@ -259,7 +259,7 @@ class Record:
             name: name of the csv file in the folder.
             cases: for each row the argument of `row`; a tuple stands for several arguments.
             row: function that returns a row of the table: name of a column -> entry.
-            label: format string that makes, of a case, the text shown while its row is computed.
+            label: format string for a case, such as "eps = {}"; it makes the text shown while the row is computed.
         """
         table = self.table(name)
         for case in track(list(cases), self.study, label):

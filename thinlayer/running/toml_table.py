@@ -29,7 +29,7 @@ class TimeSeries:
 
     Attributes:
         values: time -> value, a number or the components of a vector; at least two times, increasing.
-        keys: place of the value in the file: the keys of its table, the tables within it, and the value.
+        keys: where the value is in the file: keys of nested tables, the outermost first, and last the key of the value.
     """
 
     values: Mapping[float, float | tuple[float, ...]]
@@ -243,7 +243,7 @@ class Section:
         return replace(self, values=value, path=(*self.path, *keys))
 
     def tables(self, key: str, what: str) -> list[Section]:
-        """Return the tables in the list at `key`, as sections.
+        """Return the tables in the list at `key`, each as a `Section`.
 
         Args:
             key: key of the list.

@@ -52,7 +52,9 @@ class SourceError(ThinlayerError, RuntimeError):
 
 
 def acquire(folder: Path, name: str) -> None:
-    """Lock a compiled library of the cache for this process; first wait while another process has it locked.
+    """Lock a library of the cache for this process, after a wait while another process has locked it.
+
+    The library may not exist yet.
 
     Args:
         folder: folder of the cache, which is made if necessary.
@@ -93,9 +95,9 @@ def _lock(folder: Path, name: str, how: int) -> None:
 
 @contextmanager
 def workshop(folder: Path, name: str) -> Iterator[Path]:
-    """Context manager of a new, empty folder in which to compile a library, which is locked; removed at the end.
+    """Context manager that yields a new, empty folder in which to compile a library, and removes it at the end.
 
-    Such folders that killed processes have left for the same library are removed, too.
+    The library must be locked. Such folders that killed processes have left for it are removed, too.
 
     Args:
         folder: folder of the cache, in which the new one is made.

@@ -56,7 +56,8 @@ def describe(value: object) -> object:
     """Return a description of a value as nested JSON data; equal values have the same description in every process.
 
     - Numbers, texts, arrays and containers are described by their entries, whatever the order of a dict.
-    - Dataclasses are described by their fields, other objects by the data that `copy` would make a copy from.
+    - Dataclasses are described by their fields, other objects by the data that `copy` would make a copy from. Classes
+      of this package may define a method `identity`, whose result describes their objects instead.
     - Users' functions are described by their bytecode, the hash of their file, and the values that they read. These are
       closure variables, defaults, attributes and globals.
     - Users' classes are described by their functions and files, users' modules by their files.

@@ -171,8 +171,8 @@ def collect(comm: MPI.Intracomm, used: FunctionSpace | None = None) -> None:
 
     Args:
         comm: communicator of the ranks.
-        used: function space, on whose own communicator PETSc objects have been made. This call and later ones free
-            these objects, too, the last time after the space is gone. None: no space is added.
+        used: function space of a model. This call and later ones also free PETSc objects on the communicator of this
+            space, the last time when the space itself is gone. None: only spaces of earlier calls count.
     """
     from petsc4py import PETSc
 

@@ -21,7 +21,7 @@ def version_of(package: str) -> str:
 def error_reason(error: BaseException) -> str:
     """Return a text that says why `error` ended a run, such as "interrupted".
 
-    For an OSError it names the file. For an error that only a bug can raise it starts with the error's class.
+    For an OSError the text names the file. For an error that shows a bug it starts with the class of the error.
     """
     if isinstance(error, OSError):
         where = f" {str(error.filename)!r}" if error.filename else ""

@@ -33,8 +33,8 @@ class Journal:
 
     Attributes:
         equations: the equations of the model.
-        choices: name of an argument of the march -> its value; among them are "start" and "theta". To be resumed, a
-            march must have the same values.
+        choices: name of an argument of the march -> its value; among them are "start" and "theta". A march can only be
+            resumed with the same values.
         observe: name of a column of the table -> function of a state that returns a number.
         keep: "all": keep all states; "last": keep only the last one.
         out: folder for the table and the files from which to resume; None: no files.

@@ -94,7 +94,7 @@ def march(
     Warns:
         RangeWarning: a law or state is out of the range of validity that `solve` checks; issued once, at the end, for
             the states that are kept. Warnings of strains of bodies are issued also if the march fails. A second reason
-            is an estimated error above 2 % of steps that end at given times (`History.step_errors`). It is estimated
+            is that steps to given times leave an estimated error above 2 % (`History.step_errors`). It is estimated
             for laws that are not linear and depend on history (yield, friction, damage, creep). To this end the march
             is repeated with half as many steps; fewer than eight steps are repeated as 8 to 14. A third reason, before
             the march, are steps between given times that are not well below a relaxation or retardation time of a law.

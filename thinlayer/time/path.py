@@ -320,9 +320,9 @@ class EquilibriumPath:
         return self.equations.accept(self._x, Report("newton", iterations, residual, time.perf_counter() - begin))
 
     def _direction_beyond(self, last: State, tangent: Array, length: float) -> tuple[Array, float]:
-        """Return the direction of the path beyond a corner, and the distance of a plane in which to look for equilibria.
+        """Return the direction of the path beyond a corner, and how far from the predictor to look for an equilibrium.
 
-        The plane is normal to this direction.
+        The equilibrium is sought in a plane that is normal to this direction.
 
         Args:
             last: the state before the corner.

@@ -42,8 +42,8 @@ class Plan(ABC):
         first: length of the first step; None: it ends at the first of the given times.
         tolerance: largest estimated error of a step, if the length of steps follows from this error. Steps then end at
             the break times of `piecewise` data, too. None: the length of steps does not follow from their error.
-        is_path: whether steps follow an equilibrium path for every model. If not, given times follow one for models
-            that soften.
+        is_path: whether steps follow an equilibrium path for every model. False: only steps to given times follow one,
+            and only for models that soften.
     """
 
     first: float | None  # a value would become the default of fields
@@ -72,7 +72,7 @@ class Plan(ABC):
             method: method of the solver that the user chose; None: the default.
 
         Raises:
-            InputError: they do not.
+            InputError: the settings do not suit them.
         """
 
     @abstractmethod

@@ -220,8 +220,8 @@ class AdaptiveController(PlannedStepsController):
 
         Errors are relative to the largest norms of displacements, jumps and forces so far. A quantity counts as being
         at rest if its norm is less than the tolerance times its norm at the end of the step. Its errors are relative to
-        its norm at the end of the first step that was tried, whether accepted or not. The reason is a quantity that
-        grows from zero as a power of time. Relative to its own norm, its error is the same in any first step, however
+        its norm at the end of the first step that was tried, whether accepted or not. Such a quantity may grow from
+        zero as a power of time. Relative to its own norm, its error would then be the same in any first step, however
         short.
 
         Args:
@@ -363,10 +363,11 @@ class ErrorEstimate:
     All methods are collective. Three quantities are compared, in Euclidean norms of nodal values or L2 norms of
     strains:
 
-    - the displacements of nodes;
-    - the strains of compiled laws at their quadrature points, on S jumps over the thickness; under a contact law jumps
-      at nodes;
-    - the nodal forces of the bodies' stresses, which change with reactions of supports and tractions on the layer.
+    - displacements: those of nodes;
+    - jumps or strains: the strains of compiled laws at their quadrature points. On S these are jumps divided by the
+      thickness, and under a contact law jumps at nodes;
+    - forces: the nodal forces of the bodies' stresses, which change with reactions of supports and tractions on the
+      layer.
 
     Displacements alone would not be enough. A layer may relax under bodies that hardly move, and a jump may be small
     compared with the motion of a whole body.
@@ -389,7 +390,7 @@ class ErrorEstimate:
         Args:
             other: the state from longer steps.
             state: the state from shorter steps.
-            largest: (3,) norms, as `sizes` returns them.
+            largest: (3,) norms of the three quantities, in the same order.
         """
         quantities = [self._quantities(end_state) for end_state in (other, state)]
         differences = self._norms([b - a for a, b in zip(*quantities, strict=True)])
