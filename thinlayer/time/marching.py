@@ -49,8 +49,8 @@ def march(
     The loads may begin suddenly at `start`. If every law responds to them at once (elastic, Maxwell), the first
     accepted state is this response, at `start`. Other laws and parts depend on rates: Kelvin-Voigt, Norton, a stack
     with one of them, user-defined parts such as inertia. With them the first state is at rest, and the response to
-    sudden loads is in the first step. A step that fails is halved. Steps also end at the break times of `piecewise`
-    data, where slopes change, if a law or a part has a memory, depends on rates or softens.
+    sudden loads is in the first step. A step that fails is halved. If a law or a part has a memory, depends on rates or
+    softens, steps also end at the break times of `piecewise` data, where slopes change.
 
     A layer softens if its stress falls as jumps grow (trait `softens`). A model with such a layer follows its
     equilibrium path, as long as time increases along it. Steps are as short as the path needs. In this way, prescribed

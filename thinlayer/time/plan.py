@@ -149,9 +149,9 @@ class Adaptive(Plan):
         first: length of the first step.
         tolerance: largest estimated error of a step, > 0. The error is the largest of the relative errors of three
             quantities. These are nodal displacements, jumps (in a meshed layer strains), and nodal forces of the
-            bodies' stresses, which change with reactions and with tractions on the layer. Norms are Euclidean, those of
-            jumps L2. Errors are relative to the largest norms so far. For quantities that are zero before the first
-            step, they are relative to the norms at the end of the first step that is tried.
+            bodies' stresses. These forces change with reactions and with tractions on the layer. Norms are Euclidean,
+            those of jumps L2. Errors are relative to the largest norms so far. For quantities that are zero before the
+            first step, they are relative to the norms at the end of the first step that is tried.
         at: times between start and end at which a step must end.
         smallest: length below which a step is not shortened further (default: first/1e6).
         largest: length of the longest step (default: no limit).
