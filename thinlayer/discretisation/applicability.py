@@ -40,14 +40,15 @@ class Applicability:
 
     Attributes:
         layer: the layer on its seam.
-        bodies: "kept": bodies keep their shape. "extended": each gives up the room of its half of the layer.
+        bodies: "kept": the bodies keep their shape, and a meshed layer would move them apart. "extended": the outer
+            shape is kept, and each body gives up half of the layer's thickness.
     """
 
     def __init__(self, layer: SeamLayer, bodies: str = "kept") -> None:
         self.layer, self.bodies = layer, bodies
 
     def why_not(self, question: str) -> Violation | None:
-        """Return the first violated condition for a use of the layer; None if all conditions hold.
+        """Return the first condition that the layer violates for a use; None if it violates none.
 
         The result is the same on all ranks.
 
@@ -61,21 +62,23 @@ class Applicability:
         return next((violation for condition in CONDITIONS_OF_USE[question] for violation in condition(self)), None)
 
     def require(self, question: str, what: str = "") -> None:
-        """Raise InputError for the first violated condition for a use of the layer; `what` begins the message.
+        """Raise InputError for the first condition that the layer violates for a use; pass if it violates none.
 
-        `question` names the use: a key of `CONDITIONS_OF_USE`, such as "interface law" or "mesh".
+        Args:
+            question: the use, a key of `CONDITIONS_OF_USE`, such as "interface law" or "mesh".
+            what: first words of the message.
         """
         if violation := self.why_not(question):
             raise violation.error(what)
 
     @cached_property
     def law(self) -> BulkLaw:
-        """The layer's law as a law of strains in the structure's `plane`, with numbers or functions as parameters."""
+        """The layer's law for the structure's `plane`; its parameters are numbers, or functions of the place."""
         return law_with_numbers(self.layer.layer, self.layer.structure.kinematics)
 
     @cached_property
     def bend_text(self) -> str | None:
-        """Phrase for messages: how the layer is curved or varies in thickness; None if it is flat and uniform."""
+        """Words in messages that say how the layer is curved or varies in thickness; None for a flat, uniform layer."""
         if self.layer.thin_layer and self.layer.thin_layer.profile is not None:
             return "of a thickness that varies"
         if not self.layer.sheet.planar:
@@ -85,9 +88,10 @@ class Applicability:
 
     # ---------------------------------------------------------------- sides
     def rim(self, *kinds: str) -> Rim:
-        """Return the ridges at which the seam ends and the layer's side is constrained in one of the ways `kinds`.
+        """Return the ridges (vertices in 2D, edges in 3D) at which the seam ends with a layer's side of given kinds.
 
-        The ways are "free", "symmetric", "antisymmetric", "held" (clamped) and "oblique", see `side_kinds`.
+        `kinds` are words that say how supports constrain the side: "free", "symmetric", "antisymmetric", "held"
+        (clamped) or "oblique". `side_kinds` defines them.
         """
         return self.layer.sheet.rim[np.isin(self._kinds, kinds)]
 
@@ -97,27 +101,28 @@ class Applicability:
 
     @cached_property
     def free_rim(self) -> Rim:
-        """Ridges with the local field of a free end: the layer's side is free, or constrained in oblique directions."""
+        """Ridges of free ends, where the layer's side is not constrained, or only in an oblique direction."""
         return self.rim("free", "oblique")
 
     @cached_property
     def open_rim(self) -> Rim:
-        """Ridges where the layer's side is not fixed outward along S.
+        """Ridges at which no support prevents the layer's side from moving outward along S.
 
-        Loads on the side reach the layer there, and a pressure in the layer falls to zero.
+        There loads on the side act on the layer, and a pressure in the layer falls to zero.
         """
         return self.rim("free", "antisymmetric", "oblique")
 
     @cached_property
     def neglected(self) -> Rim:
-        """Ridges of the free ends that the interface law does not correct: all of them, or none."""
+        """Ridges of all free ends if the interface law does not correct free ends; no ridges if it does."""
         return self.free_rim[np.full(len(self.free_rim.vertices), self.why_not("ends") is not None)]
 
     @cached_property
     def pressure_lengths(self) -> FloatArray:
-        """Decay lengths (n,) of the pressure in a law of order 1 at the n ridges of `open_rim`: eps sqrt(lmbda/(12 mu)).
+        """Lengths (n,) over which the pressure of a law of order 1 decays at the n ridges of `open_rim`.
 
-        They are infinite for an incompressible law.
+        They are eps sqrt(lmbda/(12 mu)) with the layer's thickness eps at the ridge, and infinite for an incompressible
+        law.
         """
         thin, joint, at = self.layer.as_thin_layer, self.layer.sheet.joint, self.open_rim.vertices
         laws = self.law.at_places(joint.points[at].mean(axis=1).T) if self.law.fields else [self.law] * len(at)
@@ -128,20 +133,22 @@ class Applicability:
 
     @property
     def is_coarse(self) -> BoolArray:
-        """Mask (n,) of the n ridges of `open_rim` at which cells of S are longer than the decay length of the pressure.
+        """Mask (n,) of the n ridges of `open_rim` whose cells of S are longer than the decay length of the pressure.
 
-        The pressure is not set to zero at these ridges, because it would then be too small over a whole cell.
+        The interface law does not set its pressure to zero at these ridges: the pressure would be too small over a
+        whole cell.
         """
         return np.asarray(self.open_rim.depth > self.pressure_lengths)
 
     # ---------------------------------------------------------------- better laws
     def next_order(self) -> ThinLayer:
-        """Return the same layer with an interface law of order 1, for error estimates.
+        """Return the layer with an interface law of order 1, with which the error of its present law is estimated.
 
-        The layer must meet the conditions of the use "estimate" (`why_not`). A `LinearElastic` law with lmbda > 0
-        becomes `Rubber`, with a pressure, unless parameters are functions or the structure is in plane stress. If there
-        are ridges in `open_rim`, this is done for Poisson's ratios above `MAX_FREE_END_NU` only: for smaller ratios the
-        constants of free ends need no fine mesh.
+        The layer must meet the conditions of the use "estimate", see `why_not`. A `LinearElastic` law with lmbda > 0
+        becomes `Rubber` with the same moduli, which has a pressure as additional unknown. It stays `LinearElastic` in
+        plane stress, with functions as parameters, or if the correction of free ends is known. This is so if there are
+        ridges in `open_rim` and Poisson's ratio is at most `MAX_FREE_END_NU`. The correction needs no mesh as fine as
+        that of the pressure.
         """
         law, has_open_rim = self.layer.as_thin_layer.law, len(self.open_rim.vertices) > 0
         plane_stress = self.layer.structure.plane == "stress"  # no pressure builds up there
@@ -153,30 +160,30 @@ class Applicability:
     # ---------------------------------------------------------------- ends
     @property
     def free_end_text(self) -> str:
-        """Phrase that says whether the interface law corrects the free ends."""
+        """Words in messages: "corrected", "none" or "not corrected, as ...", for the free ends in the interface law."""
         violation = self.why_not("ends")
         return f"not corrected, as {violation.reason}" if violation else "corrected" if self.weights else "none"
 
     @cached_property
     def strips(self) -> EndStrips | None:
-        """Strips along free ends in which the layer is less stiff; None if they are not known for the law."""
+        """Strips of S along free ends in which the layer is less stiff; None if not known for the layer's law."""
         return self.law.end_strips()
 
     @cached_property
     def contrast(self) -> float:
-        """Least Young's modulus at rest of the bodies beside the seam, over the layer's shear modulus mu."""
+        """Ratio of the least initial Young's modulus of the bodies beside the seam to the layer's shear modulus."""
         return softest_body(self.layer) / float(parameter_numbers(self.law.parameters()["mu"]))
 
     @property
     def width(self) -> float:
-        """Area of the seam over the total length of its free ends, in units of the thickness."""
+        """Area of the seam over the total length of its free ends, divided by the thickness: a number."""
         return float(self.layer.sheet.areas.sum() / self.free_rim.length.sum()) / self.layer.eps
 
     @cached_property
     def all_weights(self) -> FacetWeights:
-        """Weights (relative losses of stiffness) on the seam's facets near free ends, whose strips may overlap.
+        """Relative losses of stiffness on the seam's facets near free ends, also if strips of several ends overlap.
 
-        All other conditions of the use "ends" must hold, see `why_not`.
+        The layer must meet all other conditions of the use "ends", see `why_not`.
         """
         assert self.strips is not None
         strips = self.strips.of_spread(min(self.width, (self.contrast / BENDING_FACTOR) ** (1 / 3)))
@@ -185,12 +192,12 @@ class Applicability:
 
     @cached_property
     def weights(self) -> FacetWeights | None:
-        """Weights (relative losses of stiffness) on the seam's facets near free ends; None without correction."""
+        """Relative losses of stiffness on the seam's facets near free ends; None if there are none or no correction."""
         return None if self.why_not("ends") or not len(self.free_rim.vertices) else self.all_weights
 
 
 def softest_body(seam_layer: SeamLayer) -> float:
-    """Return the least Young's modulus at rest of the bodies beside a seam; infinite if no stiffness is known.
+    """Return the least initial Young's modulus of the bodies beside a seam; infinite if no stiffness is known.
 
     Moduli of anisotropic laws are averaged over all directions.
     """
@@ -208,7 +215,7 @@ def softest_body(seam_layer: SeamLayer) -> float:
 
 # ---------------------------------------------------------------- conditions, in the order in which they are checked
 def _law_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield the violated conditions for an interface law of order 0, which a meshed layer must meet too."""
+    """Yield the conditions that the law of `r.layer` violates for any interface law or mesh of the layer."""
     seam_layer, structure, element = r.layer, r.layer.structure, r.layer.structure.element
     seam_layer.law.check_dimension(structure.joint.dim)
     if seam_layer.contact:
@@ -228,7 +235,10 @@ def _law_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _next_order_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield the violated conditions for an interface law of order 1, those at tips and junctions of the seam last."""
+    """Yield the conditions that `r.layer` violates for an interface law of order 1; none for order 0.
+
+    Conditions at tips and junctions of the seam come last.
+    """
     thin, structure, sheet = r.layer.thin_layer, r.layer.structure, r.layer.sheet
     if thin is None or thin.order == 0:
         return
@@ -268,7 +278,10 @@ def _mean_strain_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _support_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield a violation if a support acts on the layer's own side ("NAME/LAYER") but not on the bodies beside it."""
+    """Yield a violation if a support constrains the own side of `r.layer` but not the bodies beside it.
+
+    Such a support has a name of the kind "NAME/LAYER": the part of the facet set NAME on the layer's own side.
+    """
     sheet, layer_only = r.layer.sheet, constrained_directions(r.layer) - constrained_directions(r.layer, of_layer=False)
     if len(ridges := sheet.rim.vertices[np.abs(layer_only).max(axis=(1, 2)) > FLAT_SQUARED_COSINE]):
         reason = f"a support holds the side of {r.layer} alone, at {place_text(sheet.joint.points[ridges[0, 0]])}"
@@ -281,9 +294,9 @@ def _thickness_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield the violated conditions for an interface law of order 1 that corrects its free ends.
+    """Yield the conditions that `r.layer` violates for an interface law of order 1 that corrects its free ends.
 
-    Without free ends the only condition is order 1.
+    A layer without free ends only needs an interface law of order 1.
     """
     thin, joint = r.layer.as_thin_layer, r.layer.structure.joint
     if thin.order == 0:
@@ -317,7 +330,7 @@ def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Violation]:
-    """Yield the violated conditions for straight free ends of a flat layer between much stiffer bodies.
+    """Yield the conditions that `r.layer` violates for being flat, with straight free ends between much stiffer bodies.
 
     `contrast` is Young's modulus of the softest body over the shear modulus of the layer.
     """
@@ -337,9 +350,10 @@ def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Viol
 
 
 def _pressure_excess_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield the violated conditions for estimating the excess pressure of a law that lets no material flow along S.
+    """Yield the conditions that `r.layer` violates for estimating by how much the pressure of its law is too large.
 
-    See `thinlayer.surface.pressure_excess`.
+    An interface law of order 0 lets no material flow along S and so overestimates the pressure.
+    `thinlayer.surface.pressure_excess` estimates the excess.
     """
     seam_layer = r.layer
     if seam_layer.thin_layer and seam_layer.thin_layer.eigenstrain is not None:
@@ -361,7 +375,7 @@ def _pressure_excess_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _subproblem_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield the violated conditions for solving the meshed layer by itself, with displacements prescribed on faces."""
+    """Yield the conditions that `r.layer` violates for solving it without bodies, with its faces' displacements given."""
     traits, law_name = r.layer.law.traits, r.layer.law_name
     if traits.phases or traits.softens:
         law_remedy = "take mixing=1, or NonMonotoneUnrelaxed, and " * (traits.phases and traits.softens)
@@ -373,7 +387,10 @@ def _subproblem_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _neumann_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield a violation if the layer cannot be solved with forces on its faces, because a strain causes no stress."""
+    """Yield a violation if some strain of `r.layer` causes no stress.
+
+    The layer without bodies then has no unique displacements under forces on its faces.
+    """
     slots = r.layer.structure.kinematics.slots(r.layer.structure.joint.dim)
     tangents = [C for s in r.layer.samples for _, _, C in s.initial_tangents.sublayers if C is not None]
     for C in (C[np.ix_(slots, slots)] for C in tangents):
@@ -384,20 +401,23 @@ def _neumann_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _bonded_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield a violation if bonded bodies allow no estimate: only flat, uniform layers shift them rigidly."""
+    """Yield a violation if `r.layer` is curved or varies in thickness, so that bonded bodies cannot replace it.
+
+    A flat, uniform layer shifts the bodies as rigid bodies, so that they have the shape of the bonded bodies.
+    """
     if r.bend_text:
         reason = f"bonded bodies meet on S, where {r.layer} {r.bend_text} leaves them in no place"
         yield Violation("moved", reason, f"solve structure.full(layer, bodies='extended'), {GOALS_REMEDY}")
 
 
 def _rate_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield a violation if the stress depends on strain rates, which a state does not have."""
+    """Yield a violation if the stress in `r.layer` depends on strain rates, which a state does not contain."""
     if r.layer.law.traits.rate:
         yield Violation("rate", f"{r.layer.law_name} has a rate, of which a state does not know", "mesh the layer")
 
 
 def _corner_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield the violated conditions for exponents of the singular stresses at corners of free ends to be known.
+    """Yield the conditions that `r.layer` violates for knowing the exponents of the singular stresses at its free ends.
 
     The exponents are those of a wedge of 90 degrees on a rigid face in plane strain.
     """

@@ -1,4 +1,4 @@
-"""Boundary of the bodies: axis of revolution, places where loads and supports may act, normals at nodes of a space."""
+"""Boundary of the bodies: axis of revolution, facet sets for loads and supports, and normals at nodes."""
 
 from __future__ import annotations
 
@@ -26,14 +26,15 @@ NORMAL_COMPONENT_TOLERANCE = 1e-12  # a component of a unit normal that counts a
 
 
 def nodes_on_axis(kinematics: Kinematics, joint: Joint) -> BoolArray:
-    """Mask (n,) of the n points of a joint that lie on the axis of revolution; all False without such an axis."""
+    """Return the mask (n,) of the n points of a joint on the axis of revolution; all False if there is no axis."""
     return np.asarray(np.abs(kinematics.radius(joint.points)) <= AXIS_TOLERANCE * joint.size)
 
 
 def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
-    """Raise InputError if a joint cannot be revolved: it has x < 0, a seam on the axis, or a period not along it.
+    """Raise InputError if a joint cannot be revolved about the axis x = 0.
 
-    A joint for other kinematics than axisymmetric ones always passes.
+    Not allowed are points with x < 0, seams on the axis, and a periodicity in another direction than that of the axis.
+    If the kinematics are not axisymmetric, any joint passes.
     """
     r, on_axis = kinematics.radius(joint.points), nodes_on_axis(kinematics, joint)
     message = f"plane={kinematics.name!r}: x is the distance from the axis of revolution, and {{bad}} points have x < 0"
@@ -48,16 +49,19 @@ def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
 
 
 def lies_across_axis(kinematics: Kinematics, normals: Array) -> bool:
-    """Whether translations along the n normals (n, d) of S, in d dimensions, are rigid motions.
+    """Return whether bodies can move along each of n unit normals (n, d) of S without strain; d is the dimension.
 
-    In axisymmetry this holds only for normals along the axis, so that S lies across it.
+    In axisymmetry they can only move along the axis, so that S must lie across it. Otherwise the result is True.
     """
     radial = np.delete(normals, kinematics.translations(normals.shape[1]), axis=1)
     return bool(np.abs(radial).max(initial=0.0) <= RIGID_NORMAL_TOLERANCE)
 
 
 def require_shifts(kinematics: Kinematics, joint: Joint) -> None:
-    """Raise InputError unless kept bodies can move apart along the normals of S without strain."""
+    """Raise InputError unless bodies can move apart along the normals of S without strain.
+
+    Bodies that keep their shape do so to make room for a meshed layer. In axisymmetry S must then lie across the axis.
+    """
     if not lies_across_axis(kinematics, joint.interface_normals.reshape(-1, joint.dim)):
         reason = "bodies='kept' moves them along the normal of S; a body of revolution cannot move away from its axis"
         raise InputError(f"plane={kinematics.name!r}: {reason}; use bodies='extended', or an S across the axis")
@@ -66,14 +70,14 @@ def require_shifts(kinematics: Kinematics, joint: Joint) -> None:
 def boundary_values(
     domain: Domain, kinematics: Kinematics, name: str, what: str, *, inside: bool = False, side: bool = False
 ) -> tuple[int, ...]:
-    """Return the values in `domain.facet_tags` of a named facet set on the outer boundary.
+    """Return the tags of a named facet set on the outer boundary, as in `domain.facet_tags`.
 
     Args:
         domain: the distributed mesh, with the joint's names.
         kinematics: kinematics of the mesh.
         name: name of the facet set as the user wrote it.
         what: first words of error messages.
-        inside: whether the facets may lie inside the bodies, or on the axis of revolution, but not on S.
+        inside: whether facets inside the bodies or on the axis of revolution are allowed too; facets on S never are.
         side: whether "NAME/LAYER", the part of the facet set NAME on the meshed layer's own side, is allowed also where
             the layer is not meshed. This part has no facets then, and the result is ().
 
@@ -99,21 +103,22 @@ def boundary_values(
 
 
 def refuse_periodic(joint: Joint, name: str, what: str) -> None:
-    """Raise InputError if `name` is a periodic side, where the structure continues; `what` begins the message."""
+    """Raise InputError if `name` is a facet set on a periodic side of the joint; `what` begins the message."""
     if joint.periods and FacetName.parse(name).whole in joint.periods.names:
         remedy = "a periodic cell is loaded by a mean strain, Structure(..., strain=...)"
         raise InputError(f"{what}: this side is identified with another one, the structure goes on there; {remedy}")
 
 
 def node_normals(domain: Domain, V: fem.FunctionSpace, place: str) -> tuple[IntArray, Array]:
-    """Return outer normals of facets at their nodes, weighted so that their sum at a vertex of a sphere is radial.
+    """Return the nodes of a facet set, each with the weighted outer normals of the facets around it. Collective.
 
-    Facets of a layer's side may be oblique, where bodies made room for the layer. They get the normals of the bodies'
-    side that they continue.
+    The normals of one node add up to the direction of its mean normal. The weight at a vertex is sin(angle)/(product of
+    lengths) of the facet's two edges there, in 2D 1/length; at other nodes it is 1. At vertices on circles and spheres
+    the sum then has the exact direction, however the side is divided into triangles. Reference: Max 1999, Weights for
+    computing vertex normals from facet normals.
 
-    The weight is sin(angle)/(product of lengths) of the facet's two edges at a vertex, in 2D 1/length. The sum then has
-    the exact direction at vertices on circles and spheres, and the triangulation of a smooth side does not affect it.
-    Reference: Max 1999, Weights for computing vertex normals from facet normals. Collective.
+    Where bodies gave up room for a meshed layer, facets of the layer's side may be oblique. They get the normals of the
+    bodies' side that they continue.
 
     Args:
         domain: the distributed mesh.
@@ -149,9 +154,15 @@ def node_normals(domain: Domain, V: fem.FunctionSpace, place: str) -> tuple[IntA
 
 
 def side_normals(joint: Joint, name: str, ridges: IntArray) -> Array:
-    """Mean outer unit normals (n, d), in d dimensions, of a named facet set at n ridges; NaN where it has no facet.
+    """Return the mean outer unit normals of the facets of a named set that meet at each of n ridges.
 
-    `ridges` has the vertices of each ridge, (n, k), as numbers in the joint; they may repeat.
+    Args:
+        joint: the joint, in d dimensions.
+        name: name of the facet set.
+        ridges: (n, k) numbers in the joint of the k vertices of each ridge; a number may occur twice.
+
+    Returns:
+        Normals (n, d); NaN at ridges where no facet of the set lies.
     """
     rows, simplex = joint.facets[name], {2: "triangle", 3: "tetrahedron"}[joint.dim]
     cells = joint.table.cells[joint.table.index(rows), 0]
@@ -167,9 +178,10 @@ def side_normals(joint: Joint, name: str, ridges: IntArray) -> Array:
 
 
 def _continued_normals(domain: Domain, place: str, facets: Indices) -> Array:
-    """Outer unit normals (n, d) of the bodies' side that each of n facets of a layer's side continues; else NaN.
+    """Return the outer unit normals (n, d) of the bodies' side that n facets of a layer's side continue.
 
-    They are those in the joint as drawn, before S is opened to the layer's thickness.
+    They are those in the joint as drawn, before S is opened to the layer's thickness. Facets of bodies get NaN. `place`
+    is the name of the facet set, and `facets` (n,) are its facets as local numbers.
     """
     joint, band, name = domain.joint, domain.joint.band, FacetName.parse(place).whole
     out = np.full((len(facets), joint.dim), np.nan)
@@ -185,7 +197,10 @@ def _continued_normals(domain: Domain, place: str, facets: Indices) -> Array:
 
 
 def _weights(x: Array, k: int) -> Array:
-    """Weights (n,) of the normals of n facets at their k-th corner, see `node_normals`; x (n, m, 3) are all corners."""
+    """Return the weights (n,) of the normals of n facets at their corner number `k`, as `node_normals` defines them.
+
+    `x` (n, m, 3) has the coordinates of all m corners of each facet.
+    """
     adjacent = [k ^ 1, k ^ 2] if x.shape[1] == 4 else [j for j in range(x.shape[1]) if j != k]
     edges = x[:, adjacent] - x[:, k : k + 1]
     squares = (edges**2).sum(axis=2)
@@ -195,9 +210,16 @@ def _weights(x: Array, k: int) -> Array:
 
 
 def _send_to_owners(domain: Domain, V: fem.FunctionSpace, blocks: IntArray, rows: Array) -> tuple[IntArray, Array]:
-    """Send rows (n, m) of numbers, one for each local node `blocks` (n,), to the nodes' owners. Collective.
+    """Send a row of m numbers for each of n nodes to the rank that owns the node. Collective.
 
-    Returns the local numbers of the nodes, and the rows, that this rank receives.
+    Args:
+        domain: the distributed mesh.
+        V: the space of the nodes.
+        blocks: (n,) local numbers of the nodes (blocks of V); they may repeat.
+        rows: (n, m) the numbers.
+
+    Returns:
+        Local numbers of nodes that this rank owns, and the rows that it receives for them.
     """
     imap = V.dofmap.index_map
     owners = np.concatenate([np.full(imap.size_local, domain.comm.rank), imap.owners])[blocks]
@@ -207,10 +229,16 @@ def _send_to_owners(domain: Domain, V: fem.FunctionSpace, blocks: IntArray, rows
 
 
 def smooth_surfaces(normals: Array) -> tuple[IntArray, Array]:
-    """Return the number (n,) of the smooth surface of each of n facets around a node, and unit normals (k, d).
+    """Group n facets around a node into smooth surfaces.
 
-    The k normals are those of the surfaces. Facets whose normals (n, d) differ by less than `CORNER_ANGLE_DEGREES`
-    form one surface with their mean normal. Other facets meet in a corner.
+    Facets whose normals differ by less than `CORNER_ANGLE_DEGREES` belong to one surface. Different surfaces meet in a
+    corner.
+
+    Args:
+        normals: (n, d) normals of the facets, with their weights as lengths.
+
+    Returns:
+        Number (n,) of each facet's surface, from 0, and unit mean normals (k, d) of the k surfaces.
     """
     unit = normals / np.linalg.norm(normals, axis=1)[:, None]
     facet, other = np.nonzero(unit @ unit.T > np.cos(np.deg2rad(CORNER_ANGLE_DEGREES)))

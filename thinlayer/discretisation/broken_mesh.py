@@ -43,14 +43,16 @@ class BrokenMesh:
         bodies: tags of all cells, one value for each body; functions are continuous in a body. Bodies with the same
             value that touch on S are one body there, so give each brick of a wall its own value.
         facet_tags: tags of facets.
-        S: values of `facet_tags` where bodies may separate, each with a rule that chooses its upper side:
+        S: mapping from each value of `facet_tags` where bodies may separate to a rule that chooses the upper side. A
+            rule is one of these:
 
             - a vector, such as (0, 1): the side to which it points; for flat joints between many bodies, as in masonry
             - a value of `bodies`, or a set of values: the side of these bodies; for an S of any shape
-            - None, or values without a mapping: the side of the body with the larger value.
+            - None: the side of the body with the larger value.
 
-            The upper side decides the sign of reported jumps and tractions, and which sublayer of a `Stack` is the
-            lower one. S on the boundary of the mesh is a rigid base, and the body is above it.
+            One value or several values without a mapping have the rule None. The upper side decides the sign of
+            reported jumps and tractions, and which sublayer of a `Stack` is the lower one. S on the boundary of the
+            mesh is a rigid base, and the body is above it.
         plane: "strain" (plane strain, and 3D), "stress" (plane stress) or "axisymmetric" (x is the distance from the
             axis of revolution). With this object as `broken`, the term of a body's law is
             `forms.work.body(broken.kinematics.law(law), measure, broken.kinematics)`. Multiply loads by
@@ -135,7 +137,7 @@ class BrokenMesh:
         return broken_space(self.comm, SharedDofs.of_components(self.comm, self.mesh, element, components))
 
     def interface(self, tag: int) -> Interface:
-        """Return the two sides of the facets of S with a tag: normal, jump, and the measure of integrals over them."""
+        """Return the two sides of the facets of S with a tag: normal, jumps of functions, and measure of integrals."""
         self._require(tag)
         if tag in self._base_tags:
             ds = ufl.Measure("ds", domain=self.mesh, subdomain_data=self.facet_tags)
@@ -145,11 +147,11 @@ class BrokenMesh:
     def layer(self, tag: int, layer: ThinLayer | TractionLaw) -> list[Term]:
         """Return the terms of a layer's law on the facets of S with a tag, for `work` or `StepProblem`.
 
+        An interface law of order 1 requires that these facets are flat, which is not checked.
+
         Args:
             tag: tag of the facets.
             layer: law and thickness, or a law of jumps (`TractionLaw`), which has no thickness.
-
-        The interface law of order 1 requires a flat S.
 
         Raises:
             InputError: a contact law (see `contact_surface`), or a law with a pressure field; order 1 with a thickness
@@ -181,7 +183,9 @@ class BrokenMesh:
         return [replace(term, law=law_of_terms(term.law, self.mesh)) for term in surface(law, sides, thickness, order)]
 
     def contact_surface(self, tag: int, V: fem.FunctionSpace) -> ContactSurface:
-        """Return the facets of S with a tag, for a contact law: `ContactPart(law, surface)` is a part of `StepProblem`.
+        """Return the facets of S with a tag and the cells on their two sides, for a contact law.
+
+        `ContactPart(law, surface)` with this surface adds the contact forces to a `StepProblem`.
 
         Args:
             tag: tag of the facets.
@@ -212,15 +216,19 @@ class BrokenMesh:
                     raise violation.error()
 
     def _at_vertices(self, tag: int) -> tuple[fem.Function, Indices, Array]:
-        """Return a function of degree 1, its n dofs on the facets with a tag, and coordinates (d, n) of these dofs."""
+        """Return a function of degree 1 on the mesh, and its dofs at the vertices of the facets with a tag.
+
+        The dofs are local numbers (n,), followed by the coordinates (d, n) of their vertices in d dimensions.
+        """
         f = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1)))
         dofs = fem.locate_dofs_topological(f.function_space, self._dim - 1, self.facet_tags.find(tag))
         return f, dofs, f.function_space.tabulate_dof_coordinates()[dofs, : self._dim].T
 
     def _law_on_facets(self, tag: int, law: BulkLaw) -> BulkLaw:
-        """The law on the facets with a tag, with parameters in UFL.
+        """Return the law with UFL expressions as parameters, for integrals over the facets with a tag.
 
-        Parameters that are functions become expressions on S, linear between vertices, and numbers become Constants.
+        A parameter that is a function of the place becomes its interpolant on S, linear between vertices. Numbers
+        become Constants.
         """
         expressions = {}
         for name in law.fields:
@@ -233,12 +241,16 @@ class BrokenMesh:
 
     # ---------------------------------------------------------------- the tags
     def _owned_facets(self, tag: int) -> Indices:
-        """Facets with a tag that this rank owns, sorted."""
+        """Return the local numbers, ascending, of the facets with a tag that this rank owns."""
         facets = self.facet_tags.find(tag)
         return np.sort(facets[facets < self.mesh.topology.index_map(self._dim - 1).size_local])
 
     def _cell_tags(self) -> Indices:
-        """Tag of the body of each local cell, ghosts included, (n_cells,)."""
+        """Return the tag of the body of each local cell (n_cells,), ghosts included.
+
+        Raises:
+            InputError: a cell has no tag.
+        """
         imap = self.mesh.topology.index_map(self._dim)
         body, owned = la.vector(imap, dtype=np.int32), self.bodies.indices < imap.size_local
         body.array[self.bodies.indices[owned]] = self.bodies.values[owned]
@@ -248,7 +260,10 @@ class BrokenMesh:
         return np.asarray(body.array)
 
     def _check_cuts(self, cuts: Indices) -> None:
-        """Raise InputError for missing ghost cells, bodies that meet outside S, and facets of S inside a body."""
+        """Raise InputError for missing ghost cells, bodies that meet outside S, and facets of S inside a body.
+
+        `cuts` are the local numbers of the facets of S that this rank owns.
+        """
         topology = self.mesh.topology
         inner = np.setdiff1d(np.arange(topology.index_map(self._dim - 1).size_local, dtype=np.int32), self._exterior)
         cell_counts = np.diff(topology.connectivity(self._dim - 1, self._dim).offsets)
@@ -269,9 +284,15 @@ class BrokenMesh:
             raise InputError(f"{count} facets {what}; one is at ({', '.join(f'{c:g}' for c in place)})")
 
     def _oriented_facets(self, tag: int, facets: Indices, upper: Upper) -> Indices:
-        """Rows (n, 4) for n facets between bodies: upper cell, facet's number in it, lower cell, facet's number in it.
+        """Return for each of n facets between bodies the cell on its upper and the cell on its lower side.
 
-        `upper` is the rule that chooses the upper side, see `BrokenMesh`.
+        Args:
+            tag: tag of the facets, for messages.
+            facets: (n,) local numbers of the facets.
+            upper: rule that chooses the upper side, a value of the argument `S` of `BrokenMesh`.
+
+        Returns:
+            Rows (n, 4): upper cell, number of the facet in this cell, lower cell, number of the facet in this cell.
         """
         rows = interior_facet_entities(self.mesh, facets)
         first_cells, second_cells = rows[:, 0], rows[:, 2]
@@ -288,7 +309,14 @@ class BrokenMesh:
         return rows
 
     def _points_to(self, cells: Indices, tag: int, facets: Indices, direction: Array) -> BoolArray:
-        """Mask (n,) of the cells, one for each of n facets, that lie on the side to which `direction` (d,) points."""
+        """Return a mask (n,) of cells: whether each lies on the side of its facet to which `direction` (d,) points.
+
+        `facets` (n,) and `cells` (n,) are local numbers: each facet and one of its cells. `tag` is the facets' tag, for
+        messages.
+
+        Raises:
+            InputError: the direction is zero, or parallel to a facet.
+        """
         if direction.shape != (self._dim,) or not np.linalg.norm(direction) > 0:
             raise InputError(f"S: the upper side of {tag} is {direction}; allowed: {self._dim} numbers, not all 0")
         normals = cpp.mesh.cell_normals(self.mesh._cpp_object, self._dim - 1, facets)[:, : self._dim]

@@ -60,8 +60,8 @@ class Coordinates(FormerNames):
         clock: clock of the model, which holds the time.
         places: (n, d) coordinates of n vertices of the joint where functions are tested, extreme ones among them.
         cache: coefficients made so far.
-        planned_breaks: list with the set of break times that the last march has read; empty before the first march. At
-            a break time a coefficient changes its slope.
+        planned_breaks: list with one set of times at which coefficients change their slope, as last read by a march. It
+            is empty before the first march.
     """
 
     former_names = {"given": "coefficient"}
@@ -91,11 +91,11 @@ class Coordinates(FormerNames):
 
     @property
     def detached(self) -> Self:
-        """A copy that shares the clock but keeps its own break times, for loads and supports that may be replaced."""
+        """Copy for loads and supports that may be replaced later; it shares the clock but has its own break times."""
         return changed(self, cache={}, planned_breaks=[])
 
     def moved(self, x: Expr) -> Self:
-        """A copy with other UFL coordinates x (d,)."""
+        """Return a copy in which users' functions get the UFL coordinates `x` (d,) as their place."""
         return changed(self, x=x)
 
     def coefficient(self, value: object, what: str, *shapes: Shape, of_place: bool = False) -> Coefficient:
@@ -104,12 +104,12 @@ class Coordinates(FormerNames):
         Args:
             value: numbers, a table of components, a function (x, t), a UFL expression or a DOLFINx function.
             what: first words of error messages.
-            shapes: allowed shapes: () a number, (d,) components, (d, d) a table.
-            of_place: whether functions have the argument x alone.
+            shapes: allowed shapes in d dimensions: () for a number, (d,) for components, (d, d) for a table.
+            of_place: whether a function as value has the argument x alone, not x and t.
 
         Raises:
-            InputError: another shape, or numbers that are not finite; a function that fails; a new break time, where
-                the slope changes, after a march has begun.
+            InputError: another shape, or numbers that are not finite; a function that fails; after a march has begun, a
+                value that changes its slope at a time not known to the march.
         """
         key = (id(value), what, shapes, id(self.x))
         if key not in self.cache:
@@ -120,7 +120,9 @@ class Coordinates(FormerNames):
         return self.cache[key]
 
     def traction(self, load: Load | Pressure, what: str, n: Expr) -> Expr:
-        """Traction (d,) in UFL of a load on facets with the outward unit normal n; `what` begins error messages.
+        """Return a load as the traction (d,) in UFL on facets with the outward unit normal `n`.
+
+        `what` begins error messages.
 
         Raises:
             InputError: the load does not have d finite components, or a function fails.
@@ -131,7 +133,10 @@ class Coordinates(FormerNames):
 
     @property
     def breaks(self) -> set[float]:
-        """Times at which coefficients made so far change their slope; once read, no new times are allowed."""
+        """Times at which the coefficients made so far change their slope.
+
+        Once a march has read them, coefficients with other such times are refused.
+        """
         self.planned_breaks[:] = [set[float]().union(*(coefficient.breaks for coefficient in self.cache.values()))]
         return self.planned_breaks[0]
 
@@ -139,17 +144,17 @@ class Coordinates(FormerNames):
 class Coefficient:
     """A user's value of place and time: numbers, a table, a function (x, t), a UFL expression or a DOLFINx function.
 
-    A function is called with UFL symbols for the place x and the time t. It must give the same values for plain
-    numbers, which is tested at some places and times: Python's == and `in` are always False for symbols. Functions on
-    other meshes, such as computed temperatures, are interpolated on this mesh.
+    A function is called with UFL symbols for the place x and the time t. Python's == and `in` are always False for
+    symbols. Therefore the function is tested at some places and times: it must give the same values for plain numbers.
+    DOLFINx functions on other meshes, such as computed temperatures, are interpolated on this mesh.
 
     Args:
         value: value as the user wrote it.
         what: first words of errors, such as "traction on 'TOP'".
-        shapes: allowed shapes in d dimensions: () a number, (d,) components, (d, d) a table.
+        shapes: allowed shapes in d dimensions: () for a number, (d,) for components, (d, d) for a table.
         at: coordinates and time.
-        of_place: whether functions have the argument x alone. A function that fails for symbols is then called with
-            n places (d, n), and interpolated in each cell with degree 2.
+        of_place: whether a function as value has the argument x alone, not x and t. If it fails for symbols, it is
+            called with the coordinates (d, n) of n places, and interpolated in each cell with degree 2.
 
     Attributes:
         shape: shape of the value, one of `shapes`.
@@ -175,7 +180,11 @@ class Coefficient:
         return self.value(x) if self._of_place else self.value(x, t)
 
     def _function_components(self) -> Components:
-        """Return the components of the user's function for symbols; its values for plain numbers must agree."""
+        """Return the components, in UFL, that the user's function gives for symbols.
+
+        Raises:
+            InputError: the function fails, or gives other values for plain numbers.
+        """
         try:
             content = self._call(self.at.x, self.at.t)
         except Exception as error:
@@ -188,7 +197,10 @@ class Coefficient:
         return components
 
     def _interpolated(self) -> fem.Function:
-        """Return the interpolant, of degree 2 in each cell, of a numpy function of n places (d, n). Collective."""
+        """Return the interpolant, of degree 2 in each cell, of the user's numpy function of the place. Collective.
+
+        The function gets the coordinates (d, n) of n places and returns n values.
+        """
         f = fem.Function(fem.functionspace(self.at.mesh, ("DG", NUMPY_DEGREE)))
         x = places_in_cells(f.function_space, self.at.x).reshape(-1, self.at.mesh.geometry.dim)
         try:
@@ -211,7 +223,11 @@ class Coefficient:
         return InputError(f"{self.what} is {self.value!r:.90}; it needs {need}, or a function (x, t) that gives that")
 
     def _read(self, content: Nested) -> Components:
-        """Return the components of nested numbers and UFL expressions; raises InputError if they do not fit."""
+        """Return the components of a number, a UFL expression, or nested sequences of them, in an array.
+
+        Raises:
+            InputError: the shape is not an allowed one, or a component is not a finite number or UFL scalar.
+        """
         try:
             shape = _shape_of(content)
         except Exception:  # of any user's object
@@ -235,7 +251,10 @@ class Coefficient:
         return component
 
     def _on_mesh(self, components: Components) -> Components:
-        """Replace functions on other meshes by their interpolants on this mesh. Collective if there are any."""
+        """Replace DOLFINx functions on other meshes, in UFL components, by their interpolants on this mesh.
+
+        Collective if there are such functions.
+        """
         fields = {f for c in components.flat for f in _functions_in(c) if isinstance(f, fem.Function)}
         others = sorted((f for f in fields if f.function_space.mesh is not self.at.mesh), key=lambda f: f.count())
         replacements = {f: sampled_function(f, self.at.mesh, self.at.x, self.what) for f in others}
@@ -245,7 +264,10 @@ class Coefficient:
         return components
 
     def _compare(self, components: Components) -> None:
-        """Raise InputError if the function gives other values for plain numbers than for symbols (`components`)."""
+        """Raise InputError if the user's function gives other values for plain numbers than for symbols.
+
+        `components` are its components for symbols. They are evaluated at the places `at.places` and some times.
+        """
         if any(map(_functions_in, components.flat)):
             return
         places, (first_time, *later_times) = self.at.places, COMPARISON_TIMES
@@ -281,16 +303,20 @@ class Coefficient:
         return set[float]().union(*(constant.breaks for c in components for constant in time_constants(c)))
 
     def once(self, body: str) -> Coefficient:
-        """Return this coefficient; raises InputError if it depends on the place.
+        """Return this coefficient if it does not depend on the place.
 
-        `body` names in the message what needs a single value, such as "the whole cell".
+        Args:
+            body: what has a single value of it, in the message, such as "the whole cell".
+
+        Raises:
+            InputError: it depends on the place.
         """
         if any(depends_on_place(c) for c in self.components.flat if isinstance(c, ufl.core.expr.Expr)):
             raise InputError(f"{self.what} depends on the place x; it is one for {body}")
         return self
 
     def at_time(self, t: float) -> Array:
-        """Numbers (*shape) at a time, of a value that does not depend on the place.
+        """Return the numbers (*shape) of this value at the time t; the value must not depend on the place.
 
         Raises:
             InputError: the numbers are not finite.
@@ -303,7 +329,7 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class Pressure:
-    """A traction -p n along the inner normal of facets, on any inclined or curved boundary; n is the outer normal.
+    """A pressure on any inclined or curved boundary: the traction -p n, where n is the outward unit normal.
 
     Attributes:
         p: pressure, a stress > 0 in compression; a number or a function (x, t).
@@ -328,12 +354,17 @@ class Pressure:
 
 
 def values_by_body(values: T | Mapping[str, T], joint: Joint, what: str = "", more: Sequence[str] = ()) -> dict[str, T]:
-    """Return the value of each body by name, from one value for all bodies or a mapping, in the joint's order.
+    """Return body name -> value, in the joint's order of bodies.
 
-    Bodies that the mapping does not name are left out. It may also have the names in `more`, which are left out too.
+    Args:
+        values: one value for all bodies, or a mapping from names to values. Bodies that it does not name have no value
+            in the result.
+        joint: the joint of the bodies.
+        what: first words of error messages.
+        more: other names that the mapping may have, such as names of seams; their values are not returned.
 
     Raises:
-        InputError: a name that is neither a body nor in `more`; the message begins with `what`.
+        InputError: a name that is neither a body nor in `more`.
     """
     by_body = values if isinstance(values, Mapping) else dict.fromkeys(joint.bodies, values)
     for name in (name for name in by_body if name not in more):
@@ -343,7 +374,7 @@ def values_by_body(values: T | Mapping[str, T], joint: Joint, what: str = "", mo
 
 # ---------------------------------------------------------------- content
 def _shape_of(content: Nested) -> Shape:
-    """Return the shape of nested sequences of numbers and UFL expressions; it ends with -1 if rows differ."""
+    """Return the shape of nested sequences of numbers and UFL expressions; it ends with -1 if rows differ in shape."""
     if isinstance(content, ufl.core.expr.Expr):
         return tuple(content.ufl_shape)
     if isinstance(content, np.ndarray):
@@ -370,7 +401,7 @@ def _functions_in(component: Expr) -> list[fem.Function]:
 
 
 def evaluate_component(component: Expr, t: float, place: Sequence[float] = ()) -> float:
-    """Return the value of a number or a UFL scalar at a time and a place (d,); NaN where it has none."""
+    """Return the value of a number or UFL scalar at the time `t` and the place (d,); NaN where it is not defined."""
     if not isinstance(component, ufl.core.expr.Expr):
         return float(component)
     values = {c: c.at(t) if isinstance(c, TimeConstant) else c.value for c in extract_constants(component)}

@@ -1,4 +1,4 @@
-"""Constraints: displacements u = T y under supports and multi-point constraints, from as many unknowns y."""
+"""Constraints: displacements u = T y that satisfy supports and multi-point constraints, with new unknowns y."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ COEFFICIENT_TOLERANCE = 1e-13  # coefficient of a condition that counts as round
 
 @dataclass(frozen=True)
 class MultiPointConstraint:
-    """Multi-point constraint u = R q: slave displacements u follow a few motions q, as on a rigid plate.
+    """Multi-point constraint u = R q: displacements u, called slaves, follow a few motions q, as on a rigid plate.
 
     Attributes:
-        key: name in messages.
-        names: names of the motions in messages.
+        key: name of the constraint in messages.
+        names: names of the m motions in messages.
         R: (n, m) sparse matrix, for the n displacements of this rank and m motions q, which are lengths. Only rows of
             slaves have entries.
-        motion: position in `names` of each prescribed motion -> function of the time that returns its value.
-        resultant: function of the time that returns the prescribed forces (m,) conjugate to q; they are zero for
-            prescribed motions.
+        motion: index of each prescribed motion -> function of the time that returns its value, a length.
+        resultant: function of the time that returns the prescribed forces (m,) that do work in the motions. They are
+            zero for motions that are prescribed.
     """
 
     key: str
@@ -49,16 +49,21 @@ class MultiPointConstraint:
 
     @property
     def count(self) -> int:
-        """Number of motions."""
+        """Number m of motions."""
         return int(self.R.shape[1])
 
 
 @dataclass(frozen=True)
 class _ConditionGroup:
-    """Group of r conditions N y = c on k common unknowns y, and an orthonormal frame (k, k) of these unknowns.
+    """Group of r conditions N y = c that involve the same k unknowns y.
 
-    N is (r, k). The conditions constrain the components of y along the first `rank` columns of the frame. `rows` (r,)
-    are positions in the list of the grouped conditions of all ranks. `columns` (k,) are global numbers of unknowns.
+    Attributes:
+        rows: (r,) indices of the conditions among the grouped conditions of all ranks.
+        columns: (k,) global numbers of the unknowns.
+        N: (r, k) coefficients of the conditions.
+        frame: (k, k) orthonormal basis of the unknowns, as columns. The conditions determine the components of y along
+            the first `rank` columns, and leave those along the others free.
+        rank: rank of N.
     """
 
     rows: np.ndarray
@@ -69,28 +74,38 @@ class _ConditionGroup:
 
     @cached_property
     def inverse(self) -> Array:
-        """Matrix (rank, r) that maps right-hand sides c to the constrained components of the unknowns."""
+        """Matrix (rank, r) from right-hand sides c (r,) to the components of y that the conditions determine."""
         return np.asarray(np.linalg.pinv(self.N @ self.frame[:, : self.rank], rcond=INDEPENDENCE_TOLERANCE))
 
     def residual(self, c: Array) -> Array:
-        """Residuals |N y - c| (r,) of the conditions for right-hand sides c (r,), at the constrained components."""
+        """Return |N y - c| (r,) for right-hand sides c (r,) and the y that fits all conditions best.
+
+        It is not zero where conditions contradict each other.
+        """
         return np.asarray(np.abs(self.N @ self.frame[:, : self.rank] @ (self.inverse @ c) - c))
 
     @cached_property
     def force_map(self) -> Array:
-        """Matrix (r, k) from forces on the unknowns to the least-norm forces of the conditions that balance them."""
+        """Matrix (r, k) from forces on the k unknowns to the forces of the r conditions that balance them.
+
+        If several forces of the conditions do so, the matrix gives those of least norm.
+        """
         return np.asarray(np.linalg.pinv(self.N.T, rcond=INDEPENDENCE_TOLERANCE))
 
 
 class Constraints:
-    """Constraints on the displacements of a model: supports and multi-point constraints. All methods are collective.
+    """Supports and multi-point constraints of a model, as a map u = T y from unknowns to displacements.
 
-    Multi-point constraints give u = T0 y. The unknowns y are the displacements, in which the motions q of each
-    constraint (the masters) take the places of its first slaves. Entries of y at its other slaves are zero.
+    All methods are collective.
 
-    Supports A u = c are conditions A T0 y = c, and so are prescribed motions. Conditions that share unknowns form a
-    group, whose frame separates constrained from free combinations: y = Q z and T = T0 Q. The final unknowns are z,
-    which methods call y. T is None if it is the identity, as where conditions only select displacements.
+    Multi-point constraints give u = T0 y. The unknowns y are the displacements, but some entries have another meaning.
+    The motions q of each constraint (the masters) take the entries of its first slaves. The entries of its other slaves
+    are zero.
+
+    Supports A u = c become conditions A T0 y = c. Prescribed motions are conditions on y too. Conditions that share
+    unknowns form a group. Its orthonormal basis Q separates the combinations of unknowns that are constrained from
+    those that are free: y = Q z and T = T0 Q. The final unknowns are z; methods call them y. T is None if it is the
+    identity, for example if each condition constrains a single displacement.
 
     Args:
         prescribed: conditions of supports, at nodes.
@@ -123,7 +138,11 @@ class Constraints:
 
     # ---------------------------------------------------------------- slaves and masters
     def _all_slaves(self) -> IntArray:
-        """Local numbers of all slaves; raises InputError if two multi-point constraints have a common slave."""
+        """Return the local numbers of the displacements that are slaves of a multi-point constraint.
+
+        Raises:
+            InputError: two multi-point constraints have a common slave.
+        """
         rows = [np.flatnonzero(np.diff(mpc.R.indptr)) for mpc in self.mpcs]
         slaves, counts = np.unique(np.concatenate([np.empty(0, np.int64), *rows]), return_counts=True)
         names = [mpc.key for mpc, mine in zip(self.mpcs, rows, strict=True) if np.isin(mine, slaves[counts > 1]).any()]
@@ -132,7 +151,13 @@ class Constraints:
         return slaves
 
     def _masters_of(self, mpc: MultiPointConstraint) -> np.ndarray:
-        """Global numbers (m,) of the unknowns that are the m motions of a constraint, in place of its first slaves."""
+        """Return the global numbers (m,) of the unknowns that hold the m motions of a multi-point constraint.
+
+        They are the numbers of its first slaves.
+
+        Raises:
+            InputError: the constraint has fewer slaves than motions.
+        """
         rows = self.row_start + np.flatnonzero(np.diff(mpc.R.indptr))
         masters = np.sort(np.concatenate(self.comm.allgather(rows[: mpc.count])))[: mpc.count]
         if len(masters) < mpc.count:
@@ -140,7 +165,7 @@ class Constraints:
         return masters
 
     def _motion_matrix(self) -> PETSc.Mat | None:
-        """Matrix T0 that maps unknowns y, motions among them, to displacements; None for the identity."""
+        """Return the matrix T0 from unknowns y, which include motions, to displacements u; None for the identity."""
         if not self.comm.allreduce(len(self.slaves) + len(self.mpcs)):
             return None
         free = np.setdiff1d(np.arange(self.n), self.slaves)
@@ -149,9 +174,10 @@ class Constraints:
         return self._matrix((free, self.row_start + free, np.ones(len(free))), *entries)
 
     def _matrix(self, *entries: tuple[np.ndarray, np.ndarray, Array]) -> PETSc.Mat:
-        """Make a square PETSc matrix from lists of entries: local rows, global columns and values, which add up.
+        """Make a square PETSc matrix over all unknowns from lists of entries, which add up.
 
-        The diagonal is stored even where it is zero, as matrix products need it.
+        Each list has the local rows, the global columns and the values of its entries. The diagonal is stored even
+        where it is zero, as matrix products need it.
         """
         diagonal = np.arange(self.n), self.row_start + np.arange(self.n), np.zeros(self.n)
         i, j, v = map(np.concatenate, zip(*entries, diagonal, strict=True))
@@ -160,7 +186,10 @@ class Constraints:
 
     # ---------------------------------------------------------------- conditions
     def _conditions(self) -> Sparse:
-        """Coefficients (r, N) of this rank's r conditions on all N unknowns; prescribed motions are last, on rank 0."""
+        """Return the coefficients (r, N) of this rank's r conditions on all N unknowns of the model.
+
+        Conditions of supports come first. Conditions of prescribed motions follow; rank 0 has all of these.
+        """
         rows = self.prescribed.conditions
         csr = rows.data, self.row_start + rows.indices, rows.indptr  # unknowns that are displacements
         conditions = scipy.sparse.csr_matrix(csr, (rows.shape[0], self._n_global))
@@ -179,24 +208,25 @@ class Constraints:
         return conditions
 
     def support_works(self, forces: Array, motions: Callable[[IntArray], Array]) -> Array:
-        """Work (s, k) of the forces of each of s supports in k motions, from this rank's conditions alone.
+        """Return the work (s, k) that the forces of each of s supports do in k motions, as far as this rank has them.
 
         Args:
             forces: (r,) forces of this rank's r conditions, see `support_forces`.
-            motions: function of local numbers (n,) of displacements that returns the k motions there, (n, k).
+            motions: function of local numbers (n,) of displacements that returns their values (n, k) in the k motions.
         """
         works = forces[:, None] * self._along_conditions(motions)
         return sum_by_number(self.prescribed.entry, works, len(self.prescribed.supports.entries) + 1)[:-1]
 
     def _values_of_rows(self, t: float) -> Array:
-        """Prescribed values (r,) of this rank's r conditions at a time."""
+        """Return the prescribed values (r,) at the time `t` of this rank's r conditions, ordered as in `_conditions`."""
         return np.concatenate([self.prescribed.values(t), [value(t) for _, _, value in self._motions]])
 
     # ---------------------------------------------------------------- constrained unknowns
     def _group_conditions(self) -> None:
         """Divide the conditions into groups that share no unknowns, and set `bc_dofs`.
 
-        A condition on a single unknown that no other condition involves is in no group. All ranks have all groups.
+        A condition is in no group if it involves a single unknown, which no other condition involves. All ranks have
+        all groups.
         """
         A, counts = self._all_conditions, np.diff(self._all_conditions.indptr)
         foreign = np.ones(len(A.indices), bool)
@@ -214,7 +244,10 @@ class Constraints:
         self.bc_dofs = np.union1d(fixed, np.setdiff1d(self.slaves, self._all_masters - self.row_start)).astype(np.int32)
 
     def _frames(self) -> PETSc.Mat | None:
-        """Matrix Q of the groups' frames, which maps final unknowns z to y = Q z; None for the identity."""
+        """Return the matrix Q of y = Q z, from the final unknowns z to the unknowns y; None for the identity.
+
+        It contains the orthonormal bases of the groups of conditions.
+        """
         rotated = [group for group in self._groups if not np.array_equal(group.frame, np.eye(len(group.columns)))]
         if not rotated:
             return None
@@ -227,12 +260,16 @@ class Constraints:
         return self._matrix(*entries)
 
     def _owned(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions in `columns`, global numbers, of those that this rank owns, and their local numbers."""
+        """Select from global numbers of unknowns, `columns`, those that this rank owns.
+
+        Returns:
+            Their indices in `columns`, and their local numbers.
+        """
         owned = np.flatnonzero((columns >= self.row_start) & (columns < self.row_start + self.n))
         return owned, columns[owned] - self.row_start
 
     def _assign(self, y: Array, columns: np.ndarray, values: Array) -> None:
-        """Set the entries of y (n,) with global numbers `columns` to `values`, as far as this rank owns them."""
+        """Set the entries of `y` (n,) with the global numbers `columns` to `values`; skip entries of other ranks."""
         owned, places = self._owned(columns)
         y[places] = values[owned]
 
@@ -254,12 +291,15 @@ class Constraints:
         return y[self.bc_dofs]
 
     def _group_values(self, c: Array) -> list[tuple[_ConditionGroup, Array]]:
-        """Pair each group with the prescribed values of its conditions; c (r,) are those of this rank's conditions."""
+        """Return each group of conditions with the prescribed values of its conditions.
+
+        `c` (r,) are the prescribed values of this rank's conditions.
+        """
         all_values = np.concatenate(self.comm.allgather(c[self._grouped]))
         return [(group, all_values[group.rows]) for group in self._groups]
 
     def _from_groups(self, of_groups: Sequence[Array]) -> Array:
-        """Return one number for each of this rank's r conditions (r,), zero for conditions in no group.
+        """Return one number for each of this rank's r conditions (r,), from numbers by group; 0 outside all groups.
 
         `of_groups` has an array for each group, with a number for each of its conditions.
         """
@@ -271,7 +311,10 @@ class Constraints:
         return out
 
     def _require_agreement(self, c: Array, when: str = "") -> None:
-        """Raise InputError if the prescribed values c (r,) contradict each other; `when` is added to the message."""
+        """Raise InputError if prescribed values `c` (r,) of this rank's r conditions contradict each other.
+
+        `when` is the time as words of the message.
+        """
         residual = self._from_groups([group.residual(values) for group, values in self._group_values(c)])
         largest = self.comm.allreduce(float(np.abs(c).max(initial=0.0)), max)
         limit, message = max(AGREEMENT_TOLERANCE * largest, LENGTH_TOLERANCE * self.prescribed.extent), ""
@@ -281,7 +324,10 @@ class Constraints:
             raise InputError(f"{messages[0]}; where supports overlap, their values must agree")
 
     def _contradiction(self, row: int, c: Array) -> str:
-        """Message about the condition `row`, which contradicts others on its unknowns; c (r,) are prescribed values."""
+        """Return a message about this rank's condition number `row` and the conditions on the same unknowns.
+
+        `c` (r,) are the prescribed values of this rank's conditions.
+        """
         rows, columns = self._all_conditions.nonzero()
         touched = np.unique(rows[np.isin(columns, self._all_conditions[row].indices)])
         where = self.prescribed.place_of(int(touched[0])) if touched[0] < len(self.prescribed.entry) else None
@@ -301,7 +347,10 @@ class Constraints:
         return self._multiply(self.T, y)
 
     def unknowns(self, u: Array) -> Array:
-        """Return the unknowns y (n,) of displacements u (n,); u is projected onto the multi-point constraints."""
+        """Return the unknowns y (n,) of displacements u (n,).
+
+        If u violates a multi-point constraint, the motions are those that fit u by least squares.
+        """
         y = u.copy()
         y[self.slaves] = 0.0
         for mpc in self.mpcs:
@@ -309,7 +358,7 @@ class Constraints:
         return self._multiply(self.Q, y, transposed=True)
 
     def forces(self, f: Array) -> Array:
-        """Return the forces T^T f (n,) on this rank's unknowns, from its nodal forces f (n,)."""
+        """Return the forces T^T f (n,) on this rank's unknowns y from nodal forces f (n,) on its displacements."""
         return self._multiply(self.T, f, transposed=True)
 
     def _multiply(self, matrix: PETSc.Mat | None, values: Array, *, transposed: bool = False) -> Array:
@@ -324,22 +373,29 @@ class Constraints:
         return np.asarray(product)
 
     def motion(self, mpc: MultiPointConstraint, u: Array) -> Array:
-        """Motions (m,) of a multi-point constraint that fit displacements u (n,) by least squares, on every rank."""
+        """Return the motions (m,) of a multi-point constraint that fit displacements u (n,) by least squares.
+
+        The result is the same on every rank.
+        """
         return self._least_squares(mpc, self.comm.allreduce(mpc.R.T @ u))
 
     def loads_at(self, t: float) -> Array:
-        """Least-norm nodal forces (n,) that have the prescribed resultants of the multi-point constraints at a time."""
+        """Return nodal forces (n,) with the resultants that the multi-point constraints prescribe at the time `t`.
+
+        Of all such forces they have the least norm.
+        """
         return sum((mpc.R @ self._least_squares(mpc, mpc.resultant(t)) for mpc in self.mpcs), np.zeros(self.n))
 
     def _least_squares(self, mpc: MultiPointConstraint, b: Array) -> Array:
-        """Solution x (m,) of R^T R x = b (m,), where the R of a multi-point constraint has the rows of all ranks."""
+        """Return the solution x (m,) of R^T R x = b (m,), with the R of a multi-point constraint on all ranks."""
         return np.asarray(np.linalg.lstsq(self.comm.allreduce((mpc.R.T @ mpc.R).toarray()), b, rcond=None)[0])
 
     # ---------------------------------------------------------------- reactions
     def support_forces(self, r: Array) -> Array:
-        """Least-norm forces (k,) of this rank's k support conditions, along their directions, that balance r (n,).
+        """Return the forces (k,) of this rank's k support conditions that balance nodal forces r (n,).
 
-        r are nodal forces on this rank's n displacements.
+        Each is a component along the direction of its condition. If several forces balance r, they are those of least
+        norm.
         """
         f = self._multiply(self._T0, r, transposed=True)
         columns = np.concatenate([np.empty(0, np.int64), *(group.columns for group in self._groups)])
@@ -352,32 +408,34 @@ class Constraints:
         return out[: len(self.prescribed.entry)]
 
     def _shifts(self, holders: Sequence[int], direction: Array) -> dict[str, Array]:
-        """Motions (m,) of each multi-point constraint, by key, in a unit translation along `direction` (d,).
+        """Return the motions (m,) of each multi-point constraint, by key, in a unit translation along `direction` (d,).
 
-        They are zero unless the constraint is among `holders`: numbers of supports, then of multi-point constraints.
+        They are zero for constraints that are not in `holders`. These are indices that count all supports first, and
+        then the multi-point constraints.
         """
         n_supports, shift = len(self.prescribed.supports.entries), np.tile(direction, self.n // self.d)
         return {mpc.key: self.motion(mpc, shift) * (n_supports + k in holders) for k, mpc in enumerate(self.mpcs)}
 
     def prescribed_resultant(self, holders: Sequence[int], direction: Array, t: float) -> float:
-        """Sum of the prescribed forces on chosen multi-point constraints at a time, along a direction (d,).
+        """Return the component along a direction of the prescribed forces on chosen multi-point constraints.
 
         Args:
-            holders: chosen positions in `Model.holders`: supports come first, which add nothing, then the constraints.
-            direction: the direction, (d,).
-            t: the time.
+            holders: chosen indices of `Model.holders`, where supports come first and the constraints follow. Supports
+                have no prescribed forces and add nothing.
+            direction: (d,) unit vector of the direction.
+            t: the time of the forces.
         """
         shifts = self._shifts(holders, direction)
         return float(sum(shifts[mpc.key] @ mpc.resultant(t) for mpc in self.mpcs))
 
     def dual_to_resultant(self, holders: Sequence[int], direction: Array) -> Array:
-        """Return weights g (n,) that give the force of chosen supports along a direction from forces on the unknowns.
+        """Return weights g (n,) that give the reaction of chosen supports along a direction from forces on the unknowns.
 
-        For nodal forces r this force is g . T^T r plus `prescribed_resultant`.
+        For nodal forces r on the displacements the reaction is g . T^T r plus `prescribed_resultant`.
 
         Args:
-            holders: chosen positions in `Model.holders`: supports come first, then multi-point constraints.
-            direction: the direction, (d,).
+            holders: chosen indices of `Model.holders`, where supports come first and multi-point constraints follow.
+            direction: (d,) unit vector of the direction.
         """
         prescribed, shifts = self.prescribed, self._shifts(holders, direction)
         along = np.isin(prescribed.entry, holders) * (prescribed.directions @ direction)
@@ -392,14 +450,18 @@ class Constraints:
 
     # ---------------------------------------------------------------- motions
     def admissible(self, motions: Sparse) -> tuple[Sparse, Sparse]:
-        """Return motions with constrained unknowns set to zero, and the Gram matrix of the violations of constraints.
+        """Return motions that satisfy the constraints, made from given ones, and how far the given ones violate them.
+
+        The motions are the c given ones and the m motions of all multi-point constraints. Their constrained unknowns
+        are set to zero.
 
         Args:
-            motions: (n, c) sparse matrix of c motions, for the n displacements of this rank.
+            motions: (n, c) sparse matrix of the given motions, for the n displacements of this rank.
 
         Returns:
-            Displacements (n, c + m): of the c motions, then of the m motions of all multi-point constraints. The
-            quadratic form of the Gram matrix (c + m, c + m) is zero for a motion that the constraints admit.
+            The displacements (n, c + m) of the motions that satisfy the constraints, and a Gram matrix (c + m, c + m).
+            Entry (i, j) of the latter is the scalar product of the violations of all constraints by motions i and j.
+            Its quadratic form is zero for a combination of motions that satisfies all constraints.
         """
         c, m = motions.shape[1], sum(mpc.count for mpc in self.mpcs)
         starts = dict(zip(self.masters, np.cumsum([0, *(mpc.count for mpc in self.mpcs)]).tolist(), strict=False))
@@ -416,10 +478,13 @@ class Constraints:
         return distributed_product(self.T, z), self.comm.allreduce(gram)
 
     def resistance(self, motions: Callable[[IntArray], Array]) -> Array:
-        """Gram matrix (c, c) of the violations of all constraints by c motions.
+        """Return the Gram matrix (c, c) of c motions: scalar products of their violations of all constraints.
 
-        Multi-point constraints move so that the violations are least: their motions are eliminated (Schur complement).
-        `motions` is a function of local numbers (n,) of displacements that returns the c motions there, (n, c).
+        The motions of multi-point constraints adapt so that the violations are least; a Schur complement eliminates
+        them.
+
+        Args:
+            motions: function of local numbers (n,) of displacements that returns their values (n, c) in the c motions.
         """
         if self._T0 is None:
             rows = self._along_conditions(motions)
@@ -429,18 +494,22 @@ class Constraints:
         return np.asarray(gram[:c, :c] - gram[:c, c:] @ np.linalg.pinv(gram[c:, c:]) @ gram[c:, :c])
 
     def _along_conditions(self, motions: Callable[[IntArray], Array]) -> Array:
-        """Values (r, k) of k motions in the directions of this rank's r support conditions.
+        """Return the displacements (r, k) in k motions along the directions of this rank's r support conditions.
 
-        `motions` is a function of local numbers (n,) of displacements that returns the k motions there, (n, k).
+        Args:
+            motions: function of local numbers (n,) of displacements that returns their values (n, k) in the k motions.
         """
         dofs = np.unique(self.prescribed.conditions.indices)
         return np.asarray(self.prescribed.conditions[:, dofs] @ motions(dofs))
 
 
 def distributed_product(matrix: PETSc.Mat | None, columns: Sparse, *, transposed: bool = False) -> Sparse:
-    """This rank's rows of a matrix, or of its transpose, times c sparse columns (n, c), of which each rank has n rows.
+    """Return this rank's rows of the product of a PETSc matrix with distributed sparse columns.
 
-    The matrix None is the identity.
+    Args:
+        matrix: the matrix; None: the identity.
+        columns: (n, c) the n rows of the c columns that this rank has.
+        transposed: whether to multiply by the transpose of the matrix instead.
     """
     if matrix is None:
         return columns
@@ -452,14 +521,17 @@ def distributed_product(matrix: PETSc.Mat | None, columns: Sparse, *, transposed
 
 
 def _without_rows(A: Sparse, rows: np.ndarray) -> Sparse:
-    """Return a copy of a matrix with zeros in some rows and the same sparsity pattern."""
+    """Return a copy of A with zeros in the rows with the numbers `rows`, and with the same sparsity pattern."""
     row_factors = np.ones(A.shape[0])
     row_factors[rows] = 0.0
     return scipy.sparse.csr_matrix((A.data * row_factors.repeat(np.diff(A.indptr)), A.indices, A.indptr), A.shape)
 
 
 def _connected_rows(A: Sparse) -> list[_ConditionGroup]:
-    """Group the conditions, rows of A, that share unknowns (columns), directly or through other conditions."""
+    """Group the conditions that share unknowns, directly or through other conditions.
+
+    The rows of `A` are the conditions, and its columns are the unknowns.
+    """
     columns, local = np.unique(A.indices, return_inverse=True)
     if not len(columns):
         return []
@@ -482,17 +554,20 @@ def _rows_by_label(labels: np.ndarray) -> list[np.ndarray]:
 
 
 def create_aij(A: Sparse, comm: MPI.Intracomm, sizes: object = None) -> PETSc.Mat:
-    """Make a PETSc matrix with the rows A (CSR) on this rank.
+    """Make a PETSc matrix of which this rank has the rows `A` (CSR).
 
-    `sizes` is ((local rows, rows), (local columns, columns)), in which PETSc computes sizes that are None. By default
-    it is the shape of A.
+    Args:
+        A: rows of this rank, with global columns.
+        comm: MPI communicator of the matrix.
+        sizes: ((local rows, all rows), (local columns, all columns)). PETSc computes sizes that are None. By default
+            all sizes are those of A.
     """
     csr = (*(array.astype(PETSc.IntType, copy=False) for array in (A.indptr, A.indices)), A.data)
     return PETSc.Mat().createAIJ(sizes or A.shape, csr=csr, comm=comm)
 
 
 def local_csr(A: PETSc.Mat) -> Sparse:
-    """This rank's rows of a PETSc matrix, as CSR."""
+    """Return the rows of a PETSc matrix that this rank owns, as a CSR matrix."""
     indptr, columns, entries = A.getValuesCSR()
     return scipy.sparse.csr_matrix((entries, columns, indptr), (A.getLocalSize()[0], A.getSize()[1]))
 

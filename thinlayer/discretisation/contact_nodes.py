@@ -25,11 +25,19 @@ NO_NODES = np.empty(0, np.int32)
 
 
 def body_pairs(joint: Joint, seam: str, file_numbers: IntArray) -> tuple[IntArray, IntArray]:
-    """Return, for each vertex adjacent to a node of a seam, the node's index and the number of the vertex's body pair.
+    """Return the pairs of bodies, one below and one above S, that meet at the nodes of a seam.
 
-    A node at a vertex is adjacent to this vertex only. A node inside an edge or a facet is adjacent to the vertices of
-    the edge or facet. The pair is the bodies on the two sides of S. `file_numbers` (n,) identify the n nodes, see
-    `ContactNodes`.
+    A node at a vertex has one pair, that of the vertex. A node inside an edge or a facet has those of all vertices of
+    the edge or facet.
+
+    Args:
+        joint: the joint.
+        seam: name of the seam.
+        file_numbers: (n,) numbers that identify the n nodes, see `ContactNodes`.
+
+    Returns:
+        Two arrays (m,) with an entry for each node and vertex: the index of the node, and the number of the pair of
+        bodies at the vertex.
     """
     in_seam = joint.seam_numbers == list(joint.seams).index(seam)
     rows, facets = joint.surface_rows[in_seam], joint.pairs[in_seam]
@@ -40,14 +48,14 @@ def body_pairs(joint: Joint, seam: str, file_numbers: IntArray) -> tuple[IntArra
 
 @dataclass(frozen=True, eq=False)
 class ContactSurface:
-    """Facets of S that this rank owns, and the cells on their two sides.
+    """Facets of S under a contact law that this rank owns, and the cells on their two sides.
 
     Attributes:
-        V: displacement space, P1, Q1, Q2 or, in 2D, P2, broken across S.
+        V: displacement space, broken across S, with elements P1, Q1, Q2 or, in 2D, P2.
         comm: communicator for messages.
         facets: (n,) local numbers of the facets, ascending.
-        upper: (n,) local cells on the upper side.
-        lower: (n,) local cells on the lower side; None on a rigid base.
+        upper: (n,) local number of the cell on the upper side of each facet.
+        lower: (n,) local number of the cell on the lower side; None on a rigid base.
         table_rows: (n,) numbers of the facets in the joint, for files; empty without a joint.
         kinematics: kinematics of the mesh, for areas.
     """
@@ -62,7 +70,7 @@ class ContactSurface:
 
     @classmethod
     def of(cls, model: Model, name: str) -> ContactSurface:
-        """Return the facets of a seam of an interface model, and the cells on their two sides."""
+        """Return the facets of the seam `name` of an interface model, and the cells on their two sides."""
         domain, mesh, d = model.domain, model.domain.mesh, model.joint.dim
         facets = domain.facets(name)
         facets = np.sort(facets[facets < mesh.topology.index_map(d - 1).size_local])
@@ -81,10 +89,10 @@ class NodePairs:
         surface: facets that the nodes belong to; if the nodes are of several seams, the facets of one of them.
         upper: (n,) local number of the node of V on the upper side.
         lower_numbers: (n,) global number of the node of V on the lower side; -1 on a rigid base.
-        x: (n, d) coordinates of the nodes.
+        x: (n, d) coordinates of the nodes in d dimensions.
         weights: (n,) areas of S around the nodes (lengths in 2D).
-        frames: (n, d, d) local axes of the nodes in d dimensions, as rows: unit tangents of S, then its unit normal.
-        gap: (n,) initial gap between the sides; < 0: interference.
+        frames: (n, d, d) local axes of the nodes, as rows: unit tangents of S, then its unit normal.
+        gap: (n,) initial gap between the sides, a length; < 0: the sides overlap before loading.
     """
 
     surface: ContactSurface
@@ -112,7 +120,7 @@ class NodePairs:
         return np.column_stack([self._first + self.upper.astype(np.int64), self.lower_numbers])
 
     def shared(self) -> IntArray:
-        """Local numbers of this rank's nodes of V that are the lower node in a pair of another rank. Collective."""
+        """Return the local numbers of this rank's nodes that are lower nodes in pairs of other ranks. Collective."""
         if self.lower is None:
             return np.empty(0, np.int64)
         ones, counts = self.lower.createVecLeft(), self.zero()
@@ -126,17 +134,17 @@ class NodePairs:
 
     # ---------------------------------------------------------------- displacements, jumps and forces
     def zero(self) -> PETSc.Vec:
-        """A zero vector of displacements."""
+        """Make a vector of the displacements of all nodes of V, filled with zeros."""
         return PETSc.Vec().createMPI((self._size * self.dim, None), bsize=self.dim, comm=self.comm)
 
     @cached_property
     def dofs(self) -> Indices:
-        """Local dofs (n, d) of the displacements of the upper side."""
+        """Local numbers (n, d) of the displacement components of the upper nodes, in d dimensions."""
         return self.upper[:, None] * np.int32(self.dim) + np.arange(self.dim, dtype=np.int32)
 
     @cached_property
     def lower(self) -> PETSc.Mat | None:
-        """Matrix (n d, N) that selects the lower side's displacements from all N of them; None on a rigid base."""
+        """Matrix (n d, N) from all N displacements to those of the n lower nodes; None on a rigid base."""
         if self.surface.lower is None:
             return None
         n, d, has_lower = len(self.upper), self.dim, self.lower_numbers >= 0
@@ -146,7 +154,7 @@ class NodePairs:
         return PETSc.Mat().createAIJ(((n * d, None), (size, None)), csr=csr, comm=self.comm)
 
     def lower_side(self, u: PETSc.Vec) -> Array:
-        """Displacements (n, d) of the lower side in global axes; zero on a rigid base."""
+        """Return the displacements (n, d) of the lower nodes along x, y and z; they are zero on a rigid base."""
         if self.lower is None:
             return np.zeros((len(self.upper), self.dim))
         vector = self.lower.createVecLeft()
@@ -156,11 +164,14 @@ class NodePairs:
         return values
 
     def jump(self, u: PETSc.Vec) -> Array:
-        """Jumps (n, d) of displacements u, as components along the nodes' local axes."""
+        """Return the jumps (n, d) of displacements `u`, as components along the nodes' local axes."""
         return np.einsum("nij,nj->ni", self.frames, u.array_r.reshape(-1, self.dim)[self.upper] - self.lower_side(u))
 
     def separation(self, u: PETSc.Vec) -> Array:
-        """Separations (n, d) of the sides along the nodes' local axes: jumps, plus the initial gap along the normal."""
+        """Return the vectors (n, d) between the two sides under displacements `u`, along the nodes' local axes.
+
+        They are the jumps, plus the initial gap in the normal component.
+        """
         w = self.jump(u)
         w[:, -1] += self.gap
         return w
@@ -180,7 +191,10 @@ class NodePairs:
             destroy(lower_forces, all_forces)
 
     def stiffness(self, tangent: Array) -> PETSc.Mat:
-        """Stiffness matrix over all displacements, from derivatives (n, d, d) of tractions by jumps in local axes."""
+        """Return the stiffness matrix, over all displacements, of forces that depend on the jumps.
+
+        `tangent` (n, d, d) has the derivatives of the tractions by the jumps, both along the nodes' local axes.
+        """
         d, size = self.dim, self._size * self.dim
         nodes = self.pairs[:, :1] if self.lower is None else self.pairs
         dofs = (nodes[:, :, None] * d + np.arange(d)).reshape(-1, nodes.shape[1] * d).astype(PETSc.IntType)
@@ -196,31 +210,32 @@ class NodePairs:
         return out
 
     def destroy(self) -> None:
-        """Free the matrices."""
+        """Free the PETSc matrix `lower`."""
         destroy(vars(self).get("lower"))
 
 
 class ContactNodes(NodePairs):
-    """Nodes of S under a contact law on one seam. Collective.
+    """Nodes of S under the contact law of one seam, with their areas and mean normals. Collective.
 
-    Quadrature is at the nodes, by the trapezoidal rule, or by Simpson's rule for elements of degree 2. Both transmit a
-    uniform pressure exactly. The weight of a node is the area of S around it, and its normal is the mean normal there.
+    Integrals over S are sums over nodes, by the trapezoidal rule, or by Simpson's rule for elements of degree 2. Both
+    transmit a uniform pressure exactly.
 
     Attributes:
         file_numbers: (n,) unique number of each node, also where several nodes share a vertex; the same on any number
-            of ranks. The lowest k bits mark which of the k sorted vertices of a facet are adjacent to the node. The
-            other bits are the facet's number in the joint.
-        is_fixed: (n, d) mask of the components of the jump (global axes) that supports prescribe.
+            of ranks. The highest bits are the number in the joint of a facet to which the node belongs. Each of the
+            lowest k bits stands for one of the k vertices of this facet, in ascending order: it is 1 if the node is the
+            vertex, or lies in an edge or the facet with this vertex.
+        is_fixed: (n, d) mask of the components of the jump, along x, y and z, that supports prescribe.
         is_fixed_upper: (n, d) mask of the components of the upper side's displacement that supports prescribe.
     """
 
     def __init__(self, surface: ContactSurface, bc_dofs: Indices = NO_NODES, *, gap: Callable[[Array], Array]) -> None:
-        """Make the nodes of a surface.
+        """Make the nodes of a contact surface.
 
         Args:
             surface: the facets.
-            bc_dofs: local numbers (unrolled) of this rank's displacements that supports prescribe.
-            gap: function of n places (d, n) that returns the initial gaps (n,), lengths.
+            bc_dofs: local numbers of this rank's displacement components that supports prescribe.
+            gap: function of the coordinates (d, n) of n places that returns the initial gaps (n,), lengths.
         """
         V, comm, d = surface.V, surface.comm, surface.V.mesh.topology.dim
         imap, rows = V.dofmap.index_map, _corner_rows(surface)
@@ -252,7 +267,7 @@ class ContactNodes(NodePairs):
 
     @property
     def lines(self) -> IntArray:
-        """Indices (m, 2) of m pairs of this rank's nodes that are neighbours along S; empty in three dimensions."""
+        """Pairs of this rank's nodes that are neighbours along S, as indices (m, 2); empty in three dimensions."""
         number, node = self._facet_corners
         position = np.array([0, 0, 2, 1])[number & 3]  # first end, second end, middle
         order = np.lexsort((position, number >> 2))[: len(number) if self.dim == 2 else 0]
@@ -260,15 +275,16 @@ class ContactNodes(NodePairs):
 
 
 def _to_global(V: fem.FunctionSpace, local: Array | Indices) -> Array:
-    """Global numbers of local nodes, as floats, because they are sent together with areas."""
+    """Return the global numbers of nodes with the local numbers `local`, as floats to be sent together with areas."""
     return V.dofmap.index_map.local_to_global(local.astype(np.int32)).astype(float)
 
 
 def _corner_rows(surface: ContactSurface) -> Array:
-    """Return a row for each node of each facet of S that this rank owns.
+    """Return a row of numbers for each node of each facet of S that this rank owns.
 
-    The first columns are the node's local number on the upper side and its global number on the lower side, -1 on a
-    rigid base. Then come its area, area times unit normal (d components), and unique number (`file_numbers`).
+    The columns are the local number of the node on the upper side, and the global number of that on the lower side, or
+    -1 on a rigid base. Then come the part of the facet's area that belongs to the node, and this area times the unit
+    normal (d columns). The last column is the number in `ContactNodes.file_numbers`.
     """
     V, facets, upper, lower = surface.V, surface.facets, surface.upper, surface.lower
     mesh, topology, d = V.mesh, V.mesh.topology, V.mesh.topology.dim
@@ -306,15 +322,19 @@ def _corner_rows(surface: ContactSurface) -> Array:
 
 
 def _entities(mesh: Mesh, a: int, b: int) -> Indices:
-    """Local numbers (n, m) of the m entities of dimension b of each of the n local entities of dimension a."""
+    """Return the local numbers (n, m) of the m entities of dimension `b` of each of the n local entities of dimension `a`."""
     connectivity = mesh.topology.connectivity(a, b)
     return np.asarray(connectivity.array.reshape(connectivity.num_nodes, -1))
 
 
 def _nodes(V: fem.FunctionSpace, cells: Indices, entities: Indices, e: int) -> Indices:
-    """Local numbers (n, k) of the nodes of V in the interior of k entities of each of n cells, one node per entity.
+    """Return the local numbers (n, k) of the nodes of V inside k vertices, edges or facets of each of n cells.
 
-    `cells` (n,) and `entities` (n, k) are local numbers; e is the dimension of the entities, 0 for vertices.
+    Args:
+        V: the space, with one node in each of these entities.
+        cells: (n,) local numbers of the cells.
+        entities: (n, k) local numbers of the entities.
+        e: dimension of the entities, 0 for vertices.
     """
     cell_entities = _entities(V.mesh, V.mesh.topology.dim, e)[cells]
     local_index = (cell_entities[:, None, :] == entities[:, :, None]).argmax(axis=2)
@@ -323,9 +343,13 @@ def _nodes(V: fem.FunctionSpace, cells: Indices, entities: Indices, e: int) -> I
 
 
 def _vertex_areas(corners: Array) -> tuple[Array, Array]:
-    """Areas (n, k) around the k vertices of each of n facets, which add up to the facet's, and unit normals (n, d).
+    """Divide the areas of n facets among their k vertices, and return these parts and the facets' unit normals.
 
-    `corners` (n, k, d) are the vertices' places in d dimensions. Normals have either sign.
+    Args:
+        corners: (n, k, d) coordinates of the vertices in d dimensions.
+
+    Returns:
+        Areas (n, k), lengths in 2D, which add up to the area of each facet; and normals (n, d), of either sign.
     """
     if corners.shape[2] == 2:
         edge = corners[:, 1] - corners[:, 0]
@@ -340,7 +364,7 @@ def _vertex_areas(corners: Array) -> tuple[Array, Array]:
 
 
 def normal_frames(n: Array) -> Array:
-    """Local axes (n, d, d) of S at n unit normals (n, d), as rows: unit tangents, then the normal.
+    """Return local axes (n, d, d) of S at n unit normals `n` (n, d), as rows: unit tangents, then the normal.
 
     They are equal to the axes of `forms.tensors.layer_frame`.
     """

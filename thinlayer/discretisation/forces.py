@@ -1,4 +1,4 @@
-"""Tractions and body forces of a model as a linear form."""
+"""Loads of a model as linear forms: tractions, body forces, and forces at points and along lines."""
 
 from __future__ import annotations
 
@@ -35,13 +35,14 @@ class LoadRegion:
     """Region where a load acts: cells or facets of bodies, the volume of a layer, or a layer's side.
 
     Attributes:
-        measure: measure of the cells or facets; for a layer on S that of its seam.
-        weight: factor of the measure (2 pi r in axisymmetry, else 1), for a layer on S times its thickness.
-        value: function of the load's UFL expression that returns its value in the region, as on one side of S.
-        mean: function of a displacement that returns the one in which the load does work. For a layer on S it is the
-            mean over the thickness.
-        base_test: function of a motion that also moves a rigid base: it returns the base's contribution to this mean.
-            None: there is no rigid base.
+        measure: measure of the cells or facets; for a layer without cells, that of its seam.
+        weight: factor of the measure: 2 pi r in axisymmetry, else 1; for a layer without cells times its thickness.
+        value: function from the UFL expression of the load to that of its value in the region. For a layer without
+            cells it is the value on one side of S.
+        mean: function from a displacement, in UFL, to the displacement with which the load does work. For a layer
+            without cells this is the mean over the thickness.
+        base_test: function from a motion of bodies and rigid base to the motion of the base's share in `mean`, such as
+            half of it. None: there is no rigid base.
     """
 
     measure: ufl.Measure
@@ -57,15 +58,15 @@ class Forces:
     Args:
         domain: the distributed mesh, with the joint's names.
         kinematics: kinematics of the mesh, with the factor of all measures (2 pi r in axisymmetry).
-        points: object that makes the forms of loads at points and along lines.
-        structure: the structure, for tractions, body force, and loads at points and along lines.
+        points: maker of the forms of loads at points and along lines.
+        structure: the structure, which has the tractions, body forces, and loads at points and along lines.
 
     Attributes:
         at: place and time for loads that are functions.
         user_loads: label, such as "traction on 'TOP'" -> the load as the user wrote it.
 
     Raises:
-        InputError: an unknown name, a traction on S or inside the bodies, a load that is no vector.
+        InputError: an unknown name, a traction on S or inside the bodies, a load that is not a vector.
     """
 
     def __init__(self, domain: Domain, kinematics: Kinematics, points: ConcentratedForms, structure: Structure) -> None:
@@ -101,10 +102,10 @@ class Forces:
         self._whole_dx = dx
 
     def add_layer(self, name: str, load: Load, place: LoadRegion, at: Coordinates) -> None:
-        """Add a force per volume of a layer.
+        """Add a force per volume of a layer to the loads.
 
         Args:
-            name: name of its seam.
+            name: name of the layer's seam.
             load: the force per volume, (d,) in d dimensions, constant or a function (x, t).
             place: region of the layer.
             at: coordinates in the layer, with the time of the other loads.
@@ -114,13 +115,13 @@ class Forces:
         self.add_weighted(name, text, at.coefficient(load, text, (self.domain.joint.dim,)).expression, place)
 
     def add_weighted(self, name: str, what: str, force: Expr, place: LoadRegion) -> None:
-        """Add a force per volume or area, a UFL vector (d,), in a region.
+        """Add a force per volume or area in a region to the loads.
 
         Args:
             name: name of the seam of a layer's load; "" for loads on bodies.
             what: label of the load in error messages.
-            force: the force.
-            place: the region.
+            force: the force, a UFL vector (d,) in d dimensions.
+            place: the region, whose weight multiplies the force.
         """
         self._loads.append((what, place.value(force) * place.weight, place, name))
 
@@ -131,7 +132,11 @@ class Forces:
             self.add_weighted("", what, checked, LoadRegion(measure, self._kinematics.factor))
 
     def _warn_of_gaps(self, name: str) -> None:
-        """Warn if a gap, a seam without a layer, ends on the loaded facet set `name`: it made these faces smaller."""
+        """Warn if an open seam with a width (a gap) ends on the loaded facet set `name` between extended bodies.
+
+        The bodies gave up a part of their faces to the gap, so that the total load is smaller than in the interface
+        model.
+        """
         band, whole = self.domain.joint.band, FacetName.parse(name).whole
         if band is None or band.bodies == "kept" or whole not in band.base.facets:
             return
@@ -142,10 +147,13 @@ class Forces:
                 warn("end of a gap", text, self.domain.comm)
 
     def _layer_share(self, name: str) -> float:
-        """Fraction of a traction on bodies that also acts on the layer's side, for the room that these bodies gave up.
+        """Return the fraction of a traction on bodies that also acts on the layer's side beside them.
 
-        `name` is the facet set of the traction. The fraction is 0 for kept bodies. With it the full and the interface
-        model have the same total load.
+        Extended bodies gave up a part of their faces to the layer's side. With this fraction the full and the interface
+        model have the same total load. It is 0 for bodies that keep their shape.
+
+        Args:
+            name: facet set of the traction.
 
         Raises:
             InputError: the layer has no cells, so its side has no facets.
@@ -171,18 +179,19 @@ class Forces:
         return sum(bool(mask.all()) for mask in covered) / len(covered)
 
     def work(self, v: Expr, *, layers: bool = False) -> Expr:
-        """Virtual work of all loads in v, or with `layers` of loads on layers only.
+        """Return the virtual work of the loads in displacements v, a UFL form linear in v.
 
-        It is a UFL form, linear in v, that takes its time from the model's clock.
+        It takes its time from the model's clock. With `layers` it has only the loads on layers.
         """
         form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self.domain.joint.dim)), v) * self._whole_dx
         loads = [entry for entry in self._loads if entry[3] or not layers]
         return sum((ufl.inner(load, region.mean(v)) * region.measure for _, load, region, _ in loads), form)
 
     def work_on_bases(self, v: Expr) -> dict[str, Expr]:
-        """Virtual work, by seam, of loads that act directly on rigid bases, in motions v that also move the bases.
+        """Return, by seam, the virtual work of the loads that act directly on the seam's rigid base.
 
-        The UFL forms are linear in v and take their time from the model's clock.
+        It is a UFL form, linear in a motion v of the bodies that the bases follow. It takes its time from the model's
+        clock.
         """
         forms: dict[str, Expr] = {}
         for _, load, region, name in self._loads:
@@ -191,9 +200,9 @@ class Forces:
         return forms
 
     def nodal_at(self, V: fem.FunctionSpace, t: float, *, layers: bool = False) -> PETSc.Vec:
-        """Nodal forces in V of all loads at a time, or with `layers` of loads on layers only. Collective.
+        """Return the nodal forces in V of the loads at the time t; the caller destroys the vector. Collective.
 
-        The caller destroys the vector.
+        With `layers` they are those of loads on layers only.
 
         Raises:
             InputError: a load is not finite at this time.
@@ -209,7 +218,7 @@ class Forces:
         return b
 
     def _nonfinite_loads(self, t: float) -> list[str]:
-        """Labels of the loads that are not finite at a time. Collective."""
+        """Return the labels of the loads that are not finite at the time `t`. Collective."""
         with self.at.clock.at(t):
             sums = [fem.assemble_scalar(compiled(ufl.inner(f, f) * region.measure)) for _, f, region, _ in self._loads]
         infinite = self.domain.comm.allreduce(1 - np.isfinite(sums))

@@ -1,4 +1,4 @@
-"""Compilation of forms over tagged and untagged measures, and of laws with parameters at quadrature points."""
+"""Compilation of users' forms, and of laws whose parameters are functions of the place."""
 
 from __future__ import annotations
 
@@ -75,10 +75,12 @@ def whole_structure_form(form: ufl.Form, model: Model, what: str = "a form") -> 
 
 
 def _tags(data: MeshTags | Iterable[tuple[object, Array]] | None, kind: str, model: Model) -> set[object]:
-    """Tags of the cells or facets on this rank that a measure can integrate over.
+    """Return the tags that cells or facets of this rank have in the subdomain data of a measure.
 
-    `data` are the measure's subdomain data, `kind` is its type of integral in UFL. For "exterior_facet" (ds) only outer
-    facets count.
+    Args:
+        data: the subdomain data: tags of a mesh, or pairs of a tag and its entities; None: no tags.
+        kind: type of the measure's integral in UFL. For "exterior_facet" (ds) only facets on the boundary count.
+        model: the model, on whose mesh the tags are.
     """
     if data is None:
         return set()
@@ -93,12 +95,15 @@ def _tags(data: MeshTags | Iterable[tuple[object, Array]] | None, kind: str, mod
 
 
 def compiled_summands(form: Expr) -> list[fem.Form]:
-    """Return a form compiled as summands, one for each set of tags, so that equal laws of several seams share code."""
+    """Return compiled forms that add up to a form, one for each set of tags in its measures.
+
+    Layers on several seams with equal laws then share compiled code.
+    """
     return [compiled(ufl.Form(integrals)) for integrals in by_domain(form).values()]
 
 
 def zero_matrix(V: fem.FunctionSpace, form: Expr) -> PETSc.Mat:
-    """Zero matrix with the sparsity pattern of bilinear forms on V over the same cells and facets as a form."""
+    """Return a matrix of zeros over V that can store the bilinear forms on the cells and facets of `form`."""
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     one_sided, two_sided = ufl.inner(u, v), ufl.inner(u("+") + u("-"), v("+") + v("-"))
     integrals = {}
@@ -112,9 +117,9 @@ def zero_matrix(V: fem.FunctionSpace, form: Expr) -> PETSc.Mat:
 
 
 def compiled_scalars(form: Expr) -> list[fem.Form]:
-    """Return a form without arguments compiled as summands, each with a single quadrature rule.
+    """Return compiled forms that add up to a form without arguments, each with a single quadrature rule.
 
-    FFCx confuses the points of two quadrature rules where both are in the integrand of a form without arguments.
+    FFCx confuses the points of two quadrature rules if both are in the integrand of a form without arguments.
     """
     if len(form.integrals()) == 1:  # estimating a degree takes as long as a signature
         return [compiled(form)]
@@ -127,9 +132,14 @@ def compiled_scalars(form: Expr) -> list[fem.Form]:
 
 
 def unit_values(comm: MPI.Intracomm, form: Expr, constant: fem.Constant) -> Array:
-    """Values (k,) of a UFL form without arguments, for each of the k unit vectors as `constant` (k,). Collective.
+    """Return the values (k,) of a form without arguments, linear in a Constant (k,), for each of k unit vectors.
 
-    The form is linear in the constant.
+    Collective. The Constant is changed.
+
+    Args:
+        comm: communicator of the mesh.
+        form: the UFL form.
+        constant: the Constant in the form, which becomes one unit vector after the other.
     """
     forms, values = compiled_scalars(form), np.zeros(len(constant.value))
     for k in range(len(values)):
@@ -140,7 +150,10 @@ def unit_values(comm: MPI.Intracomm, form: Expr, constant: fem.Constant) -> Arra
 
 @without_cycles()
 def _degree(integral: ufl.Integral) -> object:
-    """Quadrature degree that UFL estimates; "" if the metadata have it, the integrand itself if UFL fails."""
+    """Return the quadrature degree that UFL estimates for an integral, or "" if its metadata have a degree.
+
+    If UFL cannot estimate it, return the integrand, so that the integral is compiled alone.
+    """
     if "quadrature_degree" in integral.metadata():
         return ""
     try:
@@ -150,7 +163,7 @@ def _degree(integral: ufl.Integral) -> object:
 
 
 def origin_of(domain: Domain) -> MeshOrigin:
-    """Return the relation of a distributed mesh to its joint: numbers of cells and facets, and coordinates."""
+    """Return how a distributed mesh is related to its joint: numbers of its cells and facets, and coordinates."""
     joint, x = domain.joint, Coordinates.of(domain).x
     columns = partial(column_numbers, joint)
     if joint.parted is None:
@@ -160,10 +173,10 @@ def origin_of(domain: Domain) -> MeshOrigin:
 
 
 def checked_term(term: Term, V: fem.FunctionSpace, origin: MeshOrigin) -> Term:
-    """Return a term after a check of its law's parameters at the quadrature points. Collective.
+    """Check parameters of a term's law at its quadrature points, and return the term with them. Collective.
 
-    Only parameters that are functions of the place are checked. For a law in UFL forms they become a function with
-    values at the points. Compiled laws evaluate them by themselves.
+    Only parameters that are functions of the place are checked. In a law in UFL forms they become a DOLFINx function
+    with values at the points. A compiled law is unchanged, because it evaluates them itself.
 
     Args:
         term: the term.
@@ -188,15 +201,15 @@ def checked_term(term: Term, V: fem.FunctionSpace, origin: MeshOrigin) -> Term:
 
 
 def law_with_expressions(law: BulkLaw, mesh: Mesh, values: Mapping[str, Expr]) -> BulkLaw:
-    """Return a law with UFL expressions for the parameters named in `values`, and Constants for the others."""
+    """Return a law with UFL expressions as parameters: `values` (name -> expression), and Constants for the others."""
     return law_with_constants(law.with_parameters(dict.fromkeys(values, 1.0)), mesh).with_parameters(values)
 
 
 def compiled_terms(terms: Iterable[Term]) -> dict[str, Term]:
-    """Return key -> term for all terms whose laws are compiled functions of a point, not parts of UFL forms.
+    """Return key -> term for those terms whose laws are compiled functions of a point, not parts of UFL forms.
 
-    Keys are "layer", "layer BED" on a seam BED, or "body STEEL" in a region STEEL. Terms with the same key, such as
-    sublayers from the lower face on, are numbered: "layer 1", "layer 2", ..., on a seam "layer BED/1", ...
+    Keys are "layer", "layer BED" on a seam BED, or "body STEEL" in a region STEEL. Several terms with the same key get
+    numbers, for example sublayers, from the lower face on: "layer 1", "layer 2", or on a seam "layer BED/1".
     """
     by_key: dict[str, list[Term]] = {}
     for p in terms:

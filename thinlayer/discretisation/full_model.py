@@ -39,7 +39,7 @@ class FullModel(Model):
     """Model of a structure whose layers are meshed.
 
     Attributes:
-        inflated: the joint after S was opened to the layers' thickness, with the layers' cells.
+        inflated: the joint with the cells of the layers, after S was opened to the layers' thickness.
     """
 
     name = "full"
@@ -76,7 +76,7 @@ class FullModel(Model):
         return inflated
 
     def _check_layers(self) -> None:
-        """Raise InputError for bonds, for open seams of unknown width, and for layers that cannot be meshed."""
+        """Raise InputError if a seam has a `Bond`, is open with unknown width, or has a layer that cannot be meshed."""
         for name in self.bonds:
             raise InputError(f"the seam {name!r} has a Bond, for interface models: make a joint without it")
         for name in (name for name, layer in self.on_seams.items() if layer is None):
@@ -90,9 +90,13 @@ class FullModel(Model):
         self._check_junctions(band_of(self.domain.joint))
 
     def _check_junctions(self, band: InflatedBand) -> None:
-        """Raise InputError if the law of a junction needs what its cells do not have: a normal of S, or columns.
+        """Raise InputError if a law does not suit cells where several layers meet (junctions).
 
-        Columns are cells above each other through the thickness.
+        Such cells have no normal of S, and they are not in columns, which are cells above each other through the
+        thickness.
+
+        Args:
+            band: the meshed layers, which say where seams meet and which law each junction has.
         """
         for region, name in band.junctions.items():
             law = self.applicability[name].law
@@ -135,13 +139,15 @@ class LayerModel(FullModel):
     Each rank has the whole mesh. The faces of the layers are not constrained, so that the model alone cannot be solved.
 
     Attributes:
-        refined_layers: the layers, with cells refined towards free ends and junctions; None if not refined.
+        refined_layers: the layers with cells that become smaller towards free ends and junctions; None if `at_ends` is
+            None, or if there are no such ends.
 
     Args:
         model: the interface model.
         layers: name of a seam -> its layer.
         cells_through: number of cells through the thickness.
-        at_ends: largest length along S of cells at ends, over the thickness; None: the length of the facets of S there.
+        at_ends: largest length of cells along S at free ends and junctions, divided by the least thickness of the
+            layers. None: the cells are as long as the facets of S.
 
     Raises:
         InputError: `at_ends` is not a number > 0, or so small that nodes would coincide; the layers' seams meet others.
@@ -183,15 +189,18 @@ class LayerModel(FullModel):
 
     @property
     def surface_identity(self) -> object:
-        """Object that models share (`is`) if fields on S of one fit the other; the model itself for refined cells."""
+        """Object that is the same (`is`) for models whose fields on S can be used for one another.
+
+        A model with cells refined at ends only has its own fields: the object is the model itself.
+        """
         return super().surface_identity if self._at_ends is None else self
 
     def require_supported(self) -> None:
-        """Check nothing, as the bodies that would support the layers are absent."""
+        """Accept any supports: the bodies, which would support the layers, are not in this model."""
 
 
 def meeting_layers(joint: Joint, seams: Iterable[str]) -> Violation | None:
-    """Return why the layers on `seams` cannot be solved without others; None if they meet no other seam."""
+    """Return why the layers on `seams` cannot be solved without the other layers; None if no other seam meets theirs."""
     vertices = {name: joint.masters[joint.table.vertices[joint.rows_of(name)]] for name in joint.seams}
     own_vertices = np.concatenate([vertices[name].ravel() for name in seams])
     other_seams = [name for name in joint.seams if name not in seams and np.isin(vertices[name], own_vertices).any()]

@@ -43,7 +43,10 @@ END_DEGREE_INCREASE = 2  # increase of the quadrature degree where weights of fr
 
 
 class InterfaceModel(Model):
-    """Model of a structure whose layers are replaced by their interface laws on S, or by bonds."""
+    """Model of a structure whose layers are replaced by their interface laws on S.
+
+    A seam may also have a `Bond`, which joins the two bodies, or be open.
+    """
 
     name = "interface"
     broken = True
@@ -76,7 +79,7 @@ class InterfaceModel(Model):
 
     @cached_property
     def split_mesh(self) -> Splitting:
-        """The joint's mesh, cut along the seams without a bond."""
+        """The joint's mesh after cutting it along all seams that have no `Bond`."""
         joint = self.domain.joint
         cut = [joint.rows_of(name) for name in joint.seams if name not in self.bonds]
         return joint.split_along(np.concatenate([np.empty(0, np.int64), *cut])) if self.bonds else joint.split_mesh
@@ -91,7 +94,7 @@ class InterfaceModel(Model):
 
     @cached_property
     def _middle(self) -> MidSurface | None:
-        """S midway between the faces of extended bodies; None if bodies meet on S."""
+        """S midway between the faces of bodies that gave up room for the layers; None if the bodies meet on S."""
         return None if self.domain.joint.parted is None else MidSurface(self.domain)
 
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
@@ -107,13 +110,18 @@ class InterfaceModel(Model):
 
     @cached_property
     def dS(self) -> ufl.Measure:
-        """Measure of the seams between bodies; dS(k) is the k-th of `joint.seams`, from 1, and "+" its upper side."""
+        """Measure of the seams that lie between two bodies, where "+" is the upper side.
+
+        dS(k) is the measure of the seam number k in `joint.seams`, from 1.
+        """
         between = [(k, name) for k, name in enumerate(self.joint.seams, 1) if name not in self.joint.base_seams]
         entities = [(k, seam_entities(self.domain, name).ravel()) for k, name in between]
         return ufl.Measure("dS", domain=self.domain.mesh, subdomain_data=entities)
 
     def sides_of(self, name: str = S) -> Interface:
-        """Return the two sides of a seam, or of all seams ("S"): n, jumps, values on either side, and the measure.
+        """Return the two sides of a seam, or of all seams for the name "S".
+
+        They give the normal, jumps and values of functions on either side, and the measure of integrals over the seam.
 
         Raises:
             InputError: an unknown seam; "S" if some seams lie between bodies and others on a rigid base.
@@ -132,7 +140,7 @@ class InterfaceModel(Model):
 
     @cached_property
     def sides(self) -> Interface:
-        """The two sides of all seams: normal, jump, values on either side, and the measure."""
+        """The two sides of all seams: normal, jumps and values of functions on either side, and measure of integrals."""
         return self.sides_of(S)
 
     def _layer_terms(self) -> list[forms.Term]:
@@ -144,15 +152,15 @@ class InterfaceModel(Model):
 
     @property
     def remarks(self) -> list[str]:
-        """Sentences for the log: whether free ends of layers of order 1 are corrected."""
+        """Sentences for the log that say for each layer of order 1 whether its free ends are corrected."""
         of_order_1 = [r for r in self.applicability.values() if r.layer.thin_layer and r.layer.thin_layer.order]
         return [f"free ends of {r.layer}: {r.free_end_text}" for r in of_order_1]
 
     def shifts(self) -> FloatArray | None:
-        """Translations (n_cells, d) that the joint's cells would have if the layers were meshed.
+        """Return the translations (n_cells, d) of the joint's cells that meshing the layers of order 1 would cause.
 
-        Only layers of order 1 between bodies that meet on S cause them, because other interface laws ignore the
-        thickness. None: they are zero, the thickness varies, or the bodies cannot move apart without strain.
+        Only these layers count, because other interface laws ignore the thickness. Return None if all translations are
+        zero, if the bodies do not meet on S, if a thickness varies, or if the bodies cannot move apart without strain.
         """
         eps = np.zeros(len(self.joint.surface_rows))
         for layer in self.layers.values():
@@ -166,7 +174,7 @@ class InterfaceModel(Model):
             return None
 
     def free_ends(self, name: str) -> Violation | None:
-        """Return why the interface law of a seam does not correct its free ends; None if it does, or there are none.
+        """Return why the interface law of a seam does not correct its free ends; None if it does, or if no end is free.
 
         Raises:
             InputError: the seam is unknown or has no layer.
@@ -206,7 +214,10 @@ class InterfaceModel(Model):
         return super()._description() | ({"free ends": names} if names else {})
 
     def _load_region(self, layer: SeamLayer) -> LoadRegion:
-        """Region on S of a layer's loads: each side carries half of a load; a rigid base carries the lower half."""
+        """Return the region on S where the loads of a layer act.
+
+        Each side of S carries half of a load. On a rigid base, the base carries the lower half.
+        """
         sides = self.sides_of(layer.name)
 
         def on_base(v: Expr) -> Expr:  # the base moves and rotates as the facets of the body above it do
@@ -218,9 +229,17 @@ class InterfaceModel(Model):
 
 
 def _law_on_surface(domain: Domain, joint: Joint, name: str, upper: InterfaceSide, law: BulkLaw) -> BulkLaw:
-    """The law on the seam `name`, with parameters in UFL.
+    """Return a law with UFL expressions as parameters, for integrals over a seam.
 
-    Parameters that are functions become expressions on S, linear between vertices, and numbers become Constants.
+    A parameter that is a function of the place becomes its interpolant on S, linear between vertices. Numbers become
+    Constants.
+
+    Args:
+        domain: the distributed mesh.
+        joint: the joint, in whose coordinates parameters are functions.
+        name: name of the seam.
+        upper: the upper side of the seam, on which the interpolants are evaluated.
+        law: the law.
     """
     expressions, vertices = {}, np.unique(joint.table.vertices[joint.rows_of(name)])
     for key, vertex_values in law.fields_at(joint.points[vertices].T).items():

@@ -14,7 +14,8 @@ class Key:
     Attributes:
         kind: "layer", "contact", "body" or "pressure"; or the key of a user-defined part.
         name: name of the seam or body. In joints with one seam it is "", or the number of a sublayer as in "layer 1".
-        part: number of a sublayer as in "layer BED/1", or "forms" for the laws in UFL forms; "": all.
+        part: number of a sublayer as in "layer BED/1", or "forms" for all laws in UFL forms together; "": the key is
+            not of a part.
     """
 
     kind: str
@@ -23,7 +24,7 @@ class Key:
 
     @classmethod
     def parse(cls, text: str) -> Key:
-        """Return the key for a text, such as "layer BED/1"."""
+        """Return the key that a text such as "layer BED/1" stands for."""
         whole, _, part = text.partition("/")
         kind, _, name = whole.partition(" ")
         return cls(kind, name, part)
@@ -33,13 +34,13 @@ class Key:
 
     @property
     def pressure(self) -> Key:
-        """Key of the pressure in the layer, from that of its law."""
+        """Key of the pressure in a layer, made from the key of the layer's law."""
         return replace(self, kind=PRESSURE_KIND)
 
     def numbered(self, k: int) -> Key:
-        """Return the key of the k-th sublayer, counted from 1 at the lower face, or of the k-th of several laws."""
+        """Return the key of the k-th of several laws with this key, from 1; sublayers count from the lower face."""
         return Key(self.kind, str(k)) if self in (Key(LAYER_KIND), Key(BODY_KIND)) else Key.parse(f"{self}/{k}")
 
     def belongs_to(self, layer: Key) -> bool:
-        """Whether this is the key `layer` of a layer, or that of a sublayer, of its UFL forms or of its pressure."""
+        """Return whether this key is `layer`, the key of a layer, or one of its sublayers, UFL forms or pressure."""
         return self == layer.pressure or (self.kind == layer.kind and layer.name in ("", self.name))
