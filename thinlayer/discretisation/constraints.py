@@ -218,7 +218,7 @@ class Constraints:
         return sum_by_number(self.prescribed.entry, works, len(self.prescribed.supports.entries) + 1)[:-1]
 
     def _values_of_rows(self, t: float) -> Array:
-        """Return the prescribed values (r,) at the time `t` of this rank's r conditions, ordered as in `_conditions`."""
+        """Return the prescribed values (r,) of this rank's r conditions at the time t, ordered as in `_conditions`."""
         return np.concatenate([self.prescribed.values(t), [value(t) for _, _, value in self._motions]])
 
     # ---------------------------------------------------------------- constrained unknowns
@@ -429,7 +429,7 @@ class Constraints:
         return float(sum(shifts[mpc.key] @ mpc.resultant(t) for mpc in self.mpcs))
 
     def dual_to_resultant(self, holders: Sequence[int], direction: Array) -> Array:
-        """Return weights g (n,) that give the reaction of chosen supports along a direction from forces on the unknowns.
+        """Return weights g (n,) of forces on the unknowns that give the reaction of chosen supports along a direction.
 
         For nodal forces r on the displacements the reaction is g . T^T r plus `prescribed_resultant`.
 

@@ -282,9 +282,9 @@ def _to_global(V: fem.FunctionSpace, local: Array | Indices) -> Array:
 def _corner_rows(surface: ContactSurface) -> Array:
     """Return a row of numbers for each node of each facet of S that this rank owns.
 
-    The columns are the local number of the node on the upper side, and the global number of that on the lower side, or
-    -1 on a rigid base. Then come the part of the facet's area that belongs to the node, and this area times the unit
-    normal (d columns). The last column is the number in `ContactNodes.file_numbers`.
+    The first column is the local number of the node on the upper side. The second is the global number of that on the
+    lower side, or -1 on a rigid base. Then come the part of the facet's area that belongs to the node, and this area
+    times the unit normal (d columns). The last column is the number in `ContactNodes.file_numbers`.
     """
     V, facets, upper, lower = surface.V, surface.facets, surface.upper, surface.lower
     mesh, topology, d = V.mesh, V.mesh.topology, V.mesh.topology.dim
@@ -322,7 +322,7 @@ def _corner_rows(surface: ContactSurface) -> Array:
 
 
 def _entities(mesh: Mesh, a: int, b: int) -> Indices:
-    """Return the local numbers (n, m) of the m entities of dimension `b` of each of the n local entities of dimension `a`."""
+    """Return the local numbers (n, m) of the m entities of dimension b of each local entity of dimension a."""
     connectivity = mesh.topology.connectivity(a, b)
     return np.asarray(connectivity.array.reshape(connectivity.num_nodes, -1))
 

@@ -200,7 +200,7 @@ class LayerModel(FullModel):
 
 
 def meeting_layers(joint: Joint, seams: Iterable[str]) -> Violation | None:
-    """Return why the layers on `seams` cannot be solved without the other layers; None if no other seam meets theirs."""
+    """Return why the layers on `seams` cannot be solved without other layers; None if no other seam meets theirs."""
     vertices = {name: joint.masters[joint.table.vertices[joint.rows_of(name)]] for name in joint.seams}
     own_vertices = np.concatenate([vertices[name].ravel() for name in seams])
     other_seams = [name for name in joint.seams if name not in seams and np.isin(vertices[name], own_vertices).any()]

@@ -140,7 +140,7 @@ class InterfaceModel(Model):
 
     @cached_property
     def sides(self) -> Interface:
-        """The two sides of all seams: normal, jumps and values of functions on either side, and measure of integrals."""
+        """The two sides of all seams: normal, jumps and values of functions on each side, and measure of integrals."""
         return self.sides_of(S)
 
     def _layer_terms(self) -> list[forms.Term]:
@@ -160,7 +160,8 @@ class InterfaceModel(Model):
         """Return the translations (n_cells, d) of the joint's cells that meshing the layers of order 1 would cause.
 
         Only these layers count, because other interface laws ignore the thickness. Return None if all translations are
-        zero, if the bodies do not meet on S, if a thickness varies, or if the bodies cannot move apart without strain.
+        zero, if the bodies do not meet on S, or if a thickness varies. Return None too if the bodies cannot move apart
+        without strain.
         """
         eps = np.zeros(len(self.joint.surface_rows))
         for layer in self.layers.values():

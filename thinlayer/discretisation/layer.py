@@ -46,22 +46,22 @@ class ThinLayer:
     Attributes:
         law: the law of the layer's material. Sublayers in series: `Stack((fraction, law), ...)` from the lower to the
             upper face.
-        eps: thickness, a length > 0; multiplied by the profile if it varies along S.
-        at: thickness at which the parameters of `law` are valid, a length > 0; None: eps. At the thickness eps they are
-            multiplied by (eps/at)**power, see `BulkLaw.powers`. A family of layers for eps -> 0 has one `at` and one
-            interface law.
-        order: order of the interface law. 0: the limit, with error O(eps). 1: with the next term. The error is O(eps^2)
-            where the sides of the layer are on rollers, and away from free ends that are corrected, see `edges`. Order
-            1 needs elements of degree 2, and bodies="extended" where S is curved or the thickness varies. All sublayers
-            of a Stack must be `LinearElastic`. Other laws than `LinearElastic` and `Rubber` need lmbda/mu <= 12 at
-            rest.
+        eps: thickness, a length > 0; if the thickness varies along S, it is eps times the profile.
+        at: thickness for which the parameters of `law` are given, a length > 0; None: eps. In a layer of thickness eps
+            they are multiplied by (eps/at)**power, see `BulkLaw.powers`. Layers with the same `at` and smaller and
+            smaller eps have the same interface law of order 0.
+        order: order of the interface law. Order 0 is the limit for thin layers, with error O(eps). Order 1 adds the
+            next power of eps. Its error is O(eps^2) where the sides of the layer are on rollers, and away from free
+            ends that are corrected, see `edges`. Order 1 needs elements of degree 2, and bodies="extended" where S is
+            curved or the thickness varies. All sublayers of a Stack must be `LinearElastic`. Other laws than
+            `LinearElastic` and `Rubber` need lmbda/mu <= 12 under small strains from rest.
         profile: shape of a thickness that varies along S, a numpy function of coordinates x (d, n) that returns n
-            numbers > 0: the thickness at the vertices of S is eps * profile(x), linear in between. The law's parameters
+            numbers > 0. The thickness at the vertices of S is eps * profile(x), linear in between. The law's parameters
             do not vary with it.
-        eigenstrain: strain that the layer would have without stress, uniform through the thickness: a number times the
-            identity, a symmetric table, a function (x, t), `ThermalExpansion`, `Prestress`, or a list of these that add
-            up. On S it is subtracted from the strain [u] (x) n/eps, so it enters the tractions of a soft layer at order
-            eps. It changes the limit only if it has the size of [u]/eps.
+        eigenstrain: strain that the layer would have without stress, uniform through the thickness. It is a number
+            times the identity, a symmetric table, a function (x, t), `ThermalExpansion`, `Prestress`, or a list of
+            these that add up. On S it is subtracted from the strain of the jump, the symmetric part of [u] (x) n/eps.
+            In the tractions of a soft layer it is therefore a term of order eps, unless it is as large as [u]/eps.
         edges: correction of the interface law of order 1 for the lower stiffness near straight free ends of S
             (`forms.ends.weights`). With it the error is O(eps^2) away from these ends too. It exists for
             `LinearElastic` with nu from 0 to 0.45, `Rubber` and `Incompressible`, between much stiffer bodies. None:
@@ -108,12 +108,12 @@ class ThinLayer:
 
     @property
     def material(self) -> BulkLaw:
-        """The law with the parameters that hold at the thickness eps, scaled from those at the thickness `at`."""
+        """The law with its parameters for the thickness eps, scaled from those given for the thickness `at`."""
         return self.law.scaled(1.0 if self.at is None else float(self.eps) / float(self.at))
 
     @property
     def fractions(self) -> tuple[float, ...]:
-        """Fractions of the thickness of the sublayers, from the lower to the upper face; () for a single layer."""
+        """Thicknesses of the sublayers over that of the layer, from the lower face to the upper; () for a single layer."""
         return tuple(a for a, _ in self.law.sublayers if a != 1)
 
 
@@ -121,8 +121,8 @@ class ThinLayer:
 class Gap:
     """An open seam of some width: no forces act between its sides, and nothing prevents their overlap.
 
-    A meshed model leaves the gap empty. An interface model ignores the width: `Gap(eps)` is the same as None there, no
-    layer.
+    In a meshed model the width stays empty. An interface model ignores the width, so that `Gap(eps)` and None, which
+    also leaves a seam open, have the same effect there.
 
     Attributes:
         eps: width, a length > 0.
@@ -150,9 +150,10 @@ class Gap:
 
 @dataclass(frozen=True)
 class Bond:
-    """A perfect bond in place of a layer: both sides of its seam move as one; on a rigid base the side is fixed.
+    """A perfect bond in place of a layer: both sides of its seam have the same displacements.
 
-    Only interface models accept it. For a meshed model leave the seam out of the joint.
+    On a rigid base, the side of the body is fixed. Only interface models accept a bond. For a meshed model, make a
+    joint in which the bodies are connected, without this seam.
 
     Example:
         >>> from forms import LinearElastic
@@ -176,35 +177,36 @@ def _check_thickness(what: str, eps: float) -> None:
 
 
 def law_with_numbers(layer: Layer, kinematics: Kinematics) -> BulkLaw:
-    """Return a layer's law, with numbers or functions as parameters, as a law of strains for these kinematics."""
+    """Return a layer's law for strains of the given kinematics, with numbers or functions of the place as parameters."""
     return kinematics.law(layer.material) if isinstance(layer, ThinLayer) else layer.as_bulk_law()
 
 
 def law_with_constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:
     """Return a law whose parameters are DOLFINx Constants, so that forms are compiled once for all their values.
 
-    A law with parameters that are functions is returned unchanged: `checked_term` evaluates them.
+    A law with parameters that are functions is returned unchanged, because `checked_term` evaluates them.
     """
     return law if law.fields else law.mapped(lambda value, _: fem.Constant(mesh, np.asarray(value, float)))
 
 
 def law_of_terms(law: BulkLaw, mesh: Mesh) -> BulkLaw:
-    """Return a law as integrals over S use it: a compiled law keeps its numbers, a law in UFL forms gets Constants.
+    """Return a law in the form that integrals over S need.
 
-    A law with parameters that are functions becomes a compiled law.
+    In a law in UFL forms the parameters become DOLFINx Constants. A compiled law is unchanged. A law with functions of
+    the place as parameters becomes a compiled law.
     """
     return law.for_points() if law.fields else law if law.traits.compiled else law_with_constants(law, mesh)
 
 
 class InitialTangents:
-    """Tangents (derivatives of stress by strain) of the laws of a layer's sublayers, under small strains from rest.
+    """Tangents (derivatives of stress by strain) of the laws of a layer's sublayers at zero strain, before any loading.
 
     Args:
         law: law of the layer, with numbers as parameters.
         n: mean unit normal of S, (d,) in d dimensions.
 
     Attributes:
-        sublayers: (fraction of the thickness, law, tangent at rest) of each sublayer, or of the layer if it has none.
+        sublayers: (fraction of the thickness, law, tangent) of each sublayer, or of the layer if it has no sublayers.
             The tangent is a matrix (6, 6) in Mandel's notation, or None if it is not known.
     """
 
@@ -213,9 +215,10 @@ class InitialTangents:
         self.sublayers = [(a, material, declared_or_computed_tangent(material, n)) for a, material in law.sublayers]
 
     def tangents_after(self, dt: float) -> list[Array | None]:
-        """Effective stiffnesses (6, 6) of the sublayers under loads that have lasted for a time dt > 0.
+        """Return the effective stiffnesses (6, 6) of the sublayers if they creep or relax under loads that last for dt > 0.
 
-        An entry is None if the law is not linear or cannot be evaluated, or if the tangent at rest is valid for all dt.
+        An entry is None if the law is not linear or cannot be evaluated, or if the stiffness is the initial tangent for
+        all dt.
         """
         if dt not in self._by_duration:
             laws = [law for _, law, _ in self.sublayers]
@@ -223,15 +226,15 @@ class InitialTangents:
         return self._by_duration[dt]
 
     def require_stable(self) -> None:
-        """Raise InputError if the stiffness of a sublayer at rest is negative: equilibria would be unstable."""
+        """Raise InputError if the initial stiffness of a sublayer is negative, because equilibria would be unstable."""
         for _, law, C in self.sublayers:
             if is_checked_at_rest(law):
                 require_stable(law, C, self.n)
 
     def locks(self) -> Violation | None:
-        """Return why the interface law of order 1 locks (is much too stiff); None if it does not.
+        """Return why the interface law of order 1 is much too stiff (it locks); None if it is not.
 
-        It locks if lmbda/mu of a sublayer is large, because displacements are linear through the layer.
+        It assumes displacements that are linear through the layer, and so locks if lmbda/mu of a sublayer is large.
         """
         max_ratio = min(station.largest_ratio for station in self.law.stations())
         for _, law, C in self.sublayers:
@@ -251,10 +254,10 @@ class SeamLayer:
     Attributes:
         name: name of the seam.
         layer: the layer as the user wrote it.
-        structure: the data of the bodies, a `Structure`.
+        structure: the structure, with the joint and the laws of the bodies.
         law: the law as the user wrote it.
         law_name: name of the law's class.
-        thin_layer: the layer if it has a law of strains; else None.
+        thin_layer: the layer if it is a `ThinLayer`, with a law of strains; else None.
         contact: the law if it is a contact law, which acts at nodes; else None.
         remembers: whether the law depends on its history, and may dissipate energy.
         has_pressure_flow: whether the interface law is of order 1 and has a pressure, which causes a flow along S.
@@ -284,30 +287,31 @@ class SeamLayer:
         return f"the layer {self.name!r}" if len(self.structure.joint.seams) > 1 else "the layer"
 
     def owns_key(self, key: str) -> bool:
-        """Whether a key of a memory or an energy belongs to a law of this layer, or to its pressure."""
+        """Return whether the key of a memory or an energy belongs to a law of this layer, or to its pressure."""
         return Key.parse(key).belongs_to(Key.parse(self.key))
 
     @property
     def as_thin_layer(self) -> ThinLayer:
-        """The layer as a `ThinLayer`; only for a layer that has a law of strains."""
+        """The layer as a `ThinLayer`, never None; a law of jumps or of nodes has no such property."""
         assert self.thin_layer is not None
         return self.thin_layer
 
     @property
     def eps(self) -> float:
-        """Thickness of a layer with a law of strains; if it varies, the length that its profile multiplies."""
+        """Thickness of a `ThinLayer`; if it varies along S, the length that the profile multiplies."""
         return float(self.as_thin_layer.eps)
 
     @cached_property
     def sheet(self) -> Sheet:
-        """The seam as straight segments in 2D, or as triangles in 3D."""
+        """The seam as a surface in its own right: straight segments in 2D, triangles in 3D."""
         return Sheet(self.structure.joint, self.name)
 
     @property
     def samples(self) -> list[SeamLayer]:
-        """Copies of the layer with numbers as parameters: their values where one of them is least or largest along S.
+        """Layers with numbers as parameters, for checks of a layer whose parameters are functions of the place.
 
-        If no parameter is a function, the list has the layer itself.
+        They have the values at those places on S where one of the parameters is least or largest. If no parameter is a
+        function, the only sample is the layer itself.
         """
         return self._samples if self.thin_layer and self.thin_layer.law.fields else [self]
 
@@ -319,13 +323,16 @@ class SeamLayer:
 
     @cached_property
     def initial_tangents(self) -> InitialTangents:
-        """Tangents at rest of the layer's law, which must have numbers as parameters and not be a contact law."""
+        """Tangents of the layer's law before any loading.
+
+        The parameters must be numbers, and the law must not be a contact law.
+        """
         return InitialTangents(law_with_numbers(self.layer, self.structure.kinematics), self.sheet.mean_normal)
 
     def prescribed_strain(self, at: Coordinates) -> Expr | None:
-        """Return the strain (3, 3) to add to that of the displacements: minus the eigenstrain; None without one.
+        """Return the strain (3, 3) that is added to the strain of the displacements: minus the eigenstrain, in UFL.
 
-        `at` has the place and the time as arguments of functions.
+        It is None if there is no eigenstrain. `at` has the place and the time as arguments of functions.
         """
         if self.thin_layer is None:
             return None
@@ -335,17 +342,17 @@ class SeamLayer:
 
     @property
     def profile(self) -> object:
-        """Description of the thickness profile, as JSON; None: the thickness is uniform."""
+        """Description of the thickness profile, as JSON; None for a uniform thickness."""
         profile = self.thin_layer.profile if self.thin_layer else None
         return describe(self.structure.joint.relative_thickness(profile, self.name)) if profile else None
 
     @property
     def shape(self) -> tuple[object, ...]:
-        """Thickness, profile and fractions of sublayers, on which the layer's mesh depends; () for a law on S."""
+        """Thickness, profile and sublayers' fractions, on which the layer's mesh depends; () for a law without thickness."""
         return (self.thin_layer.eps, self.profile, self.thin_layer.fractions) if self.thin_layer else ()
 
     def identity(self) -> dict[str, object]:
-        """Description of the layer without its law, as JSON."""
+        """Return a description of the layer without its law, as JSON, for the data that identify a model."""
         thin = self.thin_layer
         eps, order, strain = (float(thin.eps), thin.order, thin.eigenstrain) if thin else (None, None, None)
         optional = {} if strain is None else {"eigenstrain": describe(strain)}
@@ -353,10 +360,12 @@ class SeamLayer:
 
 
 def loads_of_layers(model: Model) -> dict[str, Load]:
-    """Return the forces per volume of a model's layers by name of the seam; seams with bonds are left out.
+    """Return name of a seam -> force per volume of its layer, for all loaded layers of a model.
+
+    Seams with bonds are left out.
 
     Raises:
-        InputError: a load on a seam whose layer has no thickness, or that has no layer.
+        InputError: a load on a seam without a layer, or whose layer has no thickness.
     """
     force, layers = model.structure.body_force, model.layers
     named = force if isinstance(force, Mapping) else {}
@@ -368,9 +377,12 @@ def loads_of_layers(model: Model) -> dict[str, Load]:
 
 
 def seam_entities(domain: Domain, name: str) -> Indices:
-    """Rows (n, 4) for n owned facets of a seam: upper cell, facet's number in it, lower cell, facet's number in it.
+    """Return the cells on both sides of n facets of a seam between bodies. Collective.
 
-    The seam lies between bodies. Rows are in the order of the facets' local numbers. Collective.
+    The facets are those that this rank owns, in the order of their local numbers.
+
+    Returns:
+        Rows (n, 4): upper cell, number of the facet in this cell, lower cell, number of the facet in this cell.
     """
     joint, mesh = domain.joint, domain.mesh
     create_connectivity(mesh, joint.dim - 1)
@@ -384,10 +396,13 @@ def seam_entities(domain: Domain, name: str) -> Indices:
 
 
 def nodes_of_sides(model: Model, V: fem.FunctionSpace, name: str) -> tuple[IntArray, IntArray]:
-    """Local numbers (n, k) of the k nodes of V on n facets of a seam, for the upper and the lower side. Collective.
+    """Return the local numbers of the k nodes of V on n facets of a seam, on the upper and the lower side. Collective.
 
-    Facets are those of this rank. On a rigid base the lower array is empty. In a space of degree 1, nodes at the same
-    position of both arrays face each other.
+    The facets are those of this rank.
+
+    Returns:
+        Numbers (n, k) for the upper and for the lower side; those for the lower side are empty on a rigid base. In a
+        space of degree 1, entries with the same indices in both arrays are nodes that face each other.
     """
     domain, mesh, d = model.domain, model.domain.mesh, model.joint.dim
     on_base, layout = name in model.joint.base_seams, V.dofmap.dof_layout

@@ -31,9 +31,12 @@ INWARD_SHARE = 1e-6  # shift of a place towards the middle of its cell, to one s
 
 
 def cellwise_function(domain: Domain, element: Element, values: Array) -> fem.Function:
-    """Return a function from its dofs on each cell of the joint.
+    """Return a DOLFINx function from its degrees of freedom on each cell of the undistributed joint.
 
-    `values` are these dofs, (n_cells, dofs per cell, components); `element` is that of the function's space.
+    Args:
+        domain: the distributed mesh.
+        element: element of the function's space.
+        values: (n_cells, dofs per cell, components) degrees of freedom of the function.
     """
     f = fem.Function(fem.functionspace(domain.mesh, element))
     dofs = f.function_space.dofmap.list
@@ -42,22 +45,27 @@ def cellwise_function(domain: Domain, element: Element, values: Array) -> fem.Fu
 
 
 def relative_thickness(domain: Domain, profile: Profile, name: str = S) -> fem.Function:
-    """Return the thickness over eps on a seam, or on all of S, as a function of degree 1, from the user's profile.
+    """Return the thickness of a layer over its length eps, as a function of degree 1 on the mesh.
 
-    Values elsewhere have no meaning.
+    Values away from the seam have no meaning.
+
+    Args:
+        domain: the distributed mesh.
+        profile: function of the place, from the user, whose values at the vertices are taken.
+        name: name of the seam; "S" for all seams.
     """
     joint = domain.joint
     return cellwise_function(domain, ("Lagrange", 1), joint.relative_thickness(profile, name)[joint.corners][..., None])
 
 
 def band_of(joint: Joint) -> InflatedBand:
-    """Return how the layers of a joint were meshed, their regions and faces; the joint must have meshed layers."""
+    """Return the description of the meshed layers of a joint: their regions and faces; the joint must have some."""
     assert joint.band is not None
     return joint.band
 
 
 def director(domain: Domain) -> Expr:
-    """Unit normal (d,) of S in the cells of the meshed layer, from the lower to the upper body; undefined in bodies."""
+    """Return the unit normal (d,) of S towards the upper body, in the cells of the meshed layer; undefined in bodies."""
     joint, directors = domain.joint, band_of(domain.joint).director
     values = np.zeros((*joint.corners.shape, joint.dim))
     values[-len(directors) :] = directors
@@ -66,9 +74,9 @@ def director(domain: Domain) -> Expr:
 
 
 def inflation_shift(domain: Domain) -> fem.Function:
-    """Displacement (d,) of each place when S was opened to the layer's thickness.
+    """Return the displacement (d,) of each place of the mesh when S was opened to the layer's thickness.
 
-    It is rigid for kept bodies. Places in the layer are displaced from the place on S from which they came.
+    Kept bodies move as rigid bodies. Places in the layer come from the place on S from which the layer was made.
     """
     joint = domain.joint
     shifts = (joint.points - joint.reference)[joint.cells]
@@ -76,7 +84,7 @@ def inflation_shift(domain: Domain) -> fem.Function:
 
 
 class MidSurface:
-    """S as the mid-surface between the faces of extended bodies, without cells for the layer.
+    """S midway between the faces of bodies that gave up room for the layer, which has no cells.
 
     Args:
         domain: the distributed mesh.
@@ -90,25 +98,30 @@ class MidSurface:
         self.offset = cellwise_function(domain, ("DG", joint.degree, (joint.dim,)), offset_to_middle(joint))
 
     def thickness(self, sides: Interface) -> Expr:
-        """Thickness of the layer in UFL: distance between the bodies' faces along the normal n of S."""
+        """Return the thickness of the layer in UFL: the distance between the bodies' faces along the normal n of S."""
         return -2 * ufl.dot(sides.upper(self.offset), sides.n)
 
     def slope(self, sides: Interface) -> Expr:
-        """Gradient (d,) of the thickness along S, in UFL."""
+        """Return the gradient (d,) of the thickness along S, in UFL."""
         slope = -2 * ufl.dot(sides.n, sides.upper.gradient(self.offset))
         return slope - ufl.dot(slope, sides.director) * sides.n
 
 
 def sampled_function(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Function:
-    """Return the interpolant on this mesh of a function on another mesh. Collective.
+    """Return the interpolant on a mesh of a function on another mesh. Collective.
 
-    x (d,) are UFL coordinates on this mesh: at a place with coordinates x the interpolant takes the function's value
-    at x in the other mesh.
+    Args:
+        f: the function on the other mesh.
+        mesh: the mesh of the interpolant.
+        x: (d,) UFL expression on `mesh`, the coordinates at which f is evaluated.
+        what: first words of error messages.
 
-    Values are accurate to 1e-6 of the function's change in a cell.
+    Returns:
+        A function that is a polynomial in each cell, accurate to 1e-6 of the change of f in a cell at the interpolation
+        points.
 
     Raises:
-        InputError: a place lies outside the other mesh; the message begins with `what`.
+        InputError: a place lies outside the other mesh.
     """
     degree = min(2, f.function_space.element.basix_element.degree)
     interpolant = fem.Function(fem.functionspace(mesh, ("DG", degree, f.ufl_shape)))
@@ -123,7 +136,7 @@ def sampled_function(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Fun
 
 
 def places_in_cells(V: fem.FunctionSpace, x: Expr) -> Array:
-    """Values (cells, n, d) of UFL coordinates x (d,) at the n interpolation points of V in each cell of this rank."""
+    """Return the values (cells, n, d) of UFL coordinates x (d,) at the n interpolation points of V in local cells."""
     mesh, d = V.mesh, V.mesh.geometry.dim
     cells = np.arange(len(V.dofmap.list), dtype=np.int32)
     points = fem.Expression(x + fem.Constant(mesh, np.zeros(d)), interpolation_points(V))
@@ -131,9 +144,10 @@ def places_in_cells(V: fem.FunctionSpace, x: Expr) -> Array:
 
 
 def _evaluate(f: fem.Function, x: Array) -> Array:
-    """Values (n, m) of a function of m components at n places (n, d), from all ranks of its mesh; NaN outside it.
+    """Return the values (n, m) of a function with m components at n places x (n, d); NaN outside its mesh. Collective.
 
-    Every rank gets the places and values of all ranks, so its memory grows with the total number of cells.
+    The values come from all ranks of the function's mesh. Every rank gets the places and values of all ranks, so that
+    its memory grows with the total number of cells.
     """
     mesh = f.function_space.mesh
     comm = communicator(mesh)
@@ -151,13 +165,16 @@ def _evaluate(f: fem.Function, x: Array) -> Array:
 
 @dataclass(frozen=True)
 class SharedDofs:
-    """Identification of dofs of the local cells, ghosts included: dofs with the same key are one dof.
+    """Numbering of the degrees of freedom (dofs) of a space in which only chosen cells share dofs.
+
+    The dofs of local cells, ghosts included, have keys: dofs with the same key are one dof.
 
     Attributes:
-        continuous_space: the ordinary continuous space.
-        keys: (n,) keys of the dofs, the same on all ranks, in the order of the dofs of `continuous_space`.
-        meeting_rank: (n,) for each key the rank that collects which ranks use it, the same on all ranks.
-        cell_dofs: (cells, dofs per cell) positions in `keys`.
+        continuous_space: the continuous space with the same element.
+        keys: (n,) distinct keys of the dofs of the local cells, the same on all ranks, in the order of the dofs of
+            `continuous_space`.
+        meeting_rank: (n,) for each key the rank that decides which rank owns the dof, the same on all ranks.
+        cell_dofs: (cells, dofs per cell) indices in `keys`.
     """
 
     continuous_space: fem.FunctionSpace
@@ -167,17 +184,19 @@ class SharedDofs:
 
     @classmethod
     def of_components(cls, comm: MPI.Intracomm, mesh: Mesh, element: Element, components: EntityKeys) -> SharedDofs:
-        """Return dofs that cells share if they are in one component around a vertex, edge or facet. Collective.
+        """Return dofs for a mesh with cuts: cells share a dof only on the same side of the cuts around it. Collective.
 
-        A component is one of the pieces into which cuts separate the cells around such an entity. Keys combine the
-        number of a dof of the continuous space with that of the component; the dof's owner is the meeting rank.
+        The cuts divide the cells around each vertex, edge or facet into one or several components. The dofs of the
+        entity have a copy for each component. The owner of a dof in the continuous space is the meeting rank of its
+        copies.
 
         Args:
             comm: the domain's communicator.
             mesh: the mesh, with ghost cells across shared facets.
             element: a basix.ufl element.
             components: for each dimension of entities below that of the mesh an array (local cells, entities of a
-                cell), ghosts included: number >= 0 of the cell's component around each entity, the same on all ranks.
+                cell), ghosts included. It has the number >= 0, the same on all ranks, of the cell's component around
+                each entity.
         """
         space = fem.functionspace(mesh, element)
         base_map, component = space.dofmap.index_map, _dof_values(space, components, 0)
@@ -193,14 +212,14 @@ class SharedDofs:
 
     @classmethod
     def of_entities(cls, comm: MPI.Intracomm, mesh: Mesh, element: Element, keys: EntityKeys) -> SharedDofs:
-        """Return dofs that entities with the same number share, such as those on two periodic sides. Collective.
+        """Return dofs for a mesh in which several entities count as one, as on two periodic sides. Collective.
 
         Args:
             comm: the domain's communicator.
             mesh: the mesh.
             element: a basix.ufl element, with at most one dof for each vertex, edge, facet or cell.
-            keys: for each dimension of entities an array (local cells, entities of a cell) of numbers >= 0. Entities of
-                different dimensions have different numbers.
+            keys: for each dimension of entities an array (local cells, entities of a cell) of numbers >= 0. Entities
+                that count as one have the same number. Entities of different dimensions have different numbers.
         """
         space = fem.functionspace(mesh, element)
         distinct, positions = np.unique(_dof_values(space, keys, -1), return_inverse=True)
@@ -213,9 +232,15 @@ class SharedDofs:
 
 
 def _dof_values(whole: fem.FunctionSpace, of_entities: EntityKeys, otherwise: int) -> IntArray:
-    """Values (cells, dofs per cell) of the mesh entity to which each dof of a local cell belongs.
+    """Return for each dof of each local cell the value of the vertex, edge, facet or cell to which the dof belongs.
 
-    `of_entities` has for each dimension the values (cells, entities of a cell); dofs of others get `otherwise`.
+    Args:
+        whole: the space of the dofs.
+        of_entities: for each dimension of entities, from 0, their values (cells, entities of a cell).
+        otherwise: value of dofs on entities of other dimensions.
+
+    Returns:
+        Values (cells, dofs per cell).
     """
     out = np.full(np.shape(whole.dofmap.list), otherwise, np.int64)
     for dim, values in enumerate(of_entities):
@@ -225,7 +250,7 @@ def _dof_values(whole: fem.FunctionSpace, of_entities: EntityKeys, otherwise: in
 
 
 def broken_space(comm: MPI.Intracomm, unknowns: SharedDofs) -> fem.FunctionSpace:
-    """Return the function space with one dof for each key of `unknowns`. Collective."""
+    """Return the function space with one degree of freedom for each key of `unknowns`. Collective."""
     rank, whole, keys, meeting = comm.rank, unknowns.continuous_space, unknowns.keys, unknowns.meeting_rank
     n_cells = whole.mesh.topology.index_map(whole.mesh.topology.dim).size_local
     used = np.zeros(len(keys), np.int64)
@@ -247,10 +272,18 @@ def broken_space(comm: MPI.Intracomm, unknowns: SharedDofs) -> fem.FunctionSpace
 
 
 def _elect_owners(questions: IntArray, source: IntArray, rank: int) -> IntArray:
-    """Owner of each key that meets here: this rank if a local or ghost cell has it, else the lowest rank that uses it.
+    """Return the ranks that own the dofs about which other ranks ask this rank.
 
-    `questions` has rows (key, 1 if a cell that the asking rank owns has it, else 0), `source` the asking ranks. Both
-    sides of S then belong to one rank at nearly all places, as contact solvers need.
+    This rank owns a dof if one of its local or ghost cells has it. Otherwise the owner is the lowest rank with an own
+    cell that has it. Both sides of S then belong to one rank at nearly all places, as contact solvers need.
+
+    Args:
+        questions: (n, 2) key of each dof; and 1 if a cell that the asking rank owns has it, else 0.
+        source: (n,) the asking ranks.
+        rank: this rank.
+
+    Returns:
+        Owner (n,) of each dof.
     """
     key, used = questions[:, 0], (questions[:, 1] == 1) | (source == rank)
     candidate, votes = key[used], np.where(source[used] == rank, -1, source[used])
@@ -262,11 +295,11 @@ def _elect_owners(questions: IntArray, source: IntArray, rank: int) -> IntArray:
 
 
 def vector_space(domain: Domain, cut: Splitting, degree: int, family: str) -> fem.FunctionSpace:
-    """Return a space of vector functions, with d components in d dimensions, on a domain. Collective.
+    """Return a space of functions with d components in d dimensions, which may jump across cuts. Collective.
 
     Args:
         domain: the distributed mesh.
-        cut: components of the mesh that is cut where the functions may jump.
+        cut: the joint's mesh with cuts where the functions may jump.
         degree: polynomial degree.
         family: basix family.
     """
@@ -282,7 +315,7 @@ def vector_space(domain: Domain, cut: Splitting, degree: int, family: str) -> fe
 
 
 def cut_at_faces(joint: Joint) -> Splitting:
-    """Components of the joint's mesh that is cut along S, or at both faces of the layer if this is meshed."""
+    """Return the joint's mesh cut along both faces of the meshed layers, or along S if there are none."""
     if joint.band is None:
         return joint.split_mesh
     facets = [joint.facets[name] for name in joint.band.faces]

@@ -84,7 +84,10 @@ CACHES_OF_MESH = ("split_mesh", "places", "volume", "_middle", "dS", "sides")
 
 
 def copied(source: T, keep: Collection[str] = ()) -> T:
-    """Return a copy of an object without values of cached properties, which may change with data, except in `keep`."""
+    """Return a copy of an object without the values of its cached properties, except those of names in `keep`.
+
+    Cached values may change with the data of the object, so that the copy computes them anew.
+    """
     new = copy.copy(source)
     for name in vars(source).keys() - {*keep}:
         if isinstance(getattr(type(source), name, None), cached_property):
@@ -93,7 +96,7 @@ def copied(source: T, keep: Collection[str] = ()) -> T:
 
 
 class Freeable(Protocol):
-    """Matrices and factors that a solver passes on to the next solver."""
+    """Matrices and their factors that a solver leaves to the next solver of the same family of models."""
 
     def free(self) -> None:
         """Free the matrices and factors."""
@@ -101,9 +104,9 @@ class Freeable(Protocol):
 
 @dataclass
 class ModelFamily:
-    """Models that share mesh, space and matrices: they differ in the laws of their layers or in their loads.
+    """Models that share mesh, space and matrices, and differ in the laws of their layers or in their loads.
 
-    One solver at a time has the family's matrices. A solver that begins meanwhile makes its own.
+    Only one solver at a time has the shared matrices. Another solver that begins at the same time makes its own.
 
     Attributes:
         is_shared: whether a model was made from another one; if not, no matrices are stored for later solvers.
@@ -113,12 +116,15 @@ class ModelFamily:
     _idle: Freeable | None = None  # matrices that no solver has at present; they end with the last model
 
     def acquire(self) -> Freeable | None:
-        """Take the matrices of an earlier solver, for one solver alone; None if there are none, or another has them."""
+        """Return the stored matrices of an earlier solver and give them up; None if no matrices are stored."""
         matrices, self._idle = self._idle, None
         return matrices
 
     def release(self, matrices: Freeable) -> None:
-        """Leave matrices to the next solver of the family, in place of others that wait; free them if none can come."""
+        """Store the matrices of a solver for the next solver of the family, and free those stored before.
+
+        If no other model was made from this one, no next solver can come: then free the matrices at once.
+        """
         unused = self._idle if self.is_shared else matrices
         if unused is not None:
             unused.free()
@@ -134,7 +140,7 @@ class Model(ABC):
         plane: "strain", "stress" or "axisymmetric".
         element: name of the finite element of displacements, such as "P2".
         body_laws: name of a body -> its law.
-        on_seams: name of a seam -> its content: a layer, a `Bond`, a `Gap` or None.
+        on_seams: name of a seam -> what is on it: a layer, a `Bond`, a `Gap`, or None for an open seam.
         layers: name of a seam -> its layer, in the joint's order.
         bonds: names of the seams whose bodies are bonded.
         gaps: name of a seam -> its `Gap`; open seams without a width are left out.
@@ -148,13 +154,13 @@ class Model(ABC):
         dx, ds: measures of the mesh with its tags, for user-defined terms. With such a term the residual at u is
             `work(model.terms_at(t), u, v) - model.external_work(v, t) + term * model.dx`, without compiled or nodal
             laws. Compile it with `model.form`: DOLFINx 0.9 itself loses integrals over overlapping tags whose
-            quadratures differ, as for a body and its weight on quadrilaterals.
-            Regions and facets: `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`.
-            Only `model.form` accepts plain `ufl.dx` in the same form, `dolfinx.fem.form` does not.
+            quadratures differ, as for a body and its weight on quadrilaterals. Regions and facets:
+            `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`. Only `model.form` accepts
+            plain `ufl.dx` in the same form, `dolfinx.fem.form` does not.
         bodies, layer_terms: terms of the laws of the bodies and of the layers, with prescribed strains that may depend
             on the time; `State.bodies` and `State.layers` are these terms at the time of a state.
-        body_strains, layer_strains: name of a body, or of a seam -> the strain (3, 3) to add to that of the
-            displacements, which is minus the eigenstrain; None: there is none.
+        body_strains, layer_strains: name of a body, or of a seam -> the strain (3, 3) that is added to that of the
+            displacements, which is minus the eigenstrain; None: no strain is added.
         supports: displacements that supports prescribe.
         constraints: the supports as conditions at the nodes of V, and the multi-point constraints.
         forces: tractions, body forces, and loads at points and along lines.
@@ -168,7 +174,7 @@ class Model(ABC):
         broken: whether displacements jump across S.
         data_hash: hash of the data, equal on all ranks.
         issued_warnings: keys of the warnings issued so far, each with its subject, such as a seam.
-        family: data shared with the models made from this one by `with_layer` and `with_loads`.
+        family: matrices and other data shared with the models made from this one by `with_layer` and `with_loads`.
         description: description, as JSON, of the data at the time the model was built.
     """
 
@@ -213,7 +219,13 @@ class Model(ABC):
         self.description = self._description()
 
     def warn(self, key: str, message: str, *of: Hashable) -> None:
-        """Issue a RangeWarning of the kind `key`, once for each subject `of`, such as a seam and a time. Collective."""
+        """Issue a RangeWarning with a key and a message, but only once for each subject. Collective.
+
+        Args:
+            key: kind of the warning.
+            message: text of the warning.
+            of: the subject, such as a seam and a time.
+        """
         if (key, *of) not in self.issued_warnings:
             warn(key, message, self.comm)
             self.issued_warnings.add((key, *of))
@@ -231,7 +243,12 @@ class Model(ABC):
             require_support([*scaled_motions(self.domain.joint, self.kinematics)], resistance_matrix(self, resistances))
 
     def _set_layers(self, data: Layers, check: Callable[[], T]) -> T:
-        """Set the layers of the seams from a user's `data`, and return the result of `check()` on them. Collective."""
+        """Set the layers of the seams from a user's data, and return the result of a check of them. Collective.
+
+        Args:
+            data: one layer for all seams, or name of a seam -> its layer, bond, gap or None.
+            check: function that is called when the layers are set; it raises errors if they do not fit.
+        """
         structure = self.structure
         with errors_on_all(structure.comm):
             self.on_seams: dict[str, SeamContent] = value_by_seam(self.joint, data, "layer")
@@ -248,19 +265,26 @@ class Model(ABC):
         return result
 
     def _body_strain(self, name: str) -> Expr | None:
-        """Return the strain (3, 3) to add to that of displacements in a body, minus its eigenstrain; None: zero."""
+        """Return the strain (3, 3) that is added to that of displacements in the body `name`; None: no strain is added.
+
+        It is minus the eigenstrain, in UFL.
+        """
         law, n = self.kinematics.law(self.body_laws[name]), self.structure.sheet.mean_normal
         body = EigenstrainContext(f"the body {name!r}", law, n, self.structure.kinematics, self.coordinates)
         return prescribed_strain(self.structure.eigenstrains.get(name), body)
 
     def _layer_strain(self, layer: SeamLayer) -> Expr | None:
-        """Return the strain (3, 3) to add to that of displacements in a layer, minus its eigenstrain; None: zero."""
+        """Return the strain (3, 3) that is added to that of displacements in a layer; None: no strain is added.
+
+        It is minus the eigenstrain, in UFL.
+        """
         return layer.prescribed_strain(self.coordinates)
 
     def _terms_of_bodies(self) -> list[forms.Term]:
-        """Terms of the bodies' laws: one for each body with a compiled law.
+        """Return the terms of the bodies' laws.
 
-        Bodies with the same other law and the same eigenstrain have one term together.
+        Each body with a compiled law has its own term. Other bodies share a term if they have the same law and
+        eigenstrain.
         """
         groups: dict[tuple[int, int], list[str]] = {}
         for name, law in self.body_laws.items():
@@ -295,29 +319,31 @@ class Model(ABC):
         return forces
 
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
-        """Coordinates and time where layers act, from those of the mesh (`at`)."""
+        """Return the coordinates and time at places where layers act, from those on the mesh."""
         return at
 
     @abstractmethod
     def _load_region(self, layer: SeamLayer) -> LoadRegion:
-        """Region over which the loads of a layer per volume act."""
+        """Return the region over which a force per volume of the layer acts."""
 
     def require(self, question: str, what: str = "") -> None:
-        """Raise InputError if a layer violates a condition for a use of layers; `what` begins the message.
+        """Raise InputError if a layer of the model violates a condition for a use of layers.
 
-        `question` names the use, such as "interface law" or "mesh": a key of `applicability.CONDITIONS_OF_USE`.
+        Args:
+            question: the use, a key of `applicability.CONDITIONS_OF_USE`, such as "interface law" or "mesh".
+            what: first words of the message.
         """
         for applicability in self.applicability.values():
             applicability.require(question, what)
 
     @property
     def surface_identity(self) -> object:
-        """Object that models share (`is`) if fields on S of one fit the facets of the other."""
+        """Object that is the same (`is`) for models whose fields on S can be used for one another."""
         return self.joint.points  # which joints with other seams or periods take from the first one
 
     @abstractmethod
     def _checked_joint(self) -> Joint:
-        """Check that the layer suits the structure, and return the joint to distribute. Not collective."""
+        """Check that the layers suit the structure, and return the joint whose mesh is then distributed. Not collective."""
 
     @abstractmethod
     def _layer_terms(self) -> list[forms.Term]:
@@ -328,26 +354,34 @@ class Model(ABC):
         """Return this model with other layers, sharing mesh, space, supports, loads and bodies' matrix. Collective.
 
         Args:
-            layer: one layer for all seams, or name of a seam -> its layer or other content, as for `Structure.full` and
+            layer: one layer for all seams, or name of a seam -> its layer, bond or gap, as for `Structure.full` and
                 `Structure.interface`. Bonds must be on the same seams. In a full model layers and gaps must have the
                 thickness, profile and sublayers of the mesh.
 
         Raises:
-            InputError: the layer does not suit the model; a meshed layer of another shape.
+            InputError: the layer does not suit the model; a meshed layer of another thickness, profile or sublayers.
         """
         return self._family_copy()._replace_layers(self, layer)
 
     def improved(self, layers: Mapping[str, ThinLayer]) -> Self:
-        """Return this model with better interface laws of some layers; issued warnings are not repeated.
+        """Return this model with other interface laws for some layers; warnings issued before are not repeated.
 
-        `layers`: name of a seam -> its new layer. The models share mesh, space, supports, loads and bodies' matrix.
+        The models share mesh, space, supports, loads and bodies' matrix.
+
+        Args:
+            layers: name of a seam -> its new layer; the other seams keep theirs.
         """
         new = self._family_copy()
         new.issued_warnings = self.issued_warnings
         return new._replace_layers(self, {**self.on_seams, **layers})
 
     def _replace_layers(self, other: Self, layer: Layers) -> Self:
-        """Set the layers of this model, a copy of the model `other`, and return it. Collective."""
+        """Replace the layers of this model, which is a copy of another model, and return it. Collective.
+
+        Args:
+            other: the model of which this one is a copy.
+            layer: the new layers, as for `with_layer`.
+        """
         self._set_layers(layer, partial(self._check_compatible, other))
         with errors_on_all(self.comm):
             self.layer_strains = {name: self._layer_strain(seam_layer) for name, seam_layer in self.layers.items()}
@@ -365,10 +399,10 @@ class Model(ABC):
 
     @abstractmethod
     def _check_compatible(self, other: Self) -> None:
-        """Raise InputError unless the layers of this model suit the mesh of the model `other`."""
+        """Raise InputError unless the layers of this model fit the mesh of the model `other`."""
 
     def _require_shapes(self, other: Self) -> None:
-        """Raise InputError unless layers and gaps have the thickness and profile of those of the model `other`.
+        """Raise InputError unless layers and gaps have the same thickness and profile as those of the model `other`.
 
         Meshed layers must also have the same sublayers.
         """
@@ -425,9 +459,12 @@ class Model(ABC):
     def under_mean_strain(self, strain: Strain) -> Self:
         """Return a copy of this model of a periodic cell, whose only load is a mean strain. Collective.
 
-        The copy has no other loads and no eigenstrains. `strain` is (d, d) symmetric numbers in d dimensions, or a
-        function (x, t) that returns them and uses only the time t. The copy shares no matrices with other models, as
-        they would contain its strain.
+        The copy has no other loads and no eigenstrains. It shares no matrices with other models, as they would contain
+        its strain.
+
+        Args:
+            strain: (d, d) symmetric numbers in d dimensions, or a function (x, t) of the time t alone that returns
+                them.
         """
         new = copied(self, keep=CACHES_OF_MESH)
         new.family, new.coordinates = ModelFamily(), Coordinates.of(self.domain)
@@ -439,7 +476,7 @@ class Model(ABC):
         return new
 
     def _family_copy(self) -> Self:
-        """Return a copy that shares mesh, space and matrices, without issued warnings and without caches of laws."""
+        """Return a copy that shares mesh, space and matrices, but no warnings and no cached values that depend on laws."""
         self.family.is_shared = True
         new = copied(self, keep=CACHES_OF_MESH)
         new.issued_warnings = set()
@@ -447,22 +484,25 @@ class Model(ABC):
 
     @property
     def remarks(self) -> list[str]:
-        """Sentences for the log on choices that were made for the user, such as the correction of free ends."""
+        """Sentences for the log that name choices made for the user, such as the correction of free ends."""
         return []
 
     def shifts(self) -> FloatArray | None:
-        """Translations (n_cells, d) of the joint's cells that meshed layers would cause; None: zero or not known."""
+        """Return the translations (n_cells, d) of the joint's cells that meshing the layers would cause; None if not known.
+
+        Also None if all are zero, as in a model whose layers are meshed.
+        """
         return None
 
     # ---------------------------------------------------------------- spaces
     @cached_property
     def split_mesh(self) -> Splitting:
-        """Components of the joint's mesh that is cut where displacements jump."""
+        """The joint's mesh with cuts where displacements jump."""
         return self.domain.joint.split_along(np.empty(0, np.int64))
 
     @cached_property
     def places(self) -> FloatArray:
-        """Coordinates (n, d) interpolated in `V`, at each node of this rank, ghosts last. Collective."""
+        """Coordinates (n, d) of this rank's nodes of `V`, interpolated in `V`; ghosts are last. Collective."""
         f, d = fem.Function(self.V), self.joint.dim
         interpolate(f, lambda x: x[:d])
         f.x.scatter_forward()
@@ -481,32 +521,37 @@ class Model(ABC):
 
     # ---------------------------------------------------------------- where laws act
     def _metadata(self, measure: ufl.Measure, *, always: object = False) -> dict[str, dict[str, int]]:
-        """Metadata of a law's measure: the quadrature degree on quadrilaterals and hexahedra; else none, UFL chooses.
+        """Return metadata of a law's measure: the quadrature degree, or none if UFL is to choose it.
 
-        With `always` they have a degree on all cells, for laws of which UFL would estimate a high degree.
+        The degree is set on quadrilaterals and hexahedra, in axisymmetry, and if `always` is true. The latter is for
+        laws for which UFL would estimate a high degree.
         """
         if not (always or is_tensor(self.joint.cell_type) or self.kinematics.degree):
             return {}
         return {"metadata": {"quadrature_degree": quadrature_degree(self.V, measure) + self.kinematics.degree}}
 
     def volume_degree(self, law: BulkLaw) -> int | None:
-        """Polynomial degree onto which the volume strain is projected in each cell of a body with isochoric flow.
+        """Return the degree of polynomials onto which the volume strain is projected in a body with isochoric flow.
 
-        It is one below the degree of the displacements. Straight triangles and tetrahedra have this degree anyway, and
-        need no projection (None). Other elements have more modes of volume strain, which the flow would have to keep at
-        zero: they lock (Sloan and Randolph 1982).
+        The polynomials are of single cells. Their degree is one below that of the displacements. Return None if no
+        projection is needed: in straight triangles and tetrahedra the volume strain has this degree anyway. Other cells
+        have more modes of volume strain. A flow without volume change would have to keep all of them at zero, so that
+        the cells lock (Sloan and Randolph 1982).
         """
         straight = not (is_tensor(self.joint.cell_type) or self.kinematics.degree)
         return self.structure.degree - 1 if law.traits.isochoric and not straight else None
 
     def _with_mean_strain(self, terms: list[forms.Term]) -> list[forms.Term]:
-        """Return the terms with the prescribed mean strain of a periodic cell added; terms on S are unchanged."""
+        """Return terms with the prescribed mean strain of a periodic cell added to their strains.
+
+        Terms on S are unchanged, and so are all terms if no mean strain is prescribed.
+        """
         on_s = any(p.measure.integral_type() != "cell" for p in terms)
         return forms.with_added_strain(terms, self.strain.expression) if self.strain and not on_s else terms
 
     @property
     def solids(self) -> list[forms.Term]:
-        """The terms of bodies and of meshed layers."""
+        """Terms of the laws of bodies and of meshed layers, which are integrals over cells."""
         return self.bodies if self.broken else self.terms
 
     @cached_property
@@ -523,50 +568,59 @@ class Model(ABC):
         return self.bodies + self.layer_terms
 
     def terms_at(self, t: float) -> list[forms.Term]:
-        """Terms of the laws of all bodies and layers, with prescribed strains (minus eigenstrains) at a fixed time."""
+        """Return the terms of the laws of all bodies and layers, with their prescribed strains at the time t."""
         return TimeLevel(t).terms(self.terms)
 
     @cached_property
     def surfaces(self) -> dict[str, object]:
-        """The meshes of S made so far (`SurfaceMesh`), by the name of the seam."""
+        """Name of a seam -> mesh of S (`SurfaceMesh`), for the meshes made so far."""
         return {}
 
     @cached_property
     def quadratures(self) -> dict[str, Quadrature]:
-        """The quadrature points of compiled laws, by the keys of their memory. Collective."""
+        """Key of a compiled law's memory -> the quadrature points of the law. Collective."""
         return {key: Quadrature(self.V, p, self.origin) for key, p in compiled_terms(self.terms).items()}
 
     def by_seam(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return the sum of values, given by keys of laws, for the layer of each seam; empty if there is one seam."""
+        """Return name of a seam -> sum of the values that belong to its layer; empty if the joint has one seam.
+
+        Args:
+            values: key of a law, such as "layer BED/1" -> a value, such as an energy.
+        """
         layers = self.layers if len(self.joint.seams) > 1 else {}
         return {name: sum(v for key, v in values.items() if layer.owns_key(key)) for name, layer in layers.items()}
 
     def bc_dofs_in(self, V: fem.FunctionSpace) -> Indices:
-        """Dofs of a space (local, unrolled, with ghosts) on which supports and multi-point constraints act. Collective.
+        """Return the local degrees of freedom of V, ghosts included, that supports and multi-point constraints act on.
 
-        Dofs that are only fixed to a rigid base are left out.
+        Collective. Clamped facets, such as those of a rigid base, are left out.
         """
         part_dofs = [part.bc_dofs_in(self, V) for part in self.parts]
         return np.unique(np.concatenate([self.supports.bc_dofs_in(V, clamped=False), *part_dofs]))
 
     def holder_rows(self, place: Place) -> list[int]:
-        """Positions in `holders` of a place, and of its parts such as "NAME/REGION" of "NAME"."""
+        """Return the indices in `holders` of a place and of its parts; "NAME/REGION" is a part of the facet set "NAME"."""
         return [k for k, name in enumerate(self.holders) if is_part(name, place)]
 
     @property
     def holders(self) -> list[Place]:
         """Places that support the structure, one for each row of `Configuration.reactions`.
 
-        In this order: supports, clamped facets, places of multi-point constraints, rigid bases below layers on S.
+        Supports come first. Clamped facets, facet sets of multi-point constraints, and rigid bases below layers on S
+        follow.
         """
         bases = [name for name in self.layers if name in self.joint.base_seams] if self.broken else []
         plates = [part.place for part in self.parts if part.ties_nodes]
         return [*(place for place, _ in self.supports.entries), *plates, *bases]
 
     def by_place(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return sums of values, given by the key of a law, by seam, and under "bodies" for all bodies.
+        """Return name of a seam, or "bodies" -> sum of the values of its layer, or of all bodies.
 
-        With one seam there is no sum for its layer; "bodies" is there only if a body's law has memory or rate.
+        In a joint with one seam the layer has no entry. "bodies" has one only if the law of a body has memory or
+        depends on rates.
+
+        Args:
+            values: key of a law -> a value, such as an energy.
         """
         body_sum = sum(values.get(p.key, 0.0) for p in self.bodies if p.key)
         has_memory = any(law.traits.rate or law.traits.remembers for law in self.body_laws.values())
@@ -574,47 +628,59 @@ class Model(ABC):
 
     @cached_property
     def linear(self) -> bool:
-        """Whether all laws and all further parts of the balance (`parts`) are linear."""
+        """Whether all laws, and the forces of all `parts` such as springs, are linear."""
         linear_laws = not self.contact and all(p.law.traits.linear for p in self.terms)
         return linear_laws and all(part.is_linear(self) for part in self.parts)
 
     @cached_property
     def symmetric(self) -> bool:
-        """Whether all laws and all further parts of the balance (`parts`) have symmetric tangents."""
+        """Whether all laws, and the forces of all `parts` such as springs, have symmetric tangents."""
         laws = [p.law for p in self.terms] + list(self.contacts.values())
         return all(law.traits.symmetric for law in laws) and all(part.is_symmetric(self) for part in self.parts)
 
     @property
     def break_times(self) -> set[float]:
-        """Times at which a load, support, eigenstrain or parameter of a law changes its slope; steps end there."""
+        """Times at which a load, support, eigenstrain or parameter of a law changes its slope.
+
+        Steps of marches end at these times.
+        """
         coordinates = (self.coordinates, self.forces.at, self.supports.at)
         return set().union(*(at.breaks for at in coordinates), *(p.law.break_times for p in self.terms))
 
     def external_work(self, v: Expr, t: float) -> Expr:
-        """Virtual work of the loads at a fixed time, a UFL form linear in v."""
+        """Return the virtual work of the loads at the time t in displacements v, a UFL form linear in v."""
         return TimeLevel(t).of(self.forces.work(v))
 
     def applied(self, t: float) -> Resultant:
-        """Resultant force of all loads at a time, with its moment about `centre`. Collective."""
+        """Return the resultant force of all loads at the time t, with its moment about `centre`. Collective."""
         loads = resultants_of_loads(self, t, lambda v: {"": self.forces.work(v), **self.forces.work_on_bases(v)})
         return reduce(add, loads.values())
 
     @staticmethod
     def form(form: Expr) -> fem.Form:
-        """Compile a form that may mix plain dx, ds and dS with the model's measures, and whose tags may overlap."""
+        """Compile a UFL form in which plain dx, ds and dS occur beside the model's measures, and tags may overlap."""
         return compiled(form)
 
     def added_work(self, u: Expr, v: Expr) -> Expr:
-        """Virtual work of the forces of `parts`, such as springs, at displacements u: a UFL form linear in v."""
+        """Return the virtual work, in v, of the forces of `parts` such as springs at displacements u.
+
+        It is a UFL form, linear in v.
+        """
         return sum((part.work(self, u, v) for part in self.parts), ufl.Form([]))
 
     def added_work_in(self, state: State, v: Expr) -> Expr:
-        """Virtual work of the forces of `parts`, such as springs, in a state: a UFL form linear in v."""
+        """Return the virtual work, in v, of the forces of `parts` such as springs in a state.
+
+        It is a UFL form, linear in v.
+        """
         return sum((part.work_in(self, state, v) for part in self.parts), ufl.Form([]))
 
     # ---------------------------------------------------------------- identity
     def identity(self) -> dict[str, object]:
-        """Data that identify the model, as JSON: the same in another process and on any number of ranks."""
+        """Return the data that identify the model, as JSON.
+
+        They are the same in another process and on any number of ranks.
+        """
         return {"model": repr(self), **self.domain.joint.identity(), **self.description}
 
     def _description(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Definitions of parts of a model besides bodies, layers, supports and loads, such as springs and users' UFL forms."""
+"""Definitions of what else a model contains besides bodies, layers, supports and loads, such as springs."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ HostModel: TypeAlias = "Model"  # imported for checks of types alone, as its mod
 
 
 class PartDefinition(FormerNames):
-    """Definition of a part of the balance of forces, for the `parts` of a structure: a frozen dataclass.
+    """Description of a part of the balance of forces, such as springs, that a user gives to a structure as one of `parts`.
 
-    Its fields and code are among the data that identify a model.
+    A subclass is a frozen dataclass. Its fields and code are among the data that identify a model.
 
     Attributes:
         key: name of the part's memory and energy in states and in files, unique among the parts of a model.
-        place: name of the facet set with the slaves, for a part with a multi-point constraint.
-        components: components of the slave displacements there, such as "y"; None: all.
+        place: for a part with a multi-point constraint, name of the facet set whose displacements follow its motions.
+        components: components of these displacements that follow, such as "y"; None: all.
     """
 
     former_names: ClassVar = {"tied": "multi_point_constraint", "held": "bc_dofs_in"}
@@ -56,37 +56,45 @@ class PartDefinition(FormerNames):
 
     @property
     def ties_nodes(self) -> bool:
-        """Whether the part has a multi-point constraint: its class defines the method `multi_point_constraint`."""
+        """Whether the part has a multi-point constraint: whether its class defines `multi_point_constraint`."""
         return type(self).multi_point_constraint is not PartDefinition.multi_point_constraint
 
     @property
     def has_work(self) -> bool:
-        """Whether the part has a multi-point constraint, or defines `work`, with forces from displacements alone."""
+        """Whether the part has a multi-point constraint, or its class defines `work`.
+
+        Then its forces on the nodes, if any, depend on the displacements alone.
+        """
         return self.ties_nodes or type(self).work is not PartDefinition.work
 
     def check(self, model: HostModel) -> None:
-        """Raise InputError unless the definition fits the model; by default nothing is checked. Collective.
+        """Raise InputError if the definition does not fit the model; by default anything fits. Collective.
 
-        Pass values that vary in time to `model.coordinates` here, so that steps of marches end at their break times.
+        Pass values that vary in time to `model.coordinates` here: steps of marches then end where their slopes change.
         """
 
     def is_linear(self, model: HostModel) -> bool:
-        """Whether the forces are linear in the unknowns."""
+        """Return whether the part's forces are linear in the unknowns."""
         return True
 
     def is_symmetric(self, model: HostModel) -> bool:
-        """Whether the tangent is symmetric."""
+        """Return whether the tangent of the part's forces is symmetric."""
         return True
 
     def work(self, model: HostModel, u: Expr, v: Expr) -> Expr:
-        """Virtual work of the part's forces at displacements u, a UFL form linear in v; by default none."""
+        """Return the virtual work, in v, of the part's forces at displacements u; by default there is none.
+
+        It is a UFL form, linear in v.
+        """
         return ufl.Form([])
 
     def work_in(self, model: HostModel, state: State, v: Expr) -> Expr:
-        """Virtual work of the part's forces in a state, for tractions on S; by default `work` at its displacements.
+        """Return the virtual work, in v, of the part's forces in a state; by default `work` at its displacements.
+
+        It is a UFL form, linear in v, from which tractions on S are computed.
 
         Raises:
-            InputError: the part defines neither method, so that its forces would be missing in tractions.
+            InputError: the part defines neither `work_in` nor `work`, so that its forces would be missing in tractions.
         """
         if not self.has_work:
             remedy = "write work_in(model, state, v), a UFL form, ufl.Form([]) if it has no forces"
@@ -94,10 +102,14 @@ class PartDefinition(FormerNames):
         return self.work(model, state.u, v)
 
     def resistance(self, model: HostModel, motions: Sequence[fem.Function]) -> Array:
-        """Stiffness (m, m) of the part against m rigid motions of the structure, given as displacements. Collective.
+        """Return the stiffness (m, m) of the part against m rigid motions of the structure. Collective.
 
         Entry (i, j) is the work in motion j of the part's forces under motion i. Supports and parts together must
         resist every rigid motion.
+
+        Args:
+            model: the model.
+            motions: the displacements of the m rigid motions.
         """
         zero_u, stiffness = fem.Function(model.V), np.zeros((len(motions), len(motions)))
         form = self.work(model, zero_u, ufl.TestFunction(model.V))
@@ -113,17 +125,22 @@ class PartDefinition(FormerNames):
         return stiffness
 
     def reaction(self, model: HostModel, u: fem.Function) -> list[tuple[Place, Array]]:
-        """Return the places that the part supports, each with its reaction at displacements u. Collective.
+        """Return the places at which the part supports the structure, each with its reaction. Collective.
 
-        A reaction is an array (k,): d components of the force in d dimensions, then the moment about `model.centre`. By
-        default there are none: forces of user-defined parts are no reactions.
+        Args:
+            model: the model.
+            u: the displacements.
+
+        Returns:
+            Pairs of a place and an array: d components of the force in d dimensions, then the moment about
+                `model.centre`. By default there are none: forces of user-defined parts do not count as reactions.
         """
         return []
 
     def bc_dofs_in(self, model: HostModel, V: fem.FunctionSpace) -> Indices:
-        """Degrees of freedom of a space (local, unrolled, ghosts included) on which the part acts as supports do.
+        """Return the local degrees of freedom of V, ghosts included, on which the part acts as a support does. Collective.
 
-        Collective. By default the dofs of its slaves.
+        By default they are the displacements that its multi-point constraint makes follow its motions.
         """
         if not self.ties_nodes:
             return np.empty(0, np.int32)
@@ -133,20 +150,24 @@ class PartDefinition(FormerNames):
         return np.unique(blocks[:, None] * d + np.array(axes, int)).astype(np.int32)
 
     def multi_point_constraint(self, model: HostModel) -> MultiPointConstraint:
-        """Return the multi-point constraint with which displacements follow motions of the part. Collective."""
+        """Return the multi-point constraint by which displacements follow the motions of the part. Collective."""
         raise NotImplementedError
 
     def load_work(self, model: HostModel, state: Configuration) -> float:
-        """Work of the part's prescribed forces, which count as loads, in a configuration's displacements. Collective.
+        """Return the work of the part's prescribed forces, which count as loads, in given displacements. Collective.
 
         By default it is the work of the prescribed resultants of its multi-point constraint.
+
+        Args:
+            model: the model.
+            state: the displacements and the time.
         """
         constraints, u = model.constraints, state.u.x.array[: model.constraints.n]
         mpcs = [mpc for mpc in constraints.mpcs if mpc.key == self.key]
         return sum((float(mpc.resultant(state.t) @ constraints.motion(mpc, u)) for mpc in mpcs), 0.0)
 
     def part(self, model: HostModel) -> Any:
-        """Return the `thinlayer.parts.part.Part` with this key that adds forces, or None without forces. Collective."""
+        """Return the `thinlayer.parts.part.Part` that adds the forces, with the same key; None without forces. Collective."""
         return None
 
 

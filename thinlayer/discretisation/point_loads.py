@@ -26,13 +26,13 @@ EDGE_GAUSS_POINTS = 4  # Gauss points on an edge: exact for degree 7
 
 @dataclass(frozen=True)
 class LoadNodes:
-    """Places at which a load acts, k in each of n cells.
+    """Places in n cells, k in each, at which a load at points or along lines acts.
 
     Attributes:
         cells: (n,) numbers of the cells in the joint.
-        points: (n, k, d) places in the reference cell, in d dimensions.
-        spans: (n, k, d) vectors in the reference cell, whose length in space is the weight of the load at the place;
-            None: all weights are 1.
+        points: (n, k, d) coordinates of the places in the reference cell, in d dimensions.
+        spans: (n, k, d) vectors in the reference cell. The length of such a vector, mapped to space, is the weight of
+            the load at the place. None: all weights are 1.
     """
 
     cells: IntArray
@@ -40,9 +40,13 @@ class LoadNodes:
     spans: Array | None = None
 
     def in_space(self, joint: Joint, cell_points: Array) -> tuple[Array, Array]:
-        """Return the places in space (n, k, d), and the vectors `spans` in space (zero if there are none).
+        """Return the coordinates (n, k, d) in space of the places, and the vectors `spans` (n, k, d) mapped to space.
 
-        `cell_points` (n_cells, m, d) are the places of the m nodes of each cell of the joint.
+        The vectors are zero if `spans` is None.
+
+        Args:
+            joint: the joint, with the type and degree of the cells.
+            cell_points: (n_cells, m, d) coordinates of the m nodes of each cell of the joint.
         """
         kind = basix.CellType[joint.cell_type]
         element = basix.create_element(basix.ElementFamily.P, kind, joint.degree, basix.LagrangeVariant.equispaced)
@@ -84,11 +88,11 @@ class PointLoad:
 
     @property
     def what(self) -> str:
-        """Label in errors."""
+        """Name of the load in error messages."""
         return f"point load at {self.place!r}"
 
     def nodes(self, joint: Joint) -> LoadNodes:
-        """Return the vertex in a cell where the load acts.
+        """Return the vertex at which the load acts, as a place in one cell of the loaded body.
 
         Raises:
             InputError: there is no vertex at the place, or several bodies have a node there.
@@ -103,12 +107,12 @@ class PointLoad:
 
 @dataclass(frozen=True)
 class LineLoad:
-    """A force per length along the edges that two facet sets of a three-dimensional joint share.
+    """A force per length along edges of a three-dimensional joint: the edges that two facet sets have in common.
 
     Attributes:
-        first, second: names of facet sets of the outer boundary.
+        first, second: names of the facet sets, on the outer boundary.
         force: (3,) force per length, constant or a function (x, t).
-        body: region whose edges are loaded; needed for edges in S.
+        body: region whose edges are loaded; needed for edges in S, where each body has its own.
     """
 
     first: str
@@ -118,11 +122,11 @@ class LineLoad:
 
     @property
     def what(self) -> str:
-        """Label in errors."""
+        """Name of the load in error messages."""
         return f"line load between {self.first!r} and {self.second!r}"
 
     def nodes(self, joint: Joint) -> LoadNodes:
-        """Return the Gauss points on edges of cells where the load acts.
+        """Return the Gauss points at which the load acts, on the edges that both facet sets share.
 
         Raises:
             InputError: the facet sets have no edge in common, or several bodies have this edge.
@@ -154,10 +158,16 @@ class LineLoad:
 
 
 def _in_one_body(joint: Joint, cells: IntArray, components: Indices, load: ConcentratedLoad) -> int:
-    """Return the position in `cells`, the cells around a load, of the first cell of the loaded body.
+    """Return the index in `cells` of the cell with the lowest number of those that the loaded body has around a load.
 
-    `components` (n,) are the numbers of the nodes that the cells have at the place. Raises InputError if the loaded
-    cells have several nodes there.
+    Args:
+        joint: the joint.
+        cells: (n,) numbers of the cells that contain the loaded vertex or edge.
+        components: (n,) which of the nodes at this vertex or edge each cell has; several bodies have several nodes.
+        load: the load, which may name the loaded body.
+
+    Raises:
+        InputError: the loaded cells have several nodes there, or the named body does not reach this place.
     """
     regions, body, text = joint.region[cells], load.body, load.what
     kept: IntArray = np.arange(len(cells))
@@ -179,7 +189,11 @@ ConcentratedLoad = PointLoad | LineLoad
 
 
 def check_loads(loads: Iterable[ConcentratedLoad]) -> tuple[ConcentratedLoad, ...]:
-    """Return loads as a tuple; raises InputError unless each is a `PointLoad` or a `LineLoad`."""
+    """Return loads as a tuple.
+
+    Raises:
+        InputError: one is neither a `PointLoad` nor a `LineLoad`.
+    """
     require(isinstance(loads, Iterable) and not isinstance(loads, str), "loads", loads, "it must be a list of loads")
     checked = tuple(loads)
     for load in checked:
@@ -190,8 +204,8 @@ def check_loads(loads: Iterable[ConcentratedLoad]) -> tuple[ConcentratedLoad, ..
 class ConcentratedForms:
     """Loads at points and along lines as forces per volume that do the same virtual work.
 
-    For a force F at a place of a cell, the integral of F . v g over the reference cell is F . v at this place. g is the
-    polynomial of the element for which this holds for all displacements v of the cell.
+    A force F at a place in a cell becomes F g. The function g is a polynomial on the cell, such that the integral of F
+    . v g is F . v at this place, for all displacements v of the element.
 
     Args:
         domain: the distributed mesh.
@@ -213,7 +227,7 @@ class ConcentratedForms:
         self._jacobian = abs(ufl.JacobianDeterminant(domain.mesh))
 
     def terms(self, load: ConcentratedLoad) -> list[tuple[Expr, ufl.Measure]]:
-        """Return forces per volume (d,) that add up to a load, each with the measure of its integral. Collective."""
+        """Return forces per volume (d,), in UFL, that add up to a load, each with the measure of its integral. Collective."""
         nodes, d, joint, terms = load.nodes(self.joint), self.joint.dim, self.domain.joint, []
         lengths = np.ones(nodes.points.shape[:2])
         if nodes.spans is not None:
@@ -234,12 +248,13 @@ class ConcentratedForms:
         return terms
 
     def _densities(self, nodes: LoadNodes, weights: Array) -> Array:
-        """Coefficients (n_cells, m, 1) of the sum of weighted polynomials g in each cell, for its m basis functions.
+        """Return the polynomials g of loaded places, weighted and added up in each cell, as coefficients (n_cells, m, 1).
 
-        The integral of g v over the reference cell is the value of v at the place that belongs to g.
+        The coefficients are those of m basis functions. The integral of g v over the reference cell is the value of v
+        at the place that belongs to g.
 
         Args:
-            nodes: n loaded cells, which may recur, each with k loaded places.
+            nodes: n loaded cells, each with k loaded places; a cell may occur several times.
             weights: (n, k) factor of the polynomial of each place.
         """
         phi = self._element.tabulate(0, nodes.points.reshape(-1, self.joint.dim))[0, :, :, 0]
@@ -248,7 +263,7 @@ class ConcentratedForms:
 
 
 def _disjoint_groups(cells: IntArray) -> Iterable[IntArray]:
-    """Group positions in `cells` so that each cell occurs at most once in a group."""
+    """Divide the indices of `cells` (n,) into groups in which each cell number occurs at most once."""
     order = np.argsort(cells, kind="stable")
     occurrence = np.arange(len(cells)) - np.searchsorted(cells[order], cells[order])
     return [order[occurrence == k] for k in range(int(occurrence.max(initial=-1)) + 1)]
