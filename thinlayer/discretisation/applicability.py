@@ -375,7 +375,7 @@ def _pressure_excess_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _subproblem_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield the conditions that `r.layer` violates for solving it without bodies, for given displacements of its faces."""
+    """Yield the conditions that `r.layer` violates for solving it alone, for given displacements of its faces."""
     traits, law_name = r.layer.law.traits, r.layer.law_name
     if traits.phases or traits.softens:
         law_remedy = "take mixing=1, or NonMonotoneUnrelaxed, and " * (traits.phases and traits.softens)

@@ -113,7 +113,7 @@ class ThinLayer:
 
     @property
     def fractions(self) -> tuple[float, ...]:
-        """Thicknesses of the sublayers over that of the layer, from the lower face to the upper; () for a single layer."""
+        """Thicknesses of the sublayers, from the lower to the upper, over that of the layer; () for a single layer."""
         return tuple(a for a, _ in self.law.sublayers if a != 1)
 
 
@@ -177,7 +177,7 @@ def _check_thickness(what: str, eps: float) -> None:
 
 
 def law_with_numbers(layer: Layer, kinematics: Kinematics) -> BulkLaw:
-    """Return a layer's law for strains of the given kinematics, with numbers or functions of the place as parameters."""
+    """Return a layer's law for strains of given kinematics; its parameters are numbers or functions of the place."""
     return kinematics.law(layer.material) if isinstance(layer, ThinLayer) else layer.as_bulk_law()
 
 
@@ -215,7 +215,7 @@ class InitialTangents:
         self.sublayers = [(a, material, declared_or_computed_tangent(material, n)) for a, material in law.sublayers]
 
     def tangents_after(self, dt: float) -> list[Array | None]:
-        """Return the effective stiffnesses (6, 6) of the sublayers if they creep or relax under loads that last for dt > 0.
+        """Return the stiffness (6, 6) of each sublayer, after creep or relaxation, under loads that last for dt > 0.
 
         An entry is None if the law is not linear or cannot be evaluated, or if the stiffness is the initial tangent for
         all dt.
@@ -348,7 +348,7 @@ class SeamLayer:
 
     @property
     def shape(self) -> tuple[object, ...]:
-        """Thickness, profile and sublayers' fractions, on which the layer's mesh depends; () for a law without thickness."""
+        """Thickness, profile and fractions of sublayers, on which the layer's mesh depends; () without a thickness."""
         return (self.thin_layer.eps, self.profile, self.thin_layer.fractions) if self.thin_layer else ()
 
     def identity(self) -> dict[str, object]:

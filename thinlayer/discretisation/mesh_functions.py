@@ -65,7 +65,10 @@ def band_of(joint: Joint) -> InflatedBand:
 
 
 def director(domain: Domain) -> Expr:
-    """Return the unit normal (d,) of S towards the upper body, in the cells of the meshed layer; undefined in bodies."""
+    """Return the unit normal (d,) of S, in UFL, from the lower to the upper body in the meshed layer's cells.
+
+    It is not defined in the bodies.
+    """
     joint, directors = domain.joint, band_of(domain.joint).director
     values = np.zeros((*joint.corners.shape, joint.dim))
     values[-len(directors) :] = directors

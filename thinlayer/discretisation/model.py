@@ -343,7 +343,7 @@ class Model(ABC):
 
     @abstractmethod
     def _checked_joint(self) -> Joint:
-        """Check that the layers suit the structure, and return the joint whose mesh is then distributed. Not collective."""
+        """Check that the layers suit the structure, and return the joint that is to be distributed. Not collective."""
 
     @abstractmethod
     def _layer_terms(self) -> list[forms.Term]:
@@ -476,7 +476,7 @@ class Model(ABC):
         return new
 
     def _family_copy(self) -> Self:
-        """Return a copy that shares mesh, space and matrices, but no warnings and no cached values that depend on laws."""
+        """Return a copy that shares mesh, space and matrices, without warnings and cached values that laws change."""
         self.family.is_shared = True
         new = copied(self, keep=CACHES_OF_MESH)
         new.issued_warnings = set()
@@ -488,9 +488,9 @@ class Model(ABC):
         return []
 
     def shifts(self) -> FloatArray | None:
-        """Return the translations (n_cells, d) of the joint's cells that meshing the layers would cause; None if not known.
+        """Return the translations (n_cells, d) of the joint's cells that meshing the layers would cause.
 
-        Also None if all are zero, as in a model whose layers are meshed.
+        Return None if they are zero, as in a model whose layers are meshed, or not known.
         """
         return None
 
@@ -599,7 +599,7 @@ class Model(ABC):
         return np.unique(np.concatenate([self.supports.bc_dofs_in(V, clamped=False), *part_dofs]))
 
     def holder_rows(self, place: Place) -> list[int]:
-        """Return the indices in `holders` of a place and of its parts; "NAME/REGION" is a part of the facet set "NAME"."""
+        """Return the indices in `holders` of a place and of its parts, as "NAME/REGION" is a part of "NAME"."""
         return [k for k, name in enumerate(self.holders) if is_part(name, place)]
 
     @property

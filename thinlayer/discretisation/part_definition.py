@@ -35,7 +35,7 @@ HostModel: TypeAlias = "Model"  # imported for checks of types alone, as its mod
 
 
 class PartDefinition(FormerNames):
-    """Description of a part of the balance of forces, such as springs, that a user gives to a structure as one of `parts`.
+    """Description of a part of the balance of forces, such as springs, among the `parts` of a structure.
 
     A subclass is a frozen dataclass. Its fields and code are among the data that identify a model.
 
@@ -138,9 +138,9 @@ class PartDefinition(FormerNames):
         return []
 
     def bc_dofs_in(self, model: HostModel, V: fem.FunctionSpace) -> Indices:
-        """Return the local degrees of freedom of V, ghosts included, on which the part acts as a support does. Collective.
+        """Return the local degrees of freedom of V, ghosts included, on which the part acts as a support does.
 
-        By default they are the displacements that its multi-point constraint makes follow its motions.
+        Collective. By default they are the displacements that its multi-point constraint makes follow its motions.
         """
         if not self.ties_nodes:
             return np.empty(0, np.int32)
@@ -167,7 +167,10 @@ class PartDefinition(FormerNames):
         return sum((float(mpc.resultant(state.t) @ constraints.motion(mpc, u)) for mpc in mpcs), 0.0)
 
     def part(self, model: HostModel) -> Any:
-        """Return the `thinlayer.parts.part.Part` that adds the forces, with the same key; None without forces. Collective."""
+        """Return the `thinlayer.parts.part.Part` with the same key that adds the forces; None without forces.
+
+        Collective.
+        """
         return None
 
 

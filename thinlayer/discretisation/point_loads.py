@@ -227,7 +227,10 @@ class ConcentratedForms:
         self._jacobian = abs(ufl.JacobianDeterminant(domain.mesh))
 
     def terms(self, load: ConcentratedLoad) -> list[tuple[Expr, ufl.Measure]]:
-        """Return forces per volume (d,), in UFL, that add up to a load, each with the measure of its integral. Collective."""
+        """Return forces per volume (d,), in UFL, that add up to a load, each with the measure of its integral.
+
+        Collective.
+        """
         nodes, d, joint, terms = load.nodes(self.joint), self.joint.dim, self.domain.joint, []
         lengths = np.ones(nodes.points.shape[:2])
         if nodes.spans is not None:
@@ -248,10 +251,10 @@ class ConcentratedForms:
         return terms
 
     def _densities(self, nodes: LoadNodes, weights: Array) -> Array:
-        """Return the polynomials g of loaded places, weighted and added up in each cell, as coefficients (n_cells, m, 1).
+        """Return the weighted sum of the polynomials g of all loaded places, as coefficients (n_cells, m, 1).
 
-        The coefficients are those of m basis functions. The integral of g v over the reference cell is the value of v
-        at the place that belongs to g.
+        The coefficients are those of the m basis functions of each cell. The integral of g v over the reference cell is
+        the value of v at the place that belongs to g.
 
         Args:
             nodes: n loaded cells, each with k loaded places; a cell may occur several times.

@@ -44,7 +44,7 @@ class MeanStrain:
         joint: the periodic joint.
 
     Attributes:
-        size: largest extent of the periodic cell along an axis.
+        size: largest extent of the periodic cell along an axis, a length.
 
     Raises:
         InputError: the joint is not periodic; the value is not (d, d) finite numbers, not symmetric, or depends on the
@@ -62,14 +62,18 @@ class MeanStrain:
             self.at(0.0)
 
     def at(self, t: float) -> Array:
-        """The prescribed tensor (d, d) at a time; raises InputError if it is not finite or not symmetric."""
+        """Return the prescribed tensor (d, d) at the time t.
+
+        Raises:
+            InputError: it is not finite or not symmetric.
+        """
         strain = self._coefficient.at_time(t)
         require_symmetric(strain, f"{self.what} at t = {t:g}")
         return strain
 
     @property
     def expression(self) -> Expr:
-        """The prescribed tensor (3, 3) as a UFL expression of the time."""
+        """Prescribed tensor in UFL, (3, 3), a function of the time; components out of the plane are zero."""
         return three_dimensional(self._coefficient.expression)
 
 
@@ -104,12 +108,18 @@ class MeanStress(MeanStrain):
         return self._dim * (self._dim + 1) // 2
 
     def components(self, t: float) -> Array:
-        """Components (k,) of the stress at a time in Voigt's order: 11, 22, 12, or 11, 22, 33, 23, 13, 12."""
+        """Return the components (k,) of the stress at the time t in Voigt's order.
+
+        This is 11, 22, 12 in two dimensions, and 11, 22, 33, 23, 13, 12 in three.
+        """
         return self.at(t)[tuple(np.array(VOIGT_PAIRS_OF_DIM[self._dim]).T)]
 
 
 def voigt_strain(e: Expr) -> Expr:
-    """Return the strain (d, d) for a UFL vector e in Voigt's order; shears in e are twice the tensor's components."""
+    """Return the strain tensor (d, d) for a UFL vector e of strains in Voigt's order, with engineering shear strains.
+
+    The shears in e are twice the components of the tensor.
+    """
     d = {3: 2, 6: 3}[e.ufl_shape[0]]
     positions = VOIGT_POSITIONS_OF_DIM[d].tolist()
     return ufl.as_tensor([[e[positions[i][j]] / (1 if i == j else 2) for j in range(d)] for i in range(d)])
@@ -121,8 +131,8 @@ class EigenstrainContext:
 
     Attributes:
         name: name of the body or layer in messages.
-        law: its law for these kinematics, with numbers or functions as parameters.
-        n: the mean unit normal of S, (d,) in d dimensions.
+        law: its law for the given kinematics, with numbers or functions of the place as parameters.
+        n: mean unit normal of S, (d,) in d dimensions.
         kinematics: strains of displacements.
         at: coordinates and time.
     """
@@ -134,9 +144,13 @@ class EigenstrainContext:
     at: Coordinates
 
     def tensor_rows(self, value: object, what: str) -> TensorRows:
-        """Return the rows of a user's tensor, (d, d) or (3, 3); a number becomes a multiple of the identity (3, 3).
+        """Return a user's tensor as rows of numbers or UFL scalars, (d, d) or (3, 3) as given.
 
-        `what` names the tensor in messages.
+        A single number becomes a multiple of the identity (3, 3).
+
+        Args:
+            value: the tensor as the user wrote it.
+            what: name of the tensor in messages.
 
         Raises:
             InputError: another shape, components that are not finite numbers, or a table that is not symmetric.
@@ -150,12 +164,19 @@ class EigenstrainContext:
         return rows
 
     def scalar(self, value: object, what: str) -> Expr:
-        """Return a value as a number or a UFL scalar; raises InputError if it is neither."""
+        """Return a user's scalar value as a number or in UFL; `what` names it in messages.
+
+        Raises:
+            InputError: it is neither a number nor a scalar function.
+        """
         return self.at.coefficient(value, f"{what} of {self.name}", ()).components[()]
 
 
 def require_symmetric(rows: TensorRows | Array, what: str) -> None:
-    """Raise InputError if a table is not symmetric; components in UFL must be the same expression."""
+    """Raise InputError if a table is not symmetric; `what` names it in the message.
+
+    Components in UFL count as equal only if they are the same expression.
+    """
     numbers = [abs(c) for row in rows for c in row if isinstance(c, float)]
     for i, j in combinations(range(len(rows)), 2):
         a, b = rows[j][i], rows[i][j]
@@ -165,21 +186,32 @@ def require_symmetric(rows: TensorRows | Array, what: str) -> None:
 
 
 class Eigenstrain(ABC):
-    """A strain that a material would have without stress: the strain minus the eigenstrain causes the stress."""
+    """A strain that a material would have without stress: its stress comes from the strain minus the eigenstrain."""
 
     @abstractmethod
     def components(self, matter: EigenstrainContext) -> TensorRows:
-        """Return the eigenstrain, (3, 3) numbers or UFL scalars; raises InputError if it does not suit the material."""
+        """Return the eigenstrain of a body or layer as rows (3, 3) of numbers or UFL scalars.
+
+        Raises:
+            InputError: it does not suit the material.
+        """
 
 
 @dataclass(frozen=True)
 class PrescribedEigenstrain(Eigenstrain):
-    """An eigenstrain given directly: a number times the identity, a table (d, d) or (3, 3), or a function (x, t)."""
+    """An eigenstrain given directly: a number times the identity, a table (d, d) or (3, 3), or a function (x, t).
+
+    The function returns such a number or table.
+    """
 
     value: object
 
     def components(self, matter: EigenstrainContext) -> TensorRows:
-        """Return the eigenstrain, (3, 3) numbers or UFL scalars; raises InputError if it does not suit the material."""
+        """Return the eigenstrain of a body or layer as rows (3, 3) of numbers or UFL scalars.
+
+        Raises:
+            InputError: the value is not a symmetric tensor, or not finite.
+        """
         rows = matter.tensor_rows(self.value, "the eigenstrain")
         return [[rows[i][j] if max(i, j) < len(rows) else 0.0 for j in range(3)] for i in range(3)]
 
@@ -188,19 +220,19 @@ class PrescribedEigenstrain(Eigenstrain):
 class ThermalExpansion(Eigenstrain):
     """Thermal expansion by a change of temperature: the eigenstrain alpha T.
 
+    With a DOLFINx Function as T, making a model is collective. Another process, such as a restart, cannot recognise the
+    Function, and takes it for changed data.
+
     Attributes:
         alpha: coefficient of expansion, per degree: a number, three of them along the axes x, y, z, or a symmetric
             table (3, 3).
         T: change of temperature, degrees: a number, a function (x, t) of UFL coordinates, `piecewise`, or a scalar
-            dolfinx Function on a mesh that covers the bodies. A layer on S takes the mean of its values on both sides.
-        factor: factor of T, a number or a function (x, t): lets a Function grow in time, which otherwise acts
-            suddenly.
-
-    With a Function, making a model is collective. Other processes, as after a restart, take a Function for other data.
+            DOLFINx Function on a mesh that covers the bodies. A layer on S takes the mean of its values on both sides.
+        factor: factor of T, a number or a function (x, t). With it a DOLFINx Function can grow in time; otherwise it
+            acts suddenly.
 
     Raises:
-        InputError: alpha of another shape, not finite or not symmetric; T or factor that is not a number or a
-            function.
+        InputError: alpha of another shape, not finite or not symmetric; T or factor that is not a number or a function.
 
     Example:
         >>> from forms import LinearElastic
@@ -228,7 +260,11 @@ class ThermalExpansion(Eigenstrain):
             require(callable(value) or is_finite(value), name, value, "allowed: a finite number or a function (x, t)")
 
     def components(self, matter: EigenstrainContext) -> TensorRows:
-        """Return the eigenstrain, (3, 3) numbers or UFL scalars; raises InputError if it does not suit the material."""
+        """Return the eigenstrain of a body or layer as rows (3, 3) of numbers or UFL scalars.
+
+        Raises:
+            InputError: the temperature or its factor is not a scalar.
+        """
         T, factor = matter.scalar(self.T, "the change of temperature T"), matter.scalar(self.factor, "the factor of T")
         T, alpha = factor * T, np.array(self.alpha, float)
         table = alpha if alpha.ndim == 2 else np.diag(np.broadcast_to(alpha, 3))
@@ -239,14 +275,15 @@ class ThermalExpansion(Eigenstrain):
 class Prestress(Eigenstrain):
     """A stress before any displacement, such as the in-situ stress of rock: an eigenstrain -C^-1 sigma.
 
-    C is the tangent of the law at rest, under a sudden strain for laws that creep or relax. Laws that yield therefore
-    see the whole stress. Displacements are measured from this state.
+    C is the tangent of the law at zero strain. For laws that creep or relax it is that of a sudden strain. Laws that
+    yield compare the whole stress, sigma included, with their strength. Displacements are measured from the state with
+    this stress.
 
     Attributes:
         sigma: stress, tension > 0: a number (times the identity), a symmetric table (3, 3), or a function (x, t). In
             two dimensions also (2, 2): sigma_33 follows from plane strain, as lmbda/(2 (lmbda + mu)) (s_11 + s_22) for
-            isotropic laws. In plane stress it is zero, and only this is allowed. Bodies of revolution need (3, 3), with
-            the hoop stress.
+            isotropic laws. In plane stress sigma_33 is zero, and only this is allowed. Bodies of revolution need (3,
+            3), with the hoop stress.
 
     Example:
         >>> from forms import LinearElastic
@@ -264,7 +301,11 @@ class Prestress(Eigenstrain):
     sigma: Tensor
 
     def components(self, matter: EigenstrainContext) -> TensorRows:
-        """Return the eigenstrain, (3, 3) numbers or UFL scalars; raises InputError if it does not suit the material."""
+        """Return the eigenstrain of a body or layer as rows (3, 3) of numbers or UFL scalars.
+
+        Raises:
+            InputError: sigma has components that the kinematics exclude, or lacks some; the stiffness is not known.
+        """
         sigma = matter.tensor_rows(self.sigma, "the prestress")
         if matter.kinematics.name == "stress":
             out_of_plane = [sigma[i][2] for i in range(3)] if len(sigma) == 3 else []
@@ -282,7 +323,17 @@ class Prestress(Eigenstrain):
         return strain
 
     def _compliance(self, matter: EigenstrainContext, slots: Sequence[int]) -> Array:
-        """Compliance (k, k), strain per stress, in the k Mandel components `slots`; strains in the others are zero."""
+        """Return the compliance (k, k), strain per stress, of k components in Mandel's notation, at zero strain.
+
+        Strains in the other components are zero.
+
+        Args:
+            matter: data of the body or layer.
+            slots: (k,) positions of the components in Mandel's order.
+
+        Raises:
+            InputError: the stiffness is not known, varies from place to place, or cannot be inverted.
+        """
         law = matter.law
 
         def prestress_error(why: str) -> InputError:
@@ -314,7 +365,7 @@ EigenstrainInput = Tensor | Eigenstrain | Sequence[Tensor | Eigenstrain]
 
 
 def eigenstrains(eigenstrain: EigenstrainInput) -> list[Eigenstrain]:
-    """Return the list of eigenstrains, which add up, for a user's value: one eigenstrain or a list of several."""
+    """Return a user's eigenstrain, or list of eigenstrains, as a list of `Eigenstrain` objects, which add up."""
     if isinstance(eigenstrain, Eigenstrain):
         return [eigenstrain]
     if isinstance(eigenstrain, (list, tuple)) and not _is_table(eigenstrain):
@@ -325,12 +376,18 @@ def eigenstrains(eigenstrain: EigenstrainInput) -> list[Eigenstrain]:
 
 
 def _is_table(rows: Sequence[object]) -> bool:
-    """Whether a list is a table: a list of rows of scalars."""
+    """Return whether a list has rows of scalars, as a table has, and not several eigenstrains."""
     return bool(rows) and all(isinstance(row, (list, tuple, np.ndarray)) and np.ndim(row[0]) == 0 for row in rows)
 
 
 def prescribed_strain(eigenstrain: EigenstrainInput | None, matter: EigenstrainContext) -> Expr | None:
-    """Return minus the eigenstrain, (3, 3) in UFL, to be added to the strain of displacements; None if it is zero.
+    """Return the strain (3, 3), in UFL, that is added to the strain of displacements: minus the eigenstrain.
+
+    Return None if it is zero.
+
+    Args:
+        eigenstrain: the eigenstrain as the user wrote it; None: there is none.
+        matter: data of the body or layer.
 
     Raises:
         InputError: a value that is not an eigenstrain, or that does not suit this body or layer.
@@ -343,7 +400,9 @@ def prescribed_strain(eigenstrain: EigenstrainInput | None, matter: EigenstrainC
 
 
 class VaryingStrainIntegrals:
-    """Integrals over each cell or facet of the terms' prescribed strains, if these vary in time or place. Collective.
+    """Integrals of prescribed strains over single cells or facets, for strains that vary in time or place. Collective.
+
+    Terms with other prescribed strains are left out.
 
     Args:
         terms: the terms of bodies and layers.
@@ -360,7 +419,9 @@ class VaryingStrainIntegrals:
                 self._forms.append((p, compiled(ufl.inner(strain, q) * p.measure)))
 
     def integrals(self, t: float) -> list[Array]:
-        """Integrals at a time over each of this rank's cells or facets, one array for each term.
+        """Return, for each term, the integrals at the time t of its prescribed strain over this rank's cells or facets.
+
+        Each array has the 9 components of one cell after those of another.
 
         Raises:
             InputError: a strain that is not finite.
@@ -375,7 +436,10 @@ class VaryingStrainIntegrals:
 
 
 def _negative_tensor(rows: TensorRows, matter: EigenstrainContext) -> Expr:
-    """Return minus a table in UFL. Numbers become Constants, so that forms are compiled once; zeros stay zeros."""
+    """Return a table (3, 3) of numbers and UFL scalars, times -1, as a UFL tensor.
+
+    Numbers become Constants, so that forms are compiled once for all numbers; zeros are left as they are.
+    """
     numbers = np.array([[-c if isinstance(c, float) else 0.0 for c in row] for row in rows])
     constant = fem.Constant(matter.at.mesh, numbers)
     entries = [[constant[i, j] if numbers[i, j] else -c for j, c in enumerate(row)] for i, row in enumerate(rows)]

@@ -1,4 +1,4 @@
-"""Rigid motions, which supports must prevent, and resultants of reactions and loads from their work in these."""
+"""Rigid motions, which supports must prevent, and resultants of forces from their work in rigid motions."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ COMPONENT_TOLERANCE = 1e-12
 
 
 def motion_count(dim: int) -> int:
-    """Number of rigid motions: 3 in two dimensions, 6 in three."""
+    """Return the number of unit rigid motions: 3 in two dimensions, 6 in three."""
     return dim + len(ROTATION_PLANES[dim])
 
 
 def motion_fields(x: Array, about: Array) -> Array:
-    """Displacements (n, d, k) of the k unit rigid motions at n places x (n, d) in d dimensions.
+    """Return the displacements (n, d, k) of the k unit rigid motions at n places `x` (n, d) in d dimensions.
 
     The motions are d translations, then rotations about the point `about` (d,).
     """
@@ -55,20 +55,26 @@ def motion_fields(x: Array, about: Array) -> Array:
 
 
 def balanced_motions(kinematics: Kinematics, dim: int) -> Array:
-    """Factors (k,) of the k unit rigid motions, translations first: 0 if resultants vanish by axisymmetry, else 1."""
+    """Return a factor for each of the k unit rigid motions: 0 if its resultant vanishes by axisymmetry, else 1.
+
+    Translations come first in the result (k,), then rotations. `dim` is the number of dimensions.
+    """
     has_resultant = np.isin(np.arange(dim), kinematics.translations(dim))
     return np.append(has_resultant, np.full(motion_count(dim) - dim, kinematics.rotations)).astype(float)
 
 
 def moment_centre(kinematics: Kinematics, x: Array) -> Array:
-    """Return the place x (d,), in axisymmetry its projection onto the axis."""
+    """Return the place `x` (d,) as the point of moments; in axisymmetry return its projection onto the axis."""
     return np.where(np.isin(np.arange(len(x)), kinematics.translations(len(x))), x, 0.0)
 
 
 def motion_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
-    """Return a Constant of k factors (k,), and the sum of k unit rigid motions with these factors, in UFL (d,).
+    """Return a combination of the k unit rigid motions, in UFL, with a Constant (k,) as its factors.
 
     The motions are d translations in d dimensions, then rotations about the point `about` (d,).
+
+    Returns:
+        The Constant, which is zero, and the displacement (d,) of the combination.
     """
     x, d = ufl.SpatialCoordinate(mesh), len(about)
     motion = fem.Constant(mesh, np.zeros(motion_count(d)))
@@ -78,20 +84,27 @@ def motion_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
 
 
 def motion_values(x: Array, about: Array, rows: IntArray) -> Array:
-    """Values (m, k) of the k unit rigid motions at m dofs of displacements.
+    """Return the values (m, k) of the k unit rigid motions at m displacement components of a space.
 
-    The motions are translations, then rotations about the point `about` (d,). The dofs are given by local numbers
-    `rows` (m,), their nodes by places x (n, d).
+    The motions are translations, then rotations.
+
+    Args:
+        x: (n, d) coordinates of the nodes of the space in d dimensions.
+        about: (d,) the point about which motions rotate.
+        rows: (m,) local numbers of the displacement components: d for each node.
     """
     return motion_fields(x[rows // x.shape[1]], about)[np.arange(len(rows)), rows % x.shape[1]]
 
 
 def scaled_motions(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
-    """Rigid motions of the structure by name, each as factors (k,) of the unit motions about its centre.
+    """Return name -> factors (k,) for each rigid motion that the kinematics and periods of a joint admit.
 
-    The unit motions are d translations, then rotations. Translations come first in the result, too. Rotations are
-    divided by the size of the structure. In periodic joints the only rotation is about the direction of a single period
-    in 3D. Others would move one side against the other. In axisymmetry only the translation along the axis is left.
+    The factors multiply the k unit motions: d translations, then rotations about the centre. They make rotations as
+    large as translations: they are divided by the size of the structure.
+
+    Translations come first in the result. In axisymmetry only that along the axis is left. In periodic joints rotations
+    would move one periodic side against the other. The only exception is a rotation about the direction of a single
+    period in 3D.
     """
     d, size, basis = joint.dim, joint.size, np.eye(motion_count(joint.dim))
     coefficients = {f"translation {AXIS_NAMES[i]}": basis[i] for i in kinematics.translations(d)}
@@ -107,14 +120,23 @@ def scaled_motions(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
 
 
 def model_motion_values(model: Model, rows: IntArray, kinematics: Kinematics | None = None) -> Array:
-    """Values (m, k) of the k rigid motions of `scaled_motions` at the displacement dofs `rows` (m,), local numbers."""
+    """Return the values (m, k) of the structure's k rigid motions, `scaled_motions`, at m displacement components.
+
+    Args:
+        model: the model.
+        rows: (m,) local numbers of the displacement components.
+        kinematics: kinematics that decide which motions there are; None: those of the model.
+    """
     joint = model.domain.joint
     coefficients = [*scaled_motions(joint, kinematics or model.kinematics).values()]
     return motion_values(model.places, joint.points.mean(axis=0), rows) @ np.transpose(coefficients)
 
 
 def model_motions(model: Model, kinematics: Kinematics | None = None) -> dict[str, fem.Function]:
-    """Return the structure's rigid motions (`scaled_motions`) as displacements of a model, by name. Collective."""
+    """Return name -> displacements of the structure's rigid motions, `scaled_motions`, in a model's space. Collective.
+
+    `kinematics` decide which motions there are; None: those of the model.
+    """
     values = model_motion_values(model, np.arange(model.places.size), kinematics)
     modes = {name: fem.Function(model.V) for name in scaled_motions(model.domain.joint, kinematics or model.kinematics)}
     for f, column in zip(modes.values(), values.T, strict=True):
@@ -123,17 +145,18 @@ def model_motions(model: Model, kinematics: Kinematics | None = None) -> dict[st
 
 
 def resistance_matrix(model: Model, resistances: Sequence[Resistance]) -> Array:
-    """Matrix (m, m) whose null space is the rigid motions that nothing prevents. Collective.
+    """Return a matrix (m, m) whose null space is the rigid motions that nothing prevents. Collective.
 
-    It refers to the m motions of `scaled_motions`. Entry (i, j) is the scalar product of the displacements in motions i
-    and j along all support conditions, which violate these conditions. Multi-point constraints, such as rigid plates,
-    move so that the violations are least. Then the stiffness of each part that resists the motions is added. It is made
-    symmetric and divided by its largest absolute entry, as only its null space counts.
+    Rows and columns belong to the m motions of `scaled_motions`. Entry (i, j) is the sum of two contributions. The
+    first is the scalar product of the displacements in motions i and j along the directions of all support conditions.
+    Multi-point constraints, such as rigid plates, adapt so that these displacements are least. The second is the
+    stiffness of other parts, such as springs. As only its null space counts, it is made symmetric and divided by its
+    largest absolute entry.
 
     Args:
         model: the model.
-        resistances: for each part that resists the motions, such as springs, a function that returns its stiffness
-            (m, m) against the m motions, given as displacements.
+        resistances: for each part that resists motions, a function from the displacements of the m motions to its
+            stiffness (m, m) against them.
     """
     matrix = model.constraints.resistance(partial(model_motion_values, model))
     motions = [*model_motions(model).values()] if resistances else []
@@ -148,8 +171,11 @@ def resistance_matrix(model: Model, resistances: Sequence[Resistance]) -> Array:
 def free_axes(joint: Joint, kinematics: Kinematics, resistance: Array) -> tuple[str, ...]:
     """Return the names of the axes along which nothing prevents a translation.
 
-    `resistance` (m, m) is the result of `resistance_matrix`. Its first diagonal entries belong to the translations; an
-    entry of about 0 means that neither a support nor a part such as springs resists this translation.
+    Args:
+        joint: the joint.
+        kinematics: kinematics that decide which translations there are.
+        resistance: (m, m) matrix from `resistance_matrix`. Its first diagonal entries belong to the translations. An
+            entry of about 0 means that neither supports nor other parts resist this translation.
     """
     # translations are the first motions of `scaled_motions`
     axes = [*kinematics.translations(joint.dim)]
@@ -159,9 +185,11 @@ def free_axes(joint: Joint, kinematics: Kinematics, resistance: Array) -> tuple[
 
 
 def require_support(names: Sequence[str], resistance: Array) -> None:
-    """Raise InputError if nothing prevents one of m rigid motions with these names, or a combination of them.
+    """Raise InputError if nothing prevents one of m rigid motions, or a combination of them.
 
-    `resistance` (m, m) is the matrix of `resistance_matrix` for these motions.
+    Args:
+        names: names of the m motions.
+        resistance: (m, m) matrix from `resistance_matrix` for these motions.
     """
     values, vectors = np.linalg.eigh(resistance)
     if values[0] <= MIN_RELATIVE_EIGENVALUE * max(values[-1], 1.0):
@@ -171,11 +199,11 @@ def require_support(names: Sequence[str], resistance: Array) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Resultant:
-    """A force and its moment about a point. In 2D per unit thickness.
+    """A resultant force with its moment about a point; in 2D per unit thickness.
 
     Attributes:
         force: (d,) force in d dimensions.
-        moment: moment about the point: (3,), in 2D a number, > 0 from x to y.
+        moment: (3,) moment about the point; in 2D a number, > 0 from x to y.
         about: (d,) the point, in the coordinates of the model's mesh.
     """
 
@@ -203,14 +231,18 @@ class Resultant:
 
 
 def require_point(about: Sequence[float] | Array, dim: int) -> Array:
-    """Return the point `about` as an array (dim,); raises InputError unless it has `dim` finite coordinates."""
+    """Return the point `about` as an array (dim,).
+
+    Raises:
+        InputError: it does not have `dim` finite coordinates.
+    """
     if (point := finite_values(about, (dim,))) is None:
         raise InputError(f"about is {about!r}; it must be a point of {dim} finite coordinates")
     return point
 
 
 def centroid(domain: Domain, name: str) -> Array:
-    """Centroid (d,) of a named facet set, including the side of a layer that continues it. Collective."""
+    """Return the centroid (d,) of a named facet set, with the facets of a layer's side that continue it. Collective."""
     mesh = domain.mesh
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=domain.facet_tags)(domain.values(name, layer_sides=True))
     unit = fem.Constant(mesh, np.zeros(domain.joint.dim + 1))
@@ -220,9 +252,12 @@ def centroid(domain: Domain, name: str) -> Array:
 
 
 def resultants_of_loads(model: Model, t: float, work: Callable[[Expr], Mapping[str, Expr]]) -> dict[str, Resultant]:
-    """Resultants of loads at a time, by name, with moments about the model's centre. Collective.
+    """Return name -> resultant of loads at the time t, with its moment about the model's centre. Collective.
 
-    `work` is a function of a motion v that returns the loads' work in v, UFL forms, by name.
+    Args:
+        model: the model.
+        t: the time.
+        work: function from a motion v to the virtual work of the loads in v: name -> UFL form.
     """
     level = TimeLevel(t)
     motion, v = motion_expression(model.domain.mesh, model.centre)
@@ -230,9 +265,13 @@ def resultants_of_loads(model: Model, t: float, work: Callable[[Expr], Mapping[s
 
 
 def resultant(model: Model, values: Array) -> Resultant:
-    """Return the resultant of forces from their work (k,) in the k unit rigid motions about the model's centre.
+    """Return the resultant of forces from their work in the k unit rigid motions about the model's centre.
 
     Components that vanish by axisymmetry are set to zero.
+
+    Args:
+        model: the model.
+        values: (k,) work in the translations, then in the rotations.
     """
     d = model.joint.dim
     work = np.asarray(values) * balanced_motions(model.kinematics, d)
@@ -242,8 +281,11 @@ def resultant(model: Model, values: Array) -> Resultant:
 def default_moment_point(model: Model, place: Place, chosen: Sequence[Place]) -> Array:
     """Return the default point (d,) of moments: the centroid of a facet set, or the vertex itself.
 
-    `chosen` are the places whose reactions are summed for `place`. Without facets of its own, it gets the mean of
-    their centroids.
+    Args:
+        model: the model.
+        place: name of the facet set, or coordinates of the vertex.
+        chosen: places whose reactions are summed for `place`. If `place` has no facets of its own, the result is the
+            mean of their centroids.
     """
     domain = model.domain
     if isinstance(place, str) and place in domain.facet_values and domain.values(place, layer_sides=True):

@@ -1,14 +1,15 @@
-"""Tractions on the side of a layer without cells, of height eps: forces of order eps on the layer's two faces.
+"""Tractions on the side of a layer without cells, as forces of order eps on the layer's two faces.
 
-Per length of the end of S, a traction t on the side does the work eps t . v, with the mean displacement v of the side.
-Between faces with displacements <u> -+ [u]/2, order 1 approximates v by <u>: each face gets half of the force.
+The side is the layer's own boundary at an end of S; its height is the thickness eps. Per length of this end, a traction
+t on the side does the work eps t . v, with the mean displacement v of the side. If the faces have the displacements <u>
+-+ [u]/2, order 1 approximates v by <u>: each face gets half of the force.
 
 At a free end the side has further displacements of the same size. They are -(c_N M/lmbda) [u_N] along the outward
 normal m in S, and -c_T [u_m] along n. Here M is lmbda + 2 mu, and c_N, c_T and rho_N are constants of the end
 (`forms.ends.constants.FreeEnd`). By reciprocity the displacements follow from the energy that the end takes away. The
-force reaches the faces over lengths of the order of the thickness. Its mean distances from the end are rho_N eps
-(along m), c_T eps (along n) and 7 zeta(3)/pi^3 eps (along the end, index tau). With the relative losses of stiffness
-a_N and a_T near the end (`forms.ends.weights`) it does the work
+force reaches the faces over lengths of the order of the thickness. Its mean distances from the end are rho_N eps (along
+m), c_T eps (along n) and 7 zeta(3)/pi^3 eps (along the end, index tau). With the relative losses of stiffness a_N and
+a_T near the end (`forms.ends.weights`) it does the work
 
     int_S { eps [t_m v_m f_N' + t_n v_n f_T' + t_tau v_tau f'] - a_N M/lmbda t_m [v_N] - a_T t_n [v_m] }
 
@@ -52,9 +53,9 @@ class SideLoad:
     """A traction on the side of a layer whose interface law is of order 1.
 
     Attributes:
-        what: label in error messages.
+        what: name of the load in error messages.
         load: the load as the user wrote it.
-        rim: the ridges at which S ends on this side.
+        rim: the ridges (vertices in 2D, edges in 3D) at which S ends on this side.
     """
 
     what: str
@@ -63,7 +64,7 @@ class SideLoad:
 
     @classmethod
     def of(cls, model: Model, layer: SeamLayer) -> Iterator[SideLoad]:
-        """Yield the tractions on the side of a layer, except those that are zero."""
+        """Yield the tractions on the sides of a layer in an interface model, except those that are zero."""
         rim = layer.sheet.rim
         for name, load in sorted((model.structure.tractions or {}).items()):
             facet_set, value = FacetName.parse(name).continued, load.p if isinstance(load, Pressure) else load
@@ -73,12 +74,16 @@ class SideLoad:
 
 
 def add_side_loads(forces: Forces, model: Model, layer: SeamLayer, sides: Interface) -> None:
-    """Add the tractions on the side of a layer of order 1 to the forces of an interface model.
+    """Add the tractions on the sides of a layer of order 1 to the forces of an interface model.
 
-    `sides` are the two sides of the layer's seam.
+    Args:
+        forces: the forces.
+        model: the interface model.
+        layer: the layer.
+        sides: the two sides of S, for the layer's seam.
 
     Raises:
-        InputError: it is not known how the force is distributed over the faces there.
+        InputError: it is not known how the layer transfers such a traction to its faces.
     """
     r = model.applicability[layer.name]
     open_keys = ridge_keys(r.open_rim.vertices)
@@ -94,9 +99,16 @@ def add_side_loads(forces: Forces, model: Model, layer: SeamLayer, sides: Interf
 
 
 def _end_load(load: SideLoad, at: Coordinates, model: Model, layer: SeamLayer, sides: Interface) -> Iterator[LoadPiece]:
-    """Yield a load on the layer's side at straight free ends as forces on the layer's faces.
+    """Yield a load on the layer's side at straight free ends as forces per area of S, each with its region.
 
-    The forces are distributed over strips along the ends. `at` has the place and the time as arguments of loads.
+    The regions transfer the forces to the layer's faces, over strips along the ends.
+
+    Args:
+        load: the load.
+        at: place and time as arguments of the load.
+        model: the interface model.
+        layer: the layer.
+        sides: the two sides of S, for the layer's seam.
     """
     mesh, on_base = model.domain.mesh, layer.name in model.joint.base_seams
     for end in straight_ends(load.rim, layer.sheet):
@@ -110,11 +122,16 @@ def _end_load(load: SideLoad, at: Coordinates, model: Model, layer: SeamLayer, s
 
 
 def _load_densities(end: StraightEnd, rim: Rim, layer: SeamLayer) -> FloatArray:
-    """Densities (n, 5) on the n facets of S, by which a traction on the side of a free end is multiplied.
+    """Return five factors (n, 5) on the n facets of S that distribute a traction on the side of a free end over S.
 
-    The first three give the forces per area of S along m (outward), n and the end. They integrate to the total force on
-    the side on any mesh. The last two give the side's displacement by the jump: along -m by an opening, along -n by a
-    shear.
+    The first three multiply the traction's components along m (outward in S), along n and along the end. The products
+    are forces per area of S, which add up to the total force on the side on any mesh. The last two, times a jump, are
+    displacements of the side: along -m for an opening, along -n for a shear.
+
+    Args:
+        end: the straight free end.
+        rim: the loaded ridges.
+        layer: the layer.
     """
     sheet, eps, kinematics = layer.sheet, layer.eps, layer.structure.kinematics
     constants = free_end(poisson_ratio(law_with_numbers(layer.layer, kinematics)))
@@ -131,9 +148,13 @@ def _load_densities(end: StraightEnd, rim: Rim, layer: SeamLayer) -> FloatArray:
 
 
 def _transferred_load(shares: Expr, m: Expr, sides: Interface, based: bool) -> LoadRegion:
-    """Return the region on S of a load on the layer's side, from its five densities `shares`, see `_load_densities`.
+    """Return the region on S in which a traction on the layer's side does its work on the layer's faces.
 
-    m (d,) is the outward normal of the end in S; `based`: S stands on a rigid base.
+    Args:
+        shares: (5,) factors from `_load_densities`, in UFL.
+        m: (d,) outward normal of the end in S, in d dimensions.
+        sides: the two sides of S, for the layer's seam.
+        based: whether S stands on a rigid base.
     """
     n = sides.n
     along_m, along_n, along_end, opening, shear = (shares[k] for k in range(5))

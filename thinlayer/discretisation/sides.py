@@ -1,4 +1,4 @@
-"""Sides of a layer: their constraints where its seam ends, and weights on S of the free ends."""
+"""Sides of a layer where its seam ends: how they are constrained, and weights on S near those that are free."""
 
 from __future__ import annotations
 
@@ -29,13 +29,18 @@ NO_END = 1e3  # distance of the nearest end, over the size of the joint, where t
 
 
 def side_kinds(layer: SeamLayer) -> npt.NDArray[np.str_]:
-    """How the layer's side is constrained at each of the n ridges where its seam ends, as words (n,).
+    """Return a word for each of the n ridges where a layer's seam ends: how the layer's side is constrained there.
 
-    Displacements have a component along m, outward along S, and one along n, across S. Supports, multi-point
-    constraints and an axis of revolution may constrain them. A side is "held" if both components are constrained,
-    "symmetric" if only that along m is, as in a plane of symmetry. It is "antisymmetric" if only that along n is
-    constrained, "free" if neither is, and "oblique" if a direction between them is. Constraints along the end do not
-    matter.
+    The displacement of the side has a component along m, outward along S, and one along n, across S. Supports,
+    multi-point constraints and an axis of revolution may constrain them. The words (n,) are:
+
+        - "free": neither component is constrained
+        - "held": both are
+        - "symmetric": only that along m is, as in a plane of symmetry
+        - "antisymmetric": only that along n is
+        - "oblique": a direction between m and n is constrained.
+
+    Constraints along the end itself do not matter.
     """
     sheet, projectors = layer.sheet, constrained_directions(layer)
     normals = sheet.joint.interface_normals[sheet.simplices[0][sheet.rim.simplex]]
@@ -47,9 +52,11 @@ def side_kinds(layer: SeamLayer) -> npt.NDArray[np.str_]:
 
 
 def constrained_directions(layer: SeamLayer, of_layer: bool = True) -> FloatArray:
-    """Projections (n, d, d) onto the directions in which the layer's side is constrained, at n ridges where S ends.
+    """Return projections (n, d, d) onto the constrained directions of the layer's side, at n ridges where S ends.
 
-    `of_layer`: constraints of facet sets "NAME/LAYER", the layer's own side, count too. d is the number of dimensions.
+    Args:
+        layer: the layer on its seam, in d dimensions.
+        of_layer: whether constraints of facet sets "NAME/LAYER", the layer's own side alone, count too.
     """
     structure, rim, joint = layer.structure, layer.sheet.rim, layer.sheet.joint
     d, keys, axes = joint.dim, ridge_keys(rim.vertices), AXIS_NAMES[: joint.dim]
@@ -69,19 +76,25 @@ def constrained_directions(layer: SeamLayer, of_layer: bool = True) -> FloatArra
 
 
 def _rim_normals(joint: Joint, rim: Rim, name: str) -> FloatArray:
-    """Mean unit normals (n, d) of a named facet set at n ridges; where it has no facets, the outward direction in S."""
+    """Return mean outer unit normals (n, d) of the facet set `name` at the n ridges of `rim`.
+
+    At ridges without a facet of this set the result is the outward direction along S.
+    """
     normals = side_normals(joint, name, rim.vertices)
     return np.where(np.isnan(normals), rim.outward, normals)
 
 
 def mean_on_facets(sheet: Sheet, values: FloatArray) -> FloatArray:
-    """Means (n,) by area on the n facets of a seam, from values (m,) on its m triangles (in 2D segments)."""
+    """Return the means (n,) over the n facets of a seam of values (m,) on its m triangles, weighted by area.
+
+    In 2D the values are on m segments.
+    """
     facet, count = np.searchsorted(sheet.facets, sheet.simplices[0]), len(sheet.facets)
     return np.asarray(np.bincount(facet, sheet.areas * values, count) / np.bincount(facet, sheet.areas, count))
 
 
 def shares_within(end: StraightEnd, sheet: Sheet, reach: float) -> FloatArray:
-    """Fraction (n,) of the area of each facet of S that lies opposite an end, within a distance `reach` of it."""
+    """Return the fraction (n,) of each facet of S that lies in the strip of width `reach` along a straight end."""
     x = sheet.joint.points[sheet.vertices]
     return mean_on_facets(sheet, share_within(end.distance(x), reach) * end.is_in_front(x.mean(axis=1)))
 
@@ -91,10 +104,11 @@ class FacetWeights:
     """Weights with which free ends change the interface law on the n facets of a seam.
 
     Attributes:
-        a_N, a_T: (n,) mean relative loss of stiffness of each facet against openings and against shear.
-        resistance: (n,) mean additional resistance to the flow along S by a pressure, over that of an infinite layer.
+        a_N, a_T: (n,) relative loss of stiffness, the mean over each facet, against openings and against shear.
+        resistance: (n,) additional resistance to the flow along S that a pressure drives, over that far from ends, the
+            mean over each facet.
         m: (n, d) unit normal in S of the nearest end, outward, in d dimensions; zero where there is none.
-        offset: (n,) value of m . x at points x of the nearest end.
+        offset: (n,) value of m . x at points x of the nearest end, a length.
         sheet, eps, strips: the seam, its thickness and the strips along ends, from which the weights are made.
     """
 
@@ -109,7 +123,14 @@ class FacetWeights:
 
     @classmethod
     def of(cls, ends: list[StraightEnd], sheet: Sheet, eps: float, strips: EndStrips) -> FacetWeights:
-        """Return the weights of straight free ends for a layer of thickness eps; `strips` are the ends' strips."""
+        """Return the weights of straight free ends on a seam.
+
+        Args:
+            ends: the free ends.
+            sheet: the seam.
+            eps: thickness of the layer, a length.
+            strips: lengths and weights of the strips along a free end.
+        """
         joint, count = sheet.joint, len(sheet.facets)
         weights = np.zeros((3, count))
         nearest, m, offset = np.full(count, np.inf), np.zeros((count, joint.dim)), np.full(count, NO_END * joint.size)
@@ -123,15 +144,15 @@ class FacetWeights:
 
     @property
     def overlap(self) -> bool:
-        """Whether strips of several ends overlap so far that a loss of stiffness reaches 1, which leaves none."""
+        """Whether strips of several ends overlap so far that no stiffness is left: a relative loss is 1 or more."""
         return bool(max(self.a_N.max(initial=0.0), self.a_T.max(initial=0.0)) >= 1)
 
     def expressions(self, domain: Domain, sides: Interface) -> EndWeights:
-        """Return the weights as UFL expressions that an interface law of order 1 multiplies its terms with. Collective.
+        """Return the weights as UFL expressions, which multiply terms of an interface law of order 1. Collective.
 
         Args:
-            domain: the mesh, in whose cells above S the weights of facets are stored.
-            sides: values on the two sides of S.
+            domain: the mesh; the cells above S store the weights of the facets.
+            sides: the two sides of S.
         """
         joint, mesh, eps, strips = self.sheet.joint, domain.mesh, self.eps, self.strips
         values = np.zeros((len(joint.cells), 4 + joint.dim))

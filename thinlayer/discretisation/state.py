@@ -52,8 +52,8 @@ class Report(FormerNames):
             attempts.
         residual: norm of the residual over the size of the forces.
         seconds: wall time of assembling and solving.
-        homotopy_steps: number of continuation solves, from laws that are easier to solve to the layer's law; 0 unless
-            Newton's method failed.
+        homotopy_steps: number of solves with laws that are easier to solve than the layer's law and approach it; 0
+            unless Newton's method failed.
     """
 
     former_names = {"eased": "homotopy_steps"}
@@ -68,16 +68,17 @@ class Report(FormerNames):
 class Audit:
     """Energy balance of a step: supplied = stored + dissipated + remainder, to the solver's tolerance.
 
-    Energies are per unit thickness in 2D. All except `total` are increments. All except `supplied` are NaN for laws
-    without energy.
+    Energies are per unit thickness in 2D. All except `total` are increments over the step. All except `supplied` are
+    NaN for laws without energy.
 
     Attributes:
         supplied: work of the loads and of moving supports.
-        stored: increment of the energy stored in bodies, layers and further parts.
-        dissipated: energy dissipated in bodies, layers and further parts.
-        remainder: error of the time scheme (backward Euler: the energy of the increments; midpoint: zero for laws with
-            a quadratic energy), and the effect of parameters that vary in time, at fixed strains.
-        total: energy stored in bodies, layers and further parts at the end of the step.
+        stored: increment of the energy stored in bodies, layers and other parts such as springs.
+        dissipated: energy dissipated in bodies, layers and other parts.
+        remainder: error of the time scheme, and the effect of parameters that vary in time, at fixed strains. For
+            backward Euler the error is the energy of the increments. For the midpoint scheme it is zero if laws have a
+            quadratic energy.
+        total: energy stored in bodies, layers and other parts at the end of the step.
     """
 
     supplied: float = 0.0
@@ -88,9 +89,10 @@ class Audit:
 
     @property
     def imbalance(self) -> float:
-        """Relative residual of the energy balance; NaN if a term is not known, as for laws without energy.
+        """Relative residual of the energy balance: a number, near 0 if the solver has converged.
 
-        It is supplied - stored - dissipated - remainder, over the largest absolute value of these four and `total`.
+        It is supplied - stored - dissipated - remainder, over the largest absolute value of these four and `total`. It
+        is NaN if one of the four is not known, as for laws without energy.
         """
         terms = (self.supplied, self.stored, self.dissipated, self.remainder)
         largest = max(abs(self.total), *map(abs, terms)) if all(map(math.isfinite, terms)) else math.nan
@@ -99,23 +101,24 @@ class Audit:
 
 @dataclass(frozen=True, repr=False)
 class Configuration:
-    """Displacements at a time, with the memory of laws and other parts of the balance: initial data of a step.
+    """Displacements at a time and what laws and other parts remember: initial data of a step.
 
     Attributes:
         u: displacement; in a periodic cell without the motion of the mean strain.
         t: time.
-        memory: memory of laws and other parts of the balance of forces, by key. A compiled law has internal variables
-            (points, values), under "layer", for sublayers "layer 1", "layer 2", ..., and in a body "body NAME". A
-            contact law has "contact": its slip at this rank's nodes of S, (nodes, d - 1) in d dimensions. A
-            user-defined part may have functions by name. With several seams keys contain their names: "layer BED",
-            "layer BED/1", "contact BED".
-        fields: unknowns other than displacements, by the key of their part.
-        stored: energy at the time t, by key, of compiled laws and further parts; laws in UFL forms are not in it.
-        at_rest: whether this is the state before the first step: all strains are zero, prescribed strains included.
-        reactions: (n, k) reactions of the n places in `Model.holders`, k = 3 in 2D, 6 in 3D: the force, then the
-            moment about `Model.centre`. None: they were not computed.
-        stresses: stresses of compiled laws at the time t, by the same keys as the memory: (points, 6) in
-            Mandel's order.
+        memory: key -> internal values that laws and other parts of the balance of forces keep from step to step. A
+            compiled law has an array (points, values) under "layer", for sublayers "layer 1", "layer 2", ..., and in a
+            body "body NAME". A contact law has "contact": its slip at this rank's nodes of S, (nodes, d - 1) in d
+            dimensions. A user-defined part may have functions by name. With several seams keys contain their names:
+            "layer BED", "layer BED/1", "contact BED".
+        fields: key of a part -> its unknowns other than displacements.
+        stored: key -> energy at the time t, of compiled laws and other parts; energies of laws in UFL forms are left
+            out.
+        at_rest: whether this is the configuration before the first step, with all strains zero, prescribed strains
+            included.
+        reactions: (n, k) reactions of the n places in `Model.holders`, k = 3 in 2D, 6 in 3D: the force, then the moment
+            about `Model.centre`. None: they were not computed.
+        stresses: key, as in `memory` -> stresses of a compiled law at the time t, (points, 6) in Mandel's order.
     """
 
     u: fem.Function
@@ -138,9 +141,9 @@ class State(Configuration):
         audit: energy balance of the step that led here.
         sudden: whether it is the response to sudden loads from rest.
         prescribed_work: work of the reactions at the end of the step in the displacements that supports prescribe, and
-            in prescribed motions of multi-point constraints; nan: not known.
+            in prescribed motions of multi-point constraints; NaN: not known.
         dissipated: with several seams, name of a seam -> energy that its layer dissipated in this step, without losses
-            in a snap; "bodies" -> energy that bodies dissipated, if their laws have memory or rate.
+            in a snap. "bodies" -> energy that bodies dissipated, if their laws have memory or depend on rates.
     """
 
     model: Model
@@ -152,10 +155,10 @@ class State(Configuration):
 
     @property
     def p(self) -> fem.Function | None:
-        """Pressure in a layer whose law has a pressure field, on the layer's cells or on S; None if there is none.
+        """Pressure in a layer whose law has a pressure field, on the layer's cells or on S; None if no law has one.
 
-        In a joint with several seams its key in `fields` is "pressure NAME", with the name of the seam. If several
-        layers have a pressure, use `fields["pressure NAME"]`: `p` raises InputError.
+        If several layers have a pressure, `p` raises InputError: use `fields["pressure NAME"]`, with the name of a
+        seam.
         """
         keys = [key for key in self.fields if Key.parse(key).kind == PRESSURE_KIND]
         if len(keys) > 1:
@@ -166,11 +169,11 @@ class State(Configuration):
         return f"State({self.model!r}, t = {self.t:g}, {self.report.method}, {self.report.iterations} iterations)"
 
     def identity(self) -> dict[str, object]:
-        """Data that identify the state, as JSON: those of its model, and its time."""
+        """Return the data that identify the state, as JSON: those of its model, and the time."""
         return {"state of": self.model.identity(), "t": self.t}
 
     def integral(self, form: ufl.Form) -> float:
-        """Value of a UFL form without arguments, with the factor 2 pi r in axisymmetry. Collective.
+        """Return the value of a UFL form without arguments, with the factor 2 pi r in axisymmetry. Collective.
 
         Raises:
             InputError: it is no form, or depends on the time; a number in it is not finite or not real; no cell or
@@ -182,13 +185,13 @@ class State(Configuration):
         return float(self.model.comm.allreduce(sum(map(fem.assemble_scalar, compiled_scalars(form)))))
 
     def energies(self) -> dict[str, float]:
-        """Return the stored energies of "bodies", "layer", further parts by key, and the work of "loads". Collective.
+        """Return the stored energies of "bodies", "layer" and other parts by key, and the work of "loads". Collective.
 
-        With several seams "layer" is the sum of all layers, and "layer NAME" is the energy of a seam, including
-        junctions filled with its law.
+        With several seams "layer" is the sum over all layers, and "layer NAME" is the energy of the layer on the seam
+        NAME. This includes cells with its law where meshed layers meet.
 
         Energies are per unit thickness in 2D. For linear laws and supports that do not move, the stored energies are
-        half the work of the loads (Clapeyron). NaN where a law declares no energy.
+        half the work of the loads (Clapeyron). An energy is NaN if a law does not declare its energy.
         """
         model, layers = self.model, self.layers
         added = {part.key: self.stored.get(part.key, 0.0) for part in model.parts if not part.ties_nodes}
@@ -201,16 +204,16 @@ class State(Configuration):
         return {BODIES: bodies, LAYER_KIND: layer, **seams, **added, "loads": self.load_work()}
 
     def load_work(self) -> float:
-        """Work of the loads in the displacements. Collective."""
+        """Return the work of the loads at the state's time in its displacements. Collective."""
         part_work = sum(part.load_work(self.model, self) for part in self.model.parts)
         return self._integral(self.model.external_work(self.u, self.t)) + part_work
 
     def reaction(self, place: Place, about: Sequence[float] | None = None) -> Resultant:
         """Return the reaction of a place: of its supports and springs, or of the rigid base of a layer. Collective.
 
-        The force on the layer's side is included where the layer ends at the place, because a support continues over
-        it. If several supports prescribe a displacement, its force is divided equally among them. The reactions of all
-        places and the loads (`applied`) add up to zero.
+        A support continues over the side of a layer that ends at the place, and the force on this side is included. If
+        several supports prescribe a displacement, its force is divided equally among them. The reactions of all places
+        and the loads (`applied`) add up to zero.
 
         Args:
             place: name of a facet set or coordinates of a vertex, as in `Structure.supports`. "NAME" includes supports
@@ -220,7 +223,7 @@ class State(Configuration):
                 place.
 
         Raises:
-            InputError: the place is free: it has no supports, springs or rigid base.
+            InputError: the place has no supports, springs or rigid base.
         """
         model, reactions = self.model, self.reactions_by_place()
         bases = {BASE, *model.joint.base_seams}
@@ -234,9 +237,12 @@ class State(Configuration):
         return reduce(add, (reactions[name] for name in places)).at(point)
 
     def reactions_by_place(self, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
-        """Reactions of all places that support the structure, by place.
+        """Return place -> reaction, for all places that support the structure.
 
-        Moments are about the point `about` (d,), by default `Model.centre`. Raises InputError if they are not known.
+        Moments are about the point `about` (d,), by default `Model.centre`.
+
+        Raises:
+            InputError: the reactions of this state were not computed.
         """
         model = self.model
         if self.reactions is None:
@@ -252,7 +258,7 @@ class State(Configuration):
         return {place: reaction.at(model.centre if about is None else about) for place, reaction in total.items()}
 
     def applied(self, about: Sequence[float] | None = None) -> Resultant:
-        """Resultant force and moment of all loads at the time of the state. Collective.
+        """Return the resultant force and moment of all loads at the time of the state. Collective.
 
         Args:
             about: the point (d,) of the moment; by default `Model.centre`.
@@ -260,7 +266,10 @@ class State(Configuration):
         return self.model.applied(self.t).at(self.model.centre if about is None else about)
 
     def mean_strain(self) -> Array:
-        """Mean strain (d, d) of a periodic cell, prescribed or computed under a mean stress; else zero. Collective."""
+        """Return the mean strain (d, d) of a periodic cell, prescribed or computed under a mean stress. Collective.
+
+        It is zero if the model prescribes neither.
+        """
         model, d = self.model, self.model.joint.dim
         if model.strain:
             return model.strain.at(self.t)
@@ -277,16 +286,20 @@ class State(Configuration):
 
     @cached_property
     def layers(self) -> list[Term]:
-        """Terms of the layers' laws at the state's time, with prescribed strains and, if meshed, the mean strain."""
+        """Terms of the layers' laws at the state's time, with prescribed strains. Collective.
+
+        In meshed layers the mean strain of a periodic cell is included.
+        """
         return self._terms_at_time(self.model.layer_terms, on_s=self.model.broken)
 
     @cached_property
     def elastic_share(self) -> float:
-        """Fraction of the work of yielding laws that is done by their elastic part (`elastic_fraction`). Collective.
+        """Fraction of the work of yielding laws that their elastic parts do. Collective.
 
-        A yielding law may have an elastic part in parallel, with `elastic_fraction` of its stiffness. The result is the
-        work of its stresses in the strains, over the work of all stresses of these laws. It is the larger value of
-        layers and of bodies; 0 without such laws. If no law yields it is the `elastic_fraction`.
+        A yielding law may have an elastic part in parallel, with `elastic_fraction` of its stiffness. The fraction is
+        the work of the stresses of these parts in the strains, over the work of all stresses of such laws. It is the
+        larger of the values for layers and for bodies, and 0 without such laws. Before any yielding it equals
+        `elastic_fraction`.
         """
         work, terms = np.zeros((2, 2)), self.bodies + self.layers
         for key, points in self.model.quadratures.items():
@@ -303,26 +316,36 @@ class State(Configuration):
         return float((work[:, 0] / np.maximum(work.sum(axis=1), np.finfo(float).tiny)).max())
 
     def _terms_at_time(self, terms: list[Term], *, on_s: bool = False) -> list[Term]:
-        """Return terms at the time of the state; unless they are on S, the mean strain under a mean stress is added."""
+        """Return terms at the time of the state, with the mean strain that was computed under a prescribed mean stress.
+
+        Terms on S, for which `on_s` is true, are without this strain.
+        """
         terms = TimeLevel(self.t).terms(terms)
         if on_s or not self.model.stress:
             return terms
         return with_added_strain(terms, three_dimensional(fem.Constant(self.model.domain.mesh, self.mean_strain())))
 
     def stress(self, term: Term) -> Expr:
-        """Stress (3, 3) of a term of bodies or of a meshed layer, a UFL expression. Collective.
+        """Return the stress (3, 3), in UFL, of a term of bodies or of a meshed layer. Collective.
 
-        For a compiled law it exists only at the quadrature points of the term: integrate it over these, as `work` does.
-        On S see `Surface.traction`.
+        The stress of a compiled law exists only at the quadrature points of the term: integrate it over these, as
+        `work` does. For terms on S see `Surface.traction`.
         """
         return next(self._terms_with_stress([term]))[1]
 
     def work(self, terms: Iterable[Term], v: Expr) -> Expr:
-        """Virtual work of terms' stresses in the strains of v, a UFL form; not for compiled laws on S. Collective."""
+        """Return the virtual work of the stresses of terms in the strains of v, a UFL form. Collective.
+
+        Compiled laws on S are not allowed.
+        """
         return sum(ufl.inner(s, p.strain(v)) * p.weight * measure for p, s, measure in self._terms_with_stress(terms))
 
     def _terms_with_stress(self, terms: Iterable[Term]) -> Iterator[tuple[Term, Expr, ufl.Measure]]:
-        """Yield terms with their stresses (3, 3) and measures of integration; InputError for compiled laws on S."""
+        """Yield each term with its stress (3, 3), in UFL, and a measure on which this stress can be integrated.
+
+        Raises:
+            InputError: a term is that of a compiled law on S.
+        """
         for p in terms:
             if not p.law.traits.compiled:
                 yield p, stress(p, self.u), p.measure
@@ -335,9 +358,9 @@ class State(Configuration):
             yield p, mandel_tensor(points.function(values)), points.measure
 
     def mean_stress(self) -> Array:
-        """Mean stress (d, d) of the bodies and of meshed layers. Collective.
+        """Return the mean stress (d, d) of the bodies and of meshed layers. Collective.
 
-        In a periodic cell it is the stress of the cell as a whole, a layer on S included, see `Model.volume`.
+        In a periodic cell it is the stress of the cell as a whole, with layers on S included, see `Model.volume`.
         """
         model, d = self.model, self.model.joint.dim
         components = fem.Constant(model.domain.mesh, np.zeros(len(VOIGT_PAIRS_OF_DIM[d])))
@@ -347,7 +370,10 @@ class State(Configuration):
         return unit_values(model.comm, work_form, components)[VOIGT_POSITIONS_OF_DIM[d]] / model.volume
 
     def _stored(self, terms: Sequence[Term]) -> float:
-        """Stored energy of the terms whose laws are in UFL forms; NaN if one declares no energy. Collective."""
+        """Return the stored energy of those terms whose laws are in UFL forms. Collective.
+
+        It is NaN if one of these laws does not declare its energy.
+        """
         in_forms = [p for p in terms if not p.law.traits.compiled]
         if not all(p.law.traits.has_energy for p in in_forms):
             return math.nan
@@ -355,10 +381,16 @@ class State(Configuration):
 
 
 def cell_values(f: fem.Function, model: Model, cells: IntArray) -> Array:
-    """Values (..., a, m) of f, with m components, at the a nodes of cells of any rank. Collective.
+    """Return the values of a function at the nodes of any cells, also of those on other ranks. Collective.
 
-    `cells` (...) are numbers of cells in the joint of `model`, on whose mesh f is. A cell of a body has the same number
-    and the same order of its degrees of freedom in all models of a joint.
+    Args:
+        f: the function, with m components, on the model's mesh.
+        model: the model.
+        cells: (...) numbers of the cells in the joint; the array may have any shape. A cell of a body has the same
+            number and order of nodes in all models of a joint.
+
+    Returns:
+        Values (..., a, m) at the a nodes of each cell.
     """
     dofmap, n_owned = f.function_space.dofmap, model.domain.mesh.topology.index_map(model.joint.dim).size_local
     nodes, values = dofmap.list[:n_owned], f.x.array.reshape(-1, dofmap.bs)
@@ -369,9 +401,15 @@ def cell_values(f: fem.Function, model: Model, cells: IntArray) -> Array:
 
 
 def transfer(f: fem.Function, source: Model, V: fem.FunctionSpace, target: Model) -> fem.Function:
-    """Return the function f on the bodies of `source` on the same cells of `target`, in its space V. Collective.
+    """Return a function with the values of f on the bodies of another model of the same joint. Collective.
 
-    Both models are of one joint. Values in meshed layers of `target` are zero.
+    Values in meshed layers of `target` are zero.
+
+    Args:
+        f: the function, on the mesh of `source`.
+        source: the model from which values come.
+        V: space of the result, on the mesh of `target`.
+        target: the model on whose bodies the values are wanted.
     """
     cell_numbers = target.domain.original_cells
     in_source = np.flatnonzero(cell_numbers < len(source.joint.cells))
@@ -382,5 +420,5 @@ def transfer(f: fem.Function, source: Model, V: fem.FunctionSpace, target: Model
 
 
 def displacements_of(state: State, model: Model) -> fem.Function:
-    """Return the displacements of a state on a model of the same joint with the same element. Collective."""
+    """Return the displacements of a state as a function on a model of the same joint and element. Collective."""
     return state.u if state.model is model else transfer(state.u, state.model, model.V, model)

@@ -43,21 +43,21 @@ class Structure:
 
     Args:
         joint: the joint; the layer is on S.
-        body: law of the bodies (moduli: stress), or region name -> law. Allowed are laws of strains that do not
-            soften, except laws only for layers: `Stack`, `Incompressible`, laws with phases, and laws that depend on
+        body: law of the bodies (moduli: stress), or region name -> law. Allowed are laws of strains that do not soften.
+            Laws only for layers are not allowed: `Stack`, `Incompressible`, laws with phases, and laws that depend on
             the normal of S. Parameters may be numpy functions of places (d, n) in the joint that return n values.
         supports: place -> prescribed displacements. A place is the name of a facet set, which includes the side of the
             layer that continues it, or the coordinates of a vertex. Displacements are {"x": value, ...}, {"n": value}
             along the outer normal, or one number for all components. Where places overlap, values must agree.
         tractions: name of a facet set -> traction (d,) in d dimensions (stress), constant or a function (x, t) of UFL
             coordinates that returns d components. It acts on the bodies. With bodies="extended" it also acts on the
-            part of the layer's side that was theirs, so that all models have the same loads. The name "NAME/LAYER"
-            loads the layer's own side next to the facet set NAME. This force of order eps is in interface laws of
-            order 1, but not in those of order 0. `Pressure(p)` acts along the inner normal.
+            layer's side where this takes the place of loaded faces of the bodies, so that all models have the same
+            loads. The name "NAME/LAYER" loads the layer's own side next to the facet set NAME. This force of order eps
+            is in interface laws of order 1, but not in those of order 0. `Pressure(p)` acts along the inner normal.
         body_force: (d,) force per volume in the bodies, constant or a function (x, t). Or name -> force, for regions
             and seams; a single seam is called "S". On a seam it is the weight of the layer, of order eps. It acts on
-            the layer's cells or, in the interface model, times the thickness and in halves on both sides of S. On a
-            rigid base one half acts directly on the base.
+            the layer's cells. In the interface model it is multiplied by the thickness, and half of it acts on each
+            side of S. On a rigid base one half acts directly on the base.
         loads: list of `PointLoad` and `LineLoad`: forces at vertices and along edges.
         plane: "strain", "stress" or "axisymmetric", for a joint in 2D. In plane stress laws compute the strains out of
             the plane themselves (`BulkLaw.plane_stress`). Axisymmetric: x is the distance r >= 0 from the axis of
@@ -85,7 +85,7 @@ class Structure:
         kinematics: strains of displacements for `plane`, not yet on a mesh.
         body_laws: name of a body -> its law.
         supports, tractions, body_force, loads, parts, strain, stress: the arguments.
-        eigenstrains: name of a body with an eigenstrain -> this as the user wrote it.
+        eigenstrains: name of a body -> its eigenstrain as the user wrote it; bodies without one are left out.
         comm: MPI communicator; None: the world.
         data_hash: hash of the data, equal on all ranks.
 
@@ -152,14 +152,14 @@ class Structure:
         """Make the model whose layer is meshed. Collective.
 
         Args:
-            layer: law and thickness of the layer; S is opened to the thickness. For a joint with several seams {name
-                of a seam: its layer, or a `Gap` for an open joint}, or one layer for all. A layer continues past the
-                end of a gap. With extended bodies, tractions do not act on faces that bodies gave up to gaps.
+            layer: law and thickness of the layer; S is opened to the thickness. For a joint with several seams {name of
+                a seam: its layer, or a `Gap` for an open joint}, or one layer for all. A layer continues past the end
+                of a gap. With extended bodies, tractions do not act on faces that bodies gave up to gaps.
             bodies: "kept": bodies keep their shape and move apart by the thickness. "extended": the outer shape is
                 kept, and each body gives up half of the thickness (on a rigid base all of it).
             cells_through: number of cells through the layer's thickness, an even one where layers meet. For a law that
-                softens it has little effect, and a single cell is sufficient and fastest: means of strains through the
-                thickness drive the law, as on S, and deviations from them are elastic.
+                softens it has little effect, and a single cell is sufficient and fastest. The mean of the strains
+                through the thickness drives such a law, as on S, and deviations from the mean are elastic.
             junctions: name of a seam whose law also fills the cells where it meets other seams. At other junctions, and
                 by default, this is the law of the first of the joint's seams that end there. These cells need the law
                 of a layer, with moduli that decrease with the thickness. Other laws would tie the corners of the bodies
@@ -252,7 +252,10 @@ class Structure:
         return new
 
     def layers_alone(self, names: Collection[str]) -> Self:
-        """Return the structure of the layers on some seams alone, with the layers' own loads, on one process."""
+        """Return the structure that has only the layers on the seams `names`, with their own loads, on one process.
+
+        It has no bodies' laws, and no other parts such as springs.
+        """
         new, force = copied(self), self.body_force
         new.joint = replace(self.joint, seams={name: s for name, s in self.joint.seams.items() if name in names})
         new.comm, new.parts, new.loads, new.body_laws, new.eigenstrains = MPI.COMM_SELF, (), (), {}, {}
@@ -266,20 +269,21 @@ class Structure:
 
     @cached_property
     def sheet(self) -> Sheet:
-        """All seams as straight segments in 2D, or as triangles in 3D."""
+        """All seams together as a surface in its own right: straight segments in 2D, triangles in 3D."""
         return Sheet(self.joint)
 
     @cached_property
     def bodies_at_rest(self) -> list[Array | None]:
-        """Tangents (6, 6) at rest, in Mandel's notation, of the laws `bodies_with_numbers`; None where not known."""
+        """Tangents (6, 6) at zero strain, in Mandel's notation, of `bodies_with_numbers`; None where not known."""
         n = self.sheet.mean_normal
         return [declared_or_computed_tangent(self.kinematics.law(law), n) for law in self.bodies_with_numbers]
 
     @cached_property
     def bodies_with_numbers(self) -> list[BulkLaw]:
-        """Laws of all bodies, with numbers as parameters.
+        """Laws of all bodies with numbers as parameters, for checks.
 
-        A law with functions as parameters occurs with their values at each place where one is smallest or largest.
+        A law with functions of the place as parameters occurs several times. It has the values at those places where
+        one of the parameters is least or largest.
         """
         joint, laws = self.joint, []
         for name, law in self.body_laws.items():
@@ -303,7 +307,11 @@ class Structure:
             raise InputError(f"element {self.element!r} does not exist on {cells}")
 
     def _laws_of(self, body: BulkLaw | Mapping[str, BulkLaw]) -> dict[str, BulkLaw]:
-        """Return the law of each body by name; raises InputError for a body without a law, or a law only for layers."""
+        """Return name of a body -> its law, from one law for all bodies or a mapping.
+
+        Raises:
+            InputError: a body has no law, or a law that is only for layers.
+        """
         laws = values_by_body(body, self.joint, "body")
         for name in self.joint.bodies:
             law = laws.get(name)
@@ -338,5 +346,5 @@ def require_body_law(name: str, law: Law) -> None:
 
 
 def _ordered(data: ByPlace | None) -> object:
-    """Return a mapping as pairs in its order, because supports are numbered in this order."""
+    """Return a mapping as a list of pairs in its order, because supports are numbered in this order."""
     return [list(entry) for entry in data.items()] if isinstance(data, Mapping) else data

@@ -32,7 +32,7 @@ Components = dict[str, Value]
 
 
 def is_part(place: Place, of: Place) -> bool:
-    """Whether a place is the place `of` or a part of it, as the facet set "NAME/REGION" is a part of "NAME"."""
+    """Return whether a place is the place `of` or a part of it, as the facet set "NAME/REGION" is a part of "NAME"."""
     return place == of or (isinstance(place, str) and FacetName.parse(place).whole == of)
 
 
@@ -52,7 +52,7 @@ class Supports:
         kinematics: kinematics of the mesh; on an axis of revolution the component x is fixed.
 
     Attributes:
-        values: (position in `entries`, component) -> its `Coefficient`; clamped facets have none.
+        values: (index in `entries`, component) -> its `Coefficient`; clamped facets have none.
         moving_places: places where a component is a function, or a number that is not 0.
         user_entries: (place, components) of each support of the user; `entries` also has clamped facets.
         anchor_axes: components that are fixed at one vertex of a periodic joint, because nothing else prevents the
@@ -87,7 +87,7 @@ class Supports:
 
     @property
     def entries(self) -> tuple[tuple[Place, Components], ...]:
-        """(place, components) of all supports, clamped facets last."""
+        """All supports as pairs of a place and its components with their values; clamped facets come last."""
         zeros: Components = dict.fromkeys(self.axes, 0.0)
         return (*self.user_entries, *((place, zeros) for place in self.clamped))
 
@@ -100,9 +100,14 @@ class Supports:
         return components
 
     def dofs(self, V: fem.FunctionSpace, place: Place, axis: str) -> Indices:
-        """Local degrees of freedom in V (unrolled, ghosts included) of one component, `axis_dofs`, at a place. Collective.
+        """Return the local degrees of freedom in V, ghosts included, of one displacement component at a place.
 
-        For the normal component these are the dofs of all components.
+        For the component "n", along the normal, these are the degrees of freedom of all components. Collective.
+
+        Args:
+            V: the space.
+            place: name of a facet set, or coordinates of a vertex.
+            axis: the component: "x", "y", "z" or "n".
         """
         if axis == NORMAL_COMPONENT:
             return np.concatenate([self.dofs(V, place, component) for component in self.axes])
@@ -112,18 +117,21 @@ class Supports:
         return vertex_dofs(V, self.domain.vertices(self.domain.joint.nearest_point(place)), self.axes.index(axis))
 
     def bc_dofs_in(self, V: fem.FunctionSpace, *, clamped: bool = True) -> Indices:
-        """All degrees of freedom of a space that supports act on (local, unrolled, ghosts included). Collective.
+        """Return the local degrees of freedom of V, ghosts included, on which supports act. Collective.
 
         Args:
             V: the space.
-            clamped: whether to include the dofs of clamped facets and of an anchored vertex.
+            clamped: whether to include clamped facets, and the vertex at which a periodic joint is fixed.
         """
         entries, anchors = (self.entries, [self.anchor_dofs(V)]) if clamped else (self.user_entries, [])
         dofs = [self.dofs(V, place, axis) for place, components in entries for axis in components]
         return np.unique(np.concatenate([*dofs, *anchors, self.axis_dofs(V)]))
 
     def anchor_dofs(self, V: fem.FunctionSpace) -> Indices:
-        """Local degrees of freedom (unrolled, with ghosts) of the components `anchor_axes`, at one vertex. Collective."""
+        """Return the local degrees of freedom of V, ghosts included, at the vertex at which a periodic joint is fixed.
+
+        They are those of the components `anchor_axes`. Collective.
+        """
         if not self.anchor_axes:
             return np.empty(0, np.int32)
         owned = self.domain.mesh.topology.index_map(self.domain.joint.dim).size_local
@@ -137,7 +145,14 @@ class Supports:
         return np.flatnonzero(marked.x.array).astype(np.int32)
 
     def require_balance(self, b: PETSc.Vec, t: float) -> None:
-        """Raise InputError if nodal forces b at a time have a resultant along a component in `anchor_axes`. Collective."""
+        """Raise InputError if loads have a resultant along a component that is only fixed at one vertex. Collective.
+
+        These are the components `anchor_axes` of a periodic joint.
+
+        Args:
+            b: nodal forces of the loads.
+            t: their time, for the message.
+        """
         total = self.domain.comm.allreduce(b.array_r.reshape(-1, len(self.axes)).sum(axis=0))
         for axis in self.anchor_axes:
             if abs(force := float(total[self.axes.index(axis)])) > LOAD_SUM_TOLERANCE * b.norm(PETSc.NormType.NORM_1):
@@ -145,7 +160,10 @@ class Supports:
                 raise InputError(f"{text}, and nothing balances them; add supports, or loads whose sum is zero")
 
     def axis_dofs(self, V: fem.FunctionSpace) -> Indices:
-        """Local degrees of freedom (unrolled, with ghosts) of the component x on an axis of revolution. Collective."""
+        """Return the local degrees of freedom of V, ghosts included, of the component x on an axis of revolution.
+
+        Collective.
+        """
         if not self.on_axis.any():
             return np.empty(0, np.int32)
         domain, topology = self.domain, self.domain.mesh.topology
@@ -160,7 +178,15 @@ class Supports:
 
 
 def vertex_dofs(V: fem.FunctionSpace, vertices: Indices, component: int) -> Indices:
-    """Local degrees of freedom in V (unrolled) of one component at some local vertices, in all cells around them."""
+    """Return the local degrees of freedom in V of one displacement component at some vertices.
+
+    A vertex of S has several nodes, and all of them are included.
+
+    Args:
+        V: the space.
+        vertices: local numbers of the vertices.
+        component: 0, 1 or 2 for x, y or z.
+    """
     dofmap, connectivity = V.dofmap, V.mesh.topology.connectivity(V.mesh.topology.dim, 0)
     cell_vertices = connectivity.array.reshape(connectivity.num_nodes, -1)
     layout_dofs = [dofmap.dof_layout.entity_dofs(0, k)[0] for k in range(cell_vertices.shape[1])]
@@ -170,7 +196,15 @@ def vertex_dofs(V: fem.FunctionSpace, vertices: Indices, component: int) -> Indi
 
 @dataclass(frozen=True)
 class _Source:
-    """Source of values of one component of a support: a constant function, or an expression to interpolate into it."""
+    """Values of one component of a support: a function in the displacement space, and an expression if it varies.
+
+    Attributes:
+        entry: index of the support in `Supports.entries`.
+        place: place of the support.
+        axis: the component, such as "x", or "n" for the normal.
+        value: the function with the values.
+        expression: expression that is interpolated into this function for each time; None: the value is constant.
+    """
 
     entry: int
     place: Place
@@ -189,13 +223,13 @@ class Prescribed:
 
     Args:
         supports: the supports.
-        V: the space, with nodal displacements if a component is normal.
+        V: the space, with displacements at nodes as unknowns if a component is along the normal.
 
     Attributes:
         d, size: number of components at a node, and number of displacements of this rank.
-        extent: largest extent of the structure along an axis.
-        entry: (k,) for each of the k conditions of this rank the position of its support in `supports.entries`. -1: the
-            vertex at which a periodic joint is fixed, or the axis of revolution.
+        extent: largest extent of the structure along an axis, a length.
+        entry: (k,) for each of the k conditions of this rank the index of its support in `supports.entries`. -1: the
+            condition is that of the vertex at which a periodic joint is fixed, or of the axis of revolution.
         blocks: (k,) local numbers of the nodes of the conditions.
         directions: (k, d) unit directions of the conditions.
         conditions: (k, size) sparse matrix of the conditions on the displacements of this rank.
@@ -224,7 +258,11 @@ class Prescribed:
         return _Source(entry, place, axis, value)
 
     def _find_conditions(self) -> None:
-        """Set the attributes of the conditions on this rank, and for each its source and the dof that has its value."""
+        """Set the attributes of the conditions on this rank.
+
+        For each condition also store where its value comes from: a `_Source`, and the degree of freedom of its
+        function.
+        """
         supports, V, d = self.supports, self.V, self.d
         along_axes = ((k, c) for k, c in enumerate(self._sources) if c.axis != NORMAL_COMPONENT)
         source_dofs = [(k, supports.dofs(V, c.place, c.axis)) for k, c in along_axes]
@@ -247,7 +285,12 @@ class Prescribed:
         self.conditions.eliminate_zeros()
 
     def _normal_conditions(self) -> tuple[np.ndarray, np.ndarray, Array]:
-        """Return for conditions along normals: positions of sources (m,), nodes' first dofs (m,), directions (m, d)."""
+        """Return the m conditions along normals at nodes of this rank.
+
+        Returns:
+            Indices (m,) of the sources of their values, first degrees of freedom (m,) of their nodes, unit directions
+            (m, d).
+        """
         d, domain = self.d, self.supports.domain
         columns: list[Array] = [np.empty((0, d + 2))]  # source, block, normal
         for number, component in enumerate(self._sources):
@@ -266,11 +309,11 @@ class Prescribed:
     # ---------------------------------------------------------------- values
     @property
     def varies(self) -> BoolArray:
-        """Mask (k,) of the k conditions whose value is a function of place or time."""
+        """Mask (k,) of those conditions whose value is a function of place or time."""
         return np.array([*(source.expression is not None for source in self._sources), False])[self._source_of]
 
     def values(self, t: float) -> Array:
-        """Values (k,) of the k conditions at a time, not checked to be finite. Collective."""
+        """Return the values (k,) of the k conditions at the time t, which may not be finite. Collective."""
         values = np.zeros(len(self.entry))
         with self.supports.at.clock.at(t):
             for number, source in enumerate(self._sources):
@@ -281,14 +324,17 @@ class Prescribed:
         return values
 
     def condition_text(self, row: int, value: float) -> str:
-        """Text for errors on the condition `row` and its value."""
+        """Return words for error messages on the condition number `row` and its value."""
         if self._source_of[row] < 0:
             return "on the axis of revolution x = 0"
         source = self._sources[self._source_of[row]]
         return f"{source.place!r} prescribes {source.axis} = {value:.6g}"
 
     def place_of(self, row: int) -> Array | None:
-        """Place (d,) of the node of the condition `row`; None if degrees of freedom are not values at nodes."""
+        """Return the coordinates (d,) of the node of the condition number `row`.
+
+        Return None if the degrees of freedom of the space are not values at nodes.
+        """
         if not self._nodal:
             return None
         x = self.V.tabulate_dof_coordinates()[self.blocks[row], : self.d]

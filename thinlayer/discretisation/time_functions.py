@@ -1,4 +1,4 @@
-"""Clock of a model: the time as a constant in compiled forms, other time levels, and tables over time."""
+"""Clock of a model: the time as a constant in compiled forms, other time levels, and tables of values over time."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ SAMPLE_TIMES = np.array([-2.5, 0.0, 1.0, 7.0])  # times at which a table's ratio
 
 
 class Clock:
-    """The time of a model.
+    """The time of a model, as a constant in UFL forms.
 
-    Forms may read it inside the context `at`, which sets a time. Otherwise it is NaN, so that no form reads an old time
-    unnoticed. Forms at several times at once use `TimeLevel`.
+    The constant has a value only inside the context `at`, which sets a time. Otherwise it is NaN, so that no form reads
+    an old time unnoticed. Forms that contain several times use `TimeLevel`.
 
     Attributes:
         symbol: the time, a UFL constant.
@@ -61,7 +61,9 @@ class Clock:
 
 
 class TimeConstant(fem.Constant):
-    """A clock's constant in forms: the time, or the values (m,) of a table whose argument depends on the time alone.
+    """A constant of a clock in UFL forms: the time, or values of a table that depend on the time alone.
+
+    The m values of the table are evaluated at an argument, which is an expression of the time.
 
     Attributes:
         mesh: the mesh.
@@ -84,11 +86,11 @@ class TimeConstant(fem.Constant):
     __hash__ = fem.Constant.__hash__
 
     def at(self, t: float) -> float | Array:
-        """Value at a time: a number, or the m components (m,) of a table."""
+        """Return the value at the time t: the time itself, or the values (m,) of the table."""
         return t if self._table is None else self._table.at(self._argument_at(t))
 
     def _argument_at(self, t: float) -> float:
-        """The table's argument at a time; NaN where it has no value."""
+        """Return the argument of the table at the time t; NaN where the expression is not defined."""
         try:
             return float(t if self._argument is self._time else self._argument((), {self._time: float(t)}))
         except (ArithmeticError, ValueError, TypeError):
@@ -96,7 +98,10 @@ class TimeConstant(fem.Constant):
 
     @property
     def breaks(self) -> set[float]:
-        """Times at which the slope of the table's values changes; empty unless its argument is linear in the time."""
+        """Times at which the slope of the table's values changes.
+
+        They are known only if the table's argument is linear in the time; otherwise the set is empty.
+        """
         if self._table is None:
             return set()
         if not all(isinstance(node, (Terminal, *RATIONAL_OPERATORS)) for node in unique_pre_traversal(self._argument)):
@@ -108,15 +113,15 @@ class TimeConstant(fem.Constant):
 
 
 def time_constants(expression: Expr) -> list[TimeConstant]:
-    """Return the clock's constants in an expression or a form; empty if it does not depend on the time."""
+    """Return the constants of clocks in an expression or a form; none if it does not depend on the time."""
     return [c for c in extract_constants(expression) if isinstance(c, TimeConstant)]
 
 
 class TimeLevel:
-    """A time, other than that of the clock, at which expressions are evaluated.
+    """A time, besides that of the clock, at which expressions and forms are evaluated.
 
-    These expressions read constants that are separate from those of the clock. Forms at several time levels are
-    compiled once. To use one compiled form at several times, call `set`.
+    For it, expressions get constants that are separate from those of the clock. A form that contains several time
+    levels is compiled once. To evaluate a compiled form at another time, call `set`.
     """
 
     def __init__(self, t: float = 0.0) -> None:
@@ -129,7 +134,7 @@ class TimeLevel:
             constant.value = clock.at(t)
 
     def of(self, expression: Expr) -> Expr:
-        """Return an expression or a form that reads this time level instead of the clock."""
+        """Return an expression or a form in which constants of this time level replace those of the clock."""
         clocks = time_constants(expression)
         for clock in clocks:
             if clock not in self._constants:
@@ -137,15 +142,16 @@ class TimeLevel:
         return ufl_replace(expression, {c: self._constants[c] for c in clocks}) if clocks else expression
 
     def terms(self, terms: Iterable[Term]) -> list[Term]:
-        """Return the terms with prescribed strains at this time level."""
+        """Return terms whose prescribed strains are those at this time level."""
         strains = ((p, p.prescribed_strain) for p in terms)
         return [p if e is None else replace(p, prescribed_strain=self.of(e)) for p, e in strains]
 
 
 class StepStrains:
-    """Prescribed strains at both ends of a time step and where forces balance, as constants in compiled forms.
+    """Prescribed strains at both ends of a time step, and at the time between at which forces balance.
 
-    At rest they are zero: in the first step they act suddenly, as loads do.
+    They are constants in compiled forms. Forces balance at a fraction theta of the step. At rest all prescribed strains
+    are zero: in the first step they act suddenly, as loads do.
 
     Args:
         mesh: the mesh.
@@ -162,34 +168,41 @@ class StepStrains:
         self.grows = True
 
     def begin(self, old: float, new: float, theta: float, *, at_rest: bool) -> None:
-        """Begin a step from time `old`, or from rest, to `new`; forces balance at the fraction theta of it."""
+        """Begin a step from one time to another.
+
+        Args:
+            old: time at the begin of the step.
+            new: time at the end of the step.
+            theta: fraction of the step after which forces balance.
+            at_rest: whether prescribed strains are zero at the begin, as in the first step.
+        """
         self._old_factor.value, self._theta.value = 0.0 if at_rest else 1.0, theta
         self.grows = at_rest or self._varies
         self._old.set(old)
         self._new.set(new)
 
     def balanced(self, f: Expr) -> Expr:
-        """Value of f where forces balance, theta f(new) + (1 - theta) f(old), as for displacements."""
+        """Return the expression f where forces balance, theta f(new) + (1 - theta) f(old), as for displacements."""
         if not time_constants(f):
             return f
         return self._theta * self._new.of(f) + (1 - self._theta) * self._old_factor * self._old.of(f)
 
     def growth(self, f: Expr) -> Expr:
-        """Increment f(new) - f(old) over the step."""
+        """Return the increment f(new) - f(old) of the expression f over the step."""
         return self._new.of(f) - self._old_factor * self._old.of(f)
 
     def now(self, f: Expr) -> Expr:
-        """Value of f at the time set by `set_now`."""
+        """Return the expression f at the time that `set_now` sets."""
         return self._now_factor * self._now.of(f)
 
     def set_now(self, t: float, *, at_rest: bool = False) -> None:
-        """Set the time of `now`; at rest the values of `now` are zero."""
+        """Set the time of expressions from `now`; if `at_rest`, set these expressions to zero."""
         self._now_factor.value = 0.0 if at_rest else 1.0
         self._now.set(t)
 
 
 class PiecewiseLinear:
-    """Values at given times, linear in between; NaN before and after.
+    """Function of time that is linear between given values, and NaN before the first and after the last time.
 
     Attributes:
         times: (n,) the n times, increasing.
@@ -205,7 +218,7 @@ class PiecewiseLinear:
         self.breaks = tuple(map(float, times[[True, *changes.any(axis=1), True]]))
 
     def __call__(self, t: Expr) -> Expr | list[Expr]:
-        """Return the value at t, a number or a UFL expression; a list of components unless the table is scalar."""
+        """Return the value at t, which is a number or a UFL expression: a number or scalar, or a list of components."""
         if is_number(t) or isinstance(t, ufl.constantvalue.RealValue | ufl.constantvalue.Zero):
             y = [*map(float, self.at(float(t)))]
         else:
@@ -215,7 +228,7 @@ class PiecewiseLinear:
         return y[0] if self.scalar else y
 
     def at(self, t: float) -> Array:
-        """Values (m,) of the m components at a time."""
+        """Return the values (m,) of the m components at the time t, a number."""
         first, last = self.times[[0, -1]]
         tolerance = TIME_TOLERANCE * max(abs(first), abs(last))
         if not first - tolerance <= t <= last + tolerance:
@@ -223,7 +236,10 @@ class PiecewiseLinear:
         return np.array([np.interp(t, self.times, column) for column in self.columns.T])
 
     def _line(self, column: Array, t: Expr) -> Expr:
-        """UFL expression of a component with values `column` (n,) at an argument t that also depends on the place."""
+        """Return one component, in UFL, at an argument t that also depends on the place.
+
+        `column` (n,) has the values of the component at the n times.
+        """
         times, slopes = [*map(float, self.times)], map(float, np.diff(column) / np.diff(self.times))
         in_range = ufl.And(ufl.ge(t, times[0]), ufl.le(t, times[-1]))
         lengths = (ufl.max_value(0, ufl.min_value(t, b) - a) for a, b in pairwise(times))
@@ -239,7 +255,8 @@ def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr
     Time steps of models with memory end at the times where its slope changes.
 
     Args:
-        values: time -> the value then: components of a load, or the number of a prescribed displacement; at least two.
+        values: time -> value at this time: the components of a load, or one number, such as a displacement. At least
+            two times are needed.
 
     Returns:
         A function (x, t) for the data of a model; it returns numbers if t is a number.
@@ -270,7 +287,7 @@ def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr
 
 
 def _time_constant(expression: Expr) -> TimeConstant | None:
-    """Return the time constant in an expression that depends on the time alone; else None."""
+    """Return the clock's time constant in an expression that depends on the time alone; None for other expressions."""
     terminals = [node for node in unique_pre_traversal(expression) if isinstance(node, Terminal)]
     others = {node for node in terminals if not isinstance(node, (ConstantValue, MultiIndex))}
     terminal = others.pop() if len(others) == 1 else None
