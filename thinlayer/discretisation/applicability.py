@@ -101,7 +101,10 @@ class Applicability:
 
     @cached_property
     def free_rim(self) -> Rim:
-        """Ridges of free ends, where the layer's side is not constrained, or only in an oblique direction."""
+        """Ridges of free ends, where nothing constrains the layer's side, or only in an oblique direction.
+
+        An oblique direction is neither along S nor across it.
+        """
         return self.rim("free", "oblique")
 
     @cached_property
@@ -133,7 +136,7 @@ class Applicability:
 
     @property
     def is_coarse(self) -> BoolArray:
-        """Mask (n,) of the n ridges of `open_rim` whose cells of S are longer than the decay length of the pressure.
+        """Mask (n,) of the n ridges of `open_rim` at which a cell of S is longer than the decay length of the pressure.
 
         The interface law does not set its pressure to zero at these ridges: the pressure would be too small over a
         whole cell.
@@ -142,7 +145,7 @@ class Applicability:
 
     # ---------------------------------------------------------------- better laws
     def next_order(self) -> ThinLayer:
-        """Return the layer with an interface law of order 1, with which the error of its present law is estimated.
+        """Return the layer with an interface law of order 1, by which the error of its present law is estimated.
 
         The layer must meet the conditions of the use "estimate", see `why_not`. A `LinearElastic` law with lmbda > 0
         becomes `Rubber` with the same moduli, which has a pressure as additional unknown. It stays `LinearElastic` in
@@ -160,7 +163,7 @@ class Applicability:
     # ---------------------------------------------------------------- ends
     @property
     def free_end_text(self) -> str:
-        """Words in messages: "corrected", "none" or "not corrected, as ...", for the free ends in the interface law."""
+        """How the interface law treats free ends, as words in messages: "corrected", "not corrected, as ..." or "none"."""
         violation = self.why_not("ends")
         return f"not corrected, as {violation.reason}" if violation else "corrected" if self.weights else "none"
 
@@ -192,7 +195,7 @@ class Applicability:
 
     @cached_property
     def weights(self) -> FacetWeights | None:
-        """Relative losses of stiffness on the seam's facets near free ends; None if there are none or no correction."""
+        """Relative losses of stiffness on the seam's facets near free ends; None if no end is free or corrected."""
         return None if self.why_not("ends") or not len(self.free_rim.vertices) else self.all_weights
 
 
@@ -215,7 +218,7 @@ def softest_body(seam_layer: SeamLayer) -> float:
 
 # ---------------------------------------------------------------- conditions, in the order in which they are checked
 def _law_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield the conditions that the law of `r.layer` violates for any interface law or mesh of the layer."""
+    """Check that the law of the layer `r.layer` can be used, on S or meshed; yield each violated condition."""
     seam_layer, structure, element = r.layer, r.layer.structure, r.layer.structure.element
     seam_layer.law.check_dimension(structure.joint.dim)
     if seam_layer.contact:
@@ -235,9 +238,9 @@ def _law_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _next_order_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield the conditions that `r.layer` violates for an interface law of order 1; none for order 0.
+    """Check that the layer `r.layer` can have an interface law of order 1; yield each violated condition.
 
-    Conditions at tips and junctions of the seam come last.
+    A layer of order 0 violates none. Conditions at tips and junctions of the seam come last.
     """
     thin, structure, sheet = r.layer.thin_layer, r.layer.structure, r.layer.sheet
     if thin is None or thin.order == 0:
@@ -278,7 +281,7 @@ def _mean_strain_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _support_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield a violation if a support constrains the own side of `r.layer` but not the bodies beside it.
+    """Yield a violation if a support constrains only the side of the layer `r.layer`, not the bodies beside it.
 
     Such a support has a name of the kind "NAME/LAYER": the part of the facet set NAME on the layer's own side.
     """
@@ -294,9 +297,9 @@ def _thickness_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield the conditions that `r.layer` violates for an interface law of order 1 that corrects its free ends.
+    """Check that an interface law of order 1 can correct the free ends of the layer `r.layer`; yield each violation.
 
-    A layer without free ends only needs an interface law of order 1.
+    If no end is free, the only condition is that the interface law is of order 1.
     """
     thin, joint = r.layer.as_thin_layer, r.layer.structure.joint
     if thin.order == 0:
@@ -330,9 +333,10 @@ def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Violation]:
-    """Yield the conditions that `r.layer` violates for being flat, with straight free ends between much stiffer bodies.
+    """Check that the layer `r.layer` is flat, with straight free ends, and much softer than the bodies.
 
-    `contrast` is Young's modulus of the softest body over the shear modulus of the layer.
+    Yield each violated condition. `contrast` is Young's modulus of the softest body over the shear modulus of the
+    layer.
     """
     sheet = r.layer.sheet
     if r.bend_text:
@@ -350,9 +354,9 @@ def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Viol
 
 
 def _pressure_excess_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield the conditions that `r.layer` violates for estimating by how much the pressure of its law is too large.
+    """Check that the error of the pressure in the interface law of `r.layer` can be estimated; yield each violation.
 
-    An interface law of order 0 lets no material flow along S and so overestimates the pressure.
+    An interface law of order 0 lets no material flow along S, and so overestimates the pressure.
     `thinlayer.surface.pressure_excess` estimates the excess.
     """
     seam_layer = r.layer
@@ -375,7 +379,10 @@ def _pressure_excess_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _subproblem_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield the conditions that `r.layer` violates for solving it alone, for given displacements of its faces."""
+    """Check that the layer `r.layer`, meshed without bodies, can be solved for given displacements of its faces.
+
+    Yield each violated condition.
+    """
     traits, law_name = r.layer.law.traits, r.layer.law_name
     if traits.phases or traits.softens:
         law_remedy = "take mixing=1, or NonMonotoneUnrelaxed, and " * (traits.phases and traits.softens)
@@ -387,9 +394,9 @@ def _subproblem_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _neumann_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield a violation if some strain of `r.layer` causes no stress.
+    """Yield a violation if some strain of the layer `r.layer` causes no stress.
 
-    The layer without bodies then has no unique displacements under forces on its faces.
+    Forces on the layer's faces then do not determine its displacements, if it is meshed without bodies.
     """
     slots = r.layer.structure.kinematics.slots(r.layer.structure.joint.dim)
     tangents = [C for s in r.layer.samples for _, _, C in s.initial_tangents.sublayers if C is not None]
@@ -401,9 +408,10 @@ def _neumann_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _bonded_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield a violation if `r.layer` is curved or varies in thickness, so that bonded bodies cannot replace it.
+    """Yield a violation if the layer `r.layer` is curved or varies in thickness, so that a bond cannot replace it.
 
-    A flat, uniform layer shifts the bodies as rigid bodies, so that they have the shape of the bonded bodies.
+    A flat, uniform layer shifts the bodies without changing their shape, so that bodies bonded on S have the same
+    shape.
     """
     if r.bend_text:
         reason = f"bonded bodies meet on S, where {r.layer} {r.bend_text} leaves them in no place"
@@ -411,15 +419,15 @@ def _bonded_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _rate_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield a violation if the stress in `r.layer` depends on strain rates, which a state does not contain."""
+    """Yield a violation if the stress in the layer `r.layer` depends on strain rates, which a state does not contain."""
     if r.layer.law.traits.rate:
         yield Violation("rate", f"{r.layer.law_name} has a rate, of which a state does not know", "mesh the layer")
 
 
 def _corner_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield the conditions that `r.layer` violates for knowing the exponents of the singular stresses at its free ends.
+    """Check that the exponents of the singular stresses at the free ends of `r.layer` are known; yield each violation.
 
-    The exponents are those of a wedge of 90 degrees on a rigid face in plane strain.
+    The exponents are those at the corner of a wedge of 90 degrees on a rigid face in plane strain.
     """
     if not r.layer.law.traits.linear:
         yield Violation("not linear", f"exponents are known of linear laws, not of {r.layer.law_name}")

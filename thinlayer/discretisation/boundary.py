@@ -70,7 +70,7 @@ def require_shifts(kinematics: Kinematics, joint: Joint) -> None:
 def boundary_values(
     domain: Domain, kinematics: Kinematics, name: str, what: str, *, inside: bool = False, side: bool = False
 ) -> tuple[int, ...]:
-    """Return the tags of a named facet set on the outer boundary, as in `domain.facet_tags`.
+    """Return the tags, in `domain.facet_tags`, of a named facet set on the outer boundary.
 
     Args:
         domain: the distributed mesh, with the joint's names.
@@ -112,10 +112,10 @@ def refuse_periodic(joint: Joint, name: str, what: str) -> None:
 def node_normals(domain: Domain, V: fem.FunctionSpace, place: str) -> tuple[IntArray, Array]:
     """Return the nodes of a facet set, each with the weighted outer normals of the facets around it. Collective.
 
-    The normals of one node add up to the direction of its mean normal. The weight at a vertex is sin(angle)/(product of
-    lengths) of the facet's two edges there, in 2D 1/length; at other nodes it is 1. At vertices on circles and spheres
-    the sum then has the exact direction, however the side is divided into triangles. Reference: Max 1999, Weights for
-    computing vertex normals from facet normals.
+    The sum of the weighted normals at a node has the direction of the mean normal there. The weight at a vertex is
+    sin(angle)/(product of lengths) of the facet's two edges there, in 2D 1/length; at other nodes it is 1. At vertices
+    on circles and spheres the sum then has the exact direction, however the side is divided into triangles. Reference:
+    Max 1999, Weights for computing vertex normals from facet normals.
 
     Where bodies gave up room for a meshed layer, facets of the layer's side may be oblique. They get the normals of the
     bodies' side that they continue.
@@ -178,10 +178,17 @@ def side_normals(joint: Joint, name: str, ridges: IntArray) -> Array:
 
 
 def _continued_normals(domain: Domain, place: str, facets: Indices) -> Array:
-    """Return the outer unit normals (n, d) of the bodies' side that n facets of a layer's side continue.
+    """Return, for facets of a layer's side, the outer normals of the bodies' side that they continue.
 
-    They are those in the joint as drawn, before S is opened to the layer's thickness. Facets of bodies get NaN. `place`
-    is the name of the facet set, and `facets` (n,) are its facets as local numbers.
+    The normals are those in the joint as drawn, before S is opened to the layer's thickness.
+
+    Args:
+        domain: the distributed mesh, in d dimensions.
+        place: name of the facet set.
+        facets: (n,) local numbers of facets of this set.
+
+    Returns:
+        Unit normals (n, d); NaN for facets that are not on a layer's side.
     """
     joint, band, name = domain.joint, domain.joint.band, FacetName.parse(place).whole
     out = np.full((len(facets), joint.dim), np.nan)

@@ -216,16 +216,17 @@ class BrokenMesh:
                     raise violation.error()
 
     def _at_vertices(self, tag: int) -> tuple[fem.Function, Indices, Array]:
-        """Return a function of degree 1 on the mesh, and its dofs at the vertices of the facets with a tag.
+        """Return a function of degree 1 on the mesh, and where its values belong to the facets of S with a tag.
 
-        The dofs are local numbers (n,), followed by the coordinates (d, n) of their vertices in d dimensions.
+        Returns:
+            The function, the local numbers (n,) of its dofs at vertices of these facets, and their coordinates (d, n).
         """
         f = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1)))
         dofs = fem.locate_dofs_topological(f.function_space, self._dim - 1, self.facet_tags.find(tag))
         return f, dofs, f.function_space.tabulate_dof_coordinates()[dofs, : self._dim].T
 
     def _law_on_facets(self, tag: int, law: BulkLaw) -> BulkLaw:
-        """Return the law with UFL expressions as parameters, for integrals over the facets with a tag.
+        """Return a law with UFL expressions as parameters, for integrals over the facets with a tag.
 
         A parameter that is a function of the place becomes its interpolant on S, linear between vertices. Numbers
         become Constants.

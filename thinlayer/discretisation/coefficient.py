@@ -240,7 +240,11 @@ class Coefficient:
         return components
 
     def _component(self, component: Expr) -> Expr:
-        """Return a component as a finite number or a UFL scalar; raises InputError if it is neither."""
+        """Return a component as a finite number or a UFL scalar.
+
+        Raises:
+            InputError: it is neither.
+        """
         if isinstance(component, np.ndarray):
             component = component[()]
         if is_finite(component):
@@ -285,7 +289,10 @@ class Coefficient:
     # ---------------------------------------------------------------- values
     @cached_property
     def expression(self) -> Expr:
-        """Value in UFL, (*shape). Numbers are Constants, so that forms are compiled once for all numbers."""
+        """The value as a UFL expression of the shape `shape`.
+
+        Numbers become Constants, so that forms are compiled once for all numbers.
+        """
         if not self.varies:
             return fem.Constant(self.at.mesh, self.components.astype(float))
         return ufl.as_tensor(self.components.tolist()) if self.shape else ufl.as_ufl(self.components[()])
@@ -306,7 +313,7 @@ class Coefficient:
         """Return this coefficient if it does not depend on the place.
 
         Args:
-            body: what has a single value of it, in the message, such as "the whole cell".
+            body: words of the message for what needs a single value, such as "the whole cell".
 
         Raises:
             InputError: it depends on the place.
@@ -354,7 +361,7 @@ class Pressure:
 
 
 def values_by_body(values: T | Mapping[str, T], joint: Joint, what: str = "", more: Sequence[str] = ()) -> dict[str, T]:
-    """Return body name -> value, in the joint's order of bodies.
+    """Return a dictionary from the name of each body to its value, in the joint's order of bodies.
 
     Args:
         values: one value for all bodies, or a mapping from names to values. Bodies that it does not name have no value
@@ -386,13 +393,13 @@ def _shape_of(content: Nested) -> Shape:
 
 
 def has_finite_numbers(expression: Expr) -> bool:
-    """Whether all numbers in a UFL expression are finite and real, so that it can be compiled."""
+    """Return whether all numbers in a UFL expression are finite and real, so that it can be compiled."""
     numbers = (node for node in unique_pre_traversal(expression) if isinstance(node, ComplexValue | RealValue))
     return all(isinstance(number, RealValue) and math.isfinite(float(number)) for number in numbers)
 
 
 def depends_on_place(expression: Expr) -> bool:
-    """Whether a UFL expression depends on the place."""
+    """Return whether a UFL expression depends on the place, by a function on the mesh or by its geometry."""
     return any(isinstance(node, (ufl.Coefficient, GeometricQuantity)) for node in unique_pre_traversal(expression))
 
 

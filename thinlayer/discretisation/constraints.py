@@ -275,7 +275,7 @@ class Constraints:
 
     # ---------------------------------------------------------------- values
     def values(self, t: float) -> Array:
-        """Values (h,) of the h constrained unknowns `bc_dofs` at a time. Collective.
+        """Return the values (h,) of the h constrained unknowns `bc_dofs` at the time t. Collective.
 
         Raises:
             InputError: two conditions prescribe different values of a displacement, or a value is not finite.
@@ -313,7 +313,7 @@ class Constraints:
     def _require_agreement(self, c: Array, when: str = "") -> None:
         """Raise InputError if prescribed values `c` (r,) of this rank's r conditions contradict each other.
 
-        `when` is the time as words of the message.
+        `when` are words with the time, which end the message.
         """
         residual = self._from_groups([group.residual(values) for group, values in self._group_values(c)])
         largest = self.comm.allreduce(float(np.abs(c).max(initial=0.0)), max)
@@ -452,16 +452,17 @@ class Constraints:
     def admissible(self, motions: Sparse) -> tuple[Sparse, Sparse]:
         """Return motions that satisfy the constraints, made from given ones, and how far the given ones violate them.
 
-        The motions are the c given ones and the m motions of all multi-point constraints. Their constrained unknowns
-        are set to zero.
+        Motions of the multi-point constraints are added to the c given ones. Then the constrained unknowns are set to
+        zero in all of these motions.
 
         Args:
             motions: (n, c) sparse matrix of the given motions, for the n displacements of this rank.
 
         Returns:
-            The displacements (n, c + m) of the motions that satisfy the constraints, and a Gram matrix (c + m, c + m).
-            Entry (i, j) of the latter is the scalar product of the violations of all constraints by motions i and j.
-            Its quadratic form is zero for a combination of motions that satisfies all constraints.
+            The displacements (n, c + m) of the motions that satisfy the constraints; m is the number of added motions.
+            And a Gram matrix (c + m, c + m). Entry (i, j) is the scalar product of the violations of all constraints by
+            motions i and j, before unknowns are set to zero. Its quadratic form is zero for a combination of motions
+            that satisfies all constraints.
         """
         c, m = motions.shape[1], sum(mpc.count for mpc in self.mpcs)
         starts = dict(zip(self.masters, np.cumsum([0, *(mpc.count for mpc in self.mpcs)]).tolist(), strict=False))
@@ -478,7 +479,7 @@ class Constraints:
         return distributed_product(self.T, z), self.comm.allreduce(gram)
 
     def resistance(self, motions: Callable[[IntArray], Array]) -> Array:
-        """Return the Gram matrix (c, c) of c motions: scalar products of their violations of all constraints.
+        """Return how far c motions violate the constraints: the scalar products (c, c) of their violations.
 
         The motions of multi-point constraints adapt so that the violations are least; a Schur complement eliminates
         them.

@@ -109,7 +109,7 @@ class NodePairs:
 
     @staticmethod
     def joined(by_seam: Sequence[NodePairs]) -> NodePairs:
-        """Return the nodes of several seams as one object."""
+        """Return the nodes of several seams as one object, in the order of `by_seam`."""
         surface = next((nodes.surface for nodes in by_seam if nodes.surface.lower is not None), by_seam[0].surface)
         arrays = ((s.upper, s.lower_numbers, s.x, s.weights, s.frames, s.gap) for s in by_seam)
         return NodePairs(surface, *map(np.concatenate, zip(*arrays, strict=True)))
@@ -222,9 +222,9 @@ class ContactNodes(NodePairs):
 
     Attributes:
         file_numbers: (n,) unique number of each node, also where several nodes share a vertex; the same on any number
-            of ranks. The highest bits are the number in the joint of a facet to which the node belongs. Each of the
-            lowest k bits stands for one of the k vertices of this facet, in ascending order: it is 1 if the node is the
-            vertex, or lies in an edge or the facet with this vertex.
+            of ranks. Its highest bits are the number in the joint of a facet that has the node. Its lowest k bits stand
+            for the k vertices of this facet, sorted by number. A bit is 1 if the node is this vertex, or lies inside an
+            edge or facet that has this vertex.
         is_fixed: (n, d) mask of the components of the jump, along x, y and z, that supports prescribe.
         is_fixed_upper: (n, d) mask of the components of the upper side's displacement that supports prescribe.
     """

@@ -41,8 +41,8 @@ class LoadRegion:
             cells it is the value on one side of S.
         mean: function from a displacement, in UFL, to the displacement with which the load does work. For a layer
             without cells this is the mean over the thickness.
-        base_test: function from a motion of bodies and rigid base to the motion of the base's share in `mean`, such as
-            half of it. None: there is no rigid base.
+        base_test: function from a motion of the bodies, in UFL, to what a rigid base that moves with them adds to this
+            mean. None: there is no rigid base.
     """
 
     measure: ufl.Measure
@@ -188,10 +188,10 @@ class Forces:
         return sum((ufl.inner(load, region.mean(v)) * region.measure for _, load, region, _ in loads), form)
 
     def work_on_bases(self, v: Expr) -> dict[str, Expr]:
-        """Return, by seam, the virtual work of the loads that act directly on the seam's rigid base.
+        """Return name of a seam -> virtual work of the loads that act directly on the seam's rigid base.
 
-        It is a UFL form, linear in a motion v of the bodies that the bases follow. It takes its time from the model's
-        clock.
+        It is a UFL form, linear in a motion v of the bodies in which the rigid bases move with them. It takes its time
+        from the model's clock.
         """
         forms: dict[str, Expr] = {}
         for _, load, region, name in self._loads:

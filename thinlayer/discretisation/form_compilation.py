@@ -103,7 +103,7 @@ def compiled_summands(form: Expr) -> list[fem.Form]:
 
 
 def zero_matrix(V: fem.FunctionSpace, form: Expr) -> PETSc.Mat:
-    """Return a matrix of zeros over V that can store the bilinear forms on the cells and facets of `form`."""
+    """Return a matrix over V, filled with zeros, with entries for any bilinear form on the cells and facets of a form."""
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     one_sided, two_sided = ufl.inner(u, v), ufl.inner(u("+") + u("-"), v("+") + v("-"))
     integrals = {}

@@ -129,7 +129,7 @@ class FullModel(Model):
         return LoadRegion(self.dx(self.domain.cell_values(*regions)), self.kinematics.factor)
 
     def _junction_regions(self, name: str) -> list[str]:
-        """Names of the junctions' cell regions that have the law of the seam `name`."""
+        """Return the names of those regions of cells, where layers meet, that have the law of the seam `name`."""
         return [region for region, seam in band_of(self.domain.joint).junctions.items() if seam == name]
 
 
@@ -189,14 +189,14 @@ class LayerModel(FullModel):
 
     @property
     def surface_identity(self) -> object:
-        """Object that is the same (`is`) for models whose fields on S can be used for one another.
+        """Object that is one and the same for all models whose fields on S fit each other.
 
-        A model with cells refined at ends only has its own fields: the object is the model itself.
+        A model with cells refined at ends has fields that fit no other model: the object is the model itself.
         """
         return super().surface_identity if self._at_ends is None else self
 
     def require_supported(self) -> None:
-        """Accept any supports: the bodies, which would support the layers, are not in this model."""
+        """Accept the model without supports, as it has no bodies that would support its layers."""
 
 
 def meeting_layers(joint: Joint, seams: Iterable[str]) -> Violation | None:

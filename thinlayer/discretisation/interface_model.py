@@ -184,7 +184,7 @@ class InterfaceModel(Model):
         return self.applicability[name].why_not("ends")
 
     def terms_of(self, layer: SeamLayer) -> list[forms.Term]:
-        """Return the terms on S of a layer without a contact law."""
+        """Return the terms, on S, of a layer's interface law; the layer must not have a contact law."""
         mesh, law, sides = self.domain.mesh, law_with_numbers(layer.layer, self.kinematics), self.sides_of(layer.name)
         # UFL would estimate a high degree for slopes and lengths of the middle
         measure = sides.measure.reconstruct(**self._metadata(sides.measure, always=self._middle))

@@ -38,9 +38,15 @@ class Key:
         return replace(self, kind=PRESSURE_KIND)
 
     def numbered(self, k: int) -> Key:
-        """Return the key of the k-th of several laws with this key, from 1; sublayers count from the lower face."""
+        """Return the key of the law number `k`, from 1, of several laws with this key.
+
+        Sublayers are counted from the lower face.
+        """
         return Key(self.kind, str(k)) if self in (Key(LAYER_KIND), Key(BODY_KIND)) else Key.parse(f"{self}/{k}")
 
     def belongs_to(self, layer: Key) -> bool:
-        """Return whether this key is `layer`, the key of a layer, or one of its sublayers, UFL forms or pressure."""
+        """Return whether this key is that of a layer, or of the layer's sublayers, UFL forms or pressure.
+
+        `layer` is the key of the layer.
+        """
         return self == layer.pressure or (self.kind == layer.kind and layer.name in ("", self.name))

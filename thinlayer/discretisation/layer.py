@@ -234,7 +234,7 @@ class InitialTangents:
     def locks(self) -> Violation | None:
         """Return why the interface law of order 1 is much too stiff (it locks); None if it is not.
 
-        It assumes displacements that are linear through the layer, and so locks if lmbda/mu of a sublayer is large.
+        It takes displacements as linear through the layer, and so locks if lmbda/mu of a sublayer is large.
         """
         max_ratio = min(station.largest_ratio for station in self.law.stations())
         for _, law, C in self.sublayers:
@@ -292,7 +292,7 @@ class SeamLayer:
 
     @property
     def as_thin_layer(self) -> ThinLayer:
-        """The layer as a `ThinLayer`, never None; a law of jumps or of nodes has no such property."""
+        """The layer as a `ThinLayer`; not for a law of jumps or of nodes."""
         assert self.thin_layer is not None
         return self.thin_layer
 
@@ -303,7 +303,7 @@ class SeamLayer:
 
     @cached_property
     def sheet(self) -> Sheet:
-        """The seam as a surface in its own right: straight segments in 2D, triangles in 3D."""
+        """The seam, divided into straight segments in 2D or triangles in 3D."""
         return Sheet(self.structure.joint, self.name)
 
     @property
@@ -330,9 +330,9 @@ class SeamLayer:
         return InitialTangents(law_with_numbers(self.layer, self.structure.kinematics), self.sheet.mean_normal)
 
     def prescribed_strain(self, at: Coordinates) -> Expr | None:
-        """Return the strain (3, 3) that is added to the strain of the displacements: minus the eigenstrain, in UFL.
+        """Return minus the eigenstrain of the layer, (3, 3) in UFL, which is added to the strain of displacements.
 
-        It is None if there is no eigenstrain. `at` has the place and the time as arguments of functions.
+        Return None if there is no eigenstrain. `at` has the place and the time as arguments of functions.
         """
         if self.thin_layer is None:
             return None

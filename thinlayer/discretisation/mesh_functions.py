@@ -45,7 +45,7 @@ def cellwise_function(domain: Domain, element: Element, values: Array) -> fem.Fu
 
 
 def relative_thickness(domain: Domain, profile: Profile, name: str = S) -> fem.Function:
-    """Return the thickness of a layer over its length eps, as a function of degree 1 on the mesh.
+    """Return the thickness of a layer, divided by `ThinLayer.eps`, as a function of degree 1 on the mesh.
 
     Values away from the seam have no meaning.
 
@@ -59,7 +59,10 @@ def relative_thickness(domain: Domain, profile: Profile, name: str = S) -> fem.F
 
 
 def band_of(joint: Joint) -> InflatedBand:
-    """Return the description of the meshed layers of a joint: their regions and faces; the joint must have some."""
+    """Return the regions and faces of the meshed layers of a joint, and how they were meshed.
+
+    The joint must have meshed layers.
+    """
     assert joint.band is not None
     return joint.band
 
@@ -120,8 +123,8 @@ def sampled_function(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Fun
         what: first words of error messages.
 
     Returns:
-        A function that is a polynomial in each cell, accurate to 1e-6 of the change of f in a cell at the interpolation
-        points.
+        A function that is a polynomial in each cell. At its interpolation points it has the values of f, but for 1e-6
+        of the change of f in a cell.
 
     Raises:
         InputError: a place lies outside the other mesh.

@@ -159,8 +159,8 @@ class Model(ABC):
             plain `ufl.dx` in the same form, `dolfinx.fem.form` does not.
         bodies, layer_terms: terms of the laws of the bodies and of the layers, with prescribed strains that may depend
             on the time; `State.bodies` and `State.layers` are these terms at the time of a state.
-        body_strains, layer_strains: name of a body, or of a seam -> the strain (3, 3) that is added to that of the
-            displacements, which is minus the eigenstrain; None: no strain is added.
+        body_strains, layer_strains: name of a body, or of a seam -> minus its eigenstrain (3, 3), which is added to the
+            strain of the displacements; None: there is no eigenstrain.
         supports: displacements that supports prescribe.
         constraints: the supports as conditions at the nodes of V, and the multi-point constraints.
         forces: tractions, body forces, and loads at points and along lines.
@@ -265,18 +265,18 @@ class Model(ABC):
         return result
 
     def _body_strain(self, name: str) -> Expr | None:
-        """Return the strain (3, 3) that is added to that of displacements in the body `name`; None: no strain is added.
+        """Return minus the eigenstrain of the body `name`, (3, 3) in UFL, which is added to the strain of displacements.
 
-        It is minus the eigenstrain, in UFL.
+        Return None if there is no eigenstrain.
         """
         law, n = self.kinematics.law(self.body_laws[name]), self.structure.sheet.mean_normal
         body = EigenstrainContext(f"the body {name!r}", law, n, self.structure.kinematics, self.coordinates)
         return prescribed_strain(self.structure.eigenstrains.get(name), body)
 
     def _layer_strain(self, layer: SeamLayer) -> Expr | None:
-        """Return the strain (3, 3) that is added to that of displacements in a layer; None: no strain is added.
+        """Return minus the eigenstrain of a layer, (3, 3) in UFL, which is added to the strain of displacements.
 
-        It is minus the eigenstrain, in UFL.
+        Return None if there is no eigenstrain.
         """
         return layer.prescribed_strain(self.coordinates)
 
@@ -319,7 +319,7 @@ class Model(ABC):
         return forces
 
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
-        """Return the coordinates and time at places where layers act, from those on the mesh."""
+        """Return the coordinates and time in layers, made from those on the mesh, `at`."""
         return at
 
     @abstractmethod
@@ -338,7 +338,7 @@ class Model(ABC):
 
     @property
     def surface_identity(self) -> object:
-        """Object that is the same (`is`) for models whose fields on S can be used for one another."""
+        """Object that is one and the same for all models whose fields on S fit each other."""
         return self.joint.points  # which joints with other seams or periods take from the first one
 
     @abstractmethod
@@ -531,12 +531,11 @@ class Model(ABC):
         return {"metadata": {"quadrature_degree": quadrature_degree(self.V, measure) + self.kinematics.degree}}
 
     def volume_degree(self, law: BulkLaw) -> int | None:
-        """Return the degree of polynomials onto which the volume strain is projected in a body with isochoric flow.
+        """Return the polynomial degree to which the volume strain is projected in each cell, for a law with isochoric flow.
 
-        The polynomials are of single cells. Their degree is one below that of the displacements. Return None if no
-        projection is needed: in straight triangles and tetrahedra the volume strain has this degree anyway. Other cells
-        have more modes of volume strain. A flow without volume change would have to keep all of them at zero, so that
-        the cells lock (Sloan and Randolph 1982).
+        It is one below the degree of the displacements. Return None if no projection is needed: in straight triangles
+        and tetrahedra the volume strain has this degree anyway. Other cells have more modes of volume strain. A flow
+        without volume change would have to keep all of them at zero, so that the cells lock (Sloan and Randolph 1982).
         """
         straight = not (is_tensor(self.joint.cell_type) or self.kinematics.degree)
         return self.structure.degree - 1 if law.traits.isochoric and not straight else None
@@ -593,7 +592,8 @@ class Model(ABC):
     def bc_dofs_in(self, V: fem.FunctionSpace) -> Indices:
         """Return the local degrees of freedom of V, ghosts included, that supports and multi-point constraints act on.
 
-        Collective. Clamped facets, such as those of a rigid base, are left out.
+        Collective. Those of clamped facets, as on a rigid base, and of the vertex at which a periodic joint is fixed
+        are left out.
         """
         part_dofs = [part.bc_dofs_in(self, V) for part in self.parts]
         return np.unique(np.concatenate([self.supports.bc_dofs_in(V, clamped=False), *part_dofs]))
@@ -614,7 +614,7 @@ class Model(ABC):
         return [*(place for place, _ in self.supports.entries), *plates, *bases]
 
     def by_place(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return name of a seam, or "bodies" -> sum of the values of its layer, or of all bodies.
+        """Return sums of values: for the layer of each seam by name, and for all bodies under "bodies".
 
         In a joint with one seam the layer has no entry. "bodies" has one only if the law of a body has memory or
         depends on rates.

@@ -61,9 +61,9 @@ class PartDefinition(FormerNames):
 
     @property
     def has_work(self) -> bool:
-        """Whether the part has a multi-point constraint, or its class defines `work`.
+        """Whether `work` gives the virtual work of the part's forces.
 
-        Then its forces on the nodes, if any, depend on the displacements alone.
+        This is so if its class defines `work`, or if the part has a multi-point constraint.
         """
         return self.ties_nodes or type(self).work is not PartDefinition.work
 

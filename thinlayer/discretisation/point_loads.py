@@ -158,12 +158,12 @@ class LineLoad:
 
 
 def _in_one_body(joint: Joint, cells: IntArray, components: Indices, load: ConcentratedLoad) -> int:
-    """Return the index in `cells` of the cell with the lowest number of those that the loaded body has around a load.
+    """Return the index in `cells` of one cell of the loaded body: that with the lowest number.
 
     Args:
         joint: the joint.
         cells: (n,) numbers of the cells that contain the loaded vertex or edge.
-        components: (n,) which of the nodes at this vertex or edge each cell has; several bodies have several nodes.
+        components: (n,) number of the node that each cell has there; where S separates bodies, there are several nodes.
         load: the load, which may name the loaded body.
 
     Raises:
@@ -204,8 +204,9 @@ def check_loads(loads: Iterable[ConcentratedLoad]) -> tuple[ConcentratedLoad, ..
 class ConcentratedForms:
     """Loads at points and along lines as forces per volume that do the same virtual work.
 
-    A force F at a place in a cell becomes F g. The function g is a polynomial on the cell, such that the integral of F
-    . v g is F . v at this place, for all displacements v of the element.
+    A force F at a place in a cell becomes the force per volume F g/J. J is the volume of the cell over that of the
+    reference cell. The polynomial g is such that the integral of F . v g over the reference cell is F . v at the place.
+    This holds for all displacements v of the cell.
 
     Args:
         domain: the distributed mesh.

@@ -88,7 +88,7 @@ class MeanStress(MeanStrain):
 
     Raises:
         InputError: the value or the joint is not allowed for a `MeanStrain`; the cell is not periodic in all
-            directions; a law of `bodies` is not linear, or has a stress at rest.
+            directions; a law of `bodies` is not linear, or has a stress without strain.
     """
 
     what = "the mean stress"
@@ -104,7 +104,7 @@ class MeanStress(MeanStrain):
 
     @property
     def count(self) -> int:
-        """Number of independent components: 3 in two dimensions, 6 in three."""
+        """Number of independent components of the stress: 3 in two dimensions, 6 in three."""
         return self._dim * (self._dim + 1) // 2
 
     def components(self, t: float) -> Array:
@@ -131,7 +131,7 @@ class EigenstrainContext:
 
     Attributes:
         name: name of the body or layer in messages.
-        law: its law for the given kinematics, with numbers or functions of the place as parameters.
+        law: law of the body or layer for `kinematics`; its parameters are numbers or functions of the place.
         n: mean unit normal of S, (d,) in d dimensions.
         kinematics: strains of displacements.
         at: coordinates and time.
@@ -144,9 +144,10 @@ class EigenstrainContext:
     at: Coordinates
 
     def tensor_rows(self, value: object, what: str) -> TensorRows:
-        """Return a user's tensor as rows of numbers or UFL scalars, (d, d) or (3, 3) as given.
+        """Return a user's tensor as rows of numbers or UFL scalars.
 
-        A single number becomes a multiple of the identity (3, 3).
+        The rows have the shape (d, d) or (3, 3) of the user's table. A single number becomes a multiple of the identity
+        (3, 3).
 
         Args:
             value: the tensor as the user wrote it.
@@ -282,8 +283,8 @@ class Prestress(Eigenstrain):
     Attributes:
         sigma: stress, tension > 0: a number (times the identity), a symmetric table (3, 3), or a function (x, t). In
             two dimensions also (2, 2): sigma_33 follows from plane strain, as lmbda/(2 (lmbda + mu)) (s_11 + s_22) for
-            isotropic laws. In plane stress sigma_33 is zero, and only this is allowed. Bodies of revolution need (3,
-            3), with the hoop stress.
+            isotropic laws. In plane stress sigma_33 is zero, and only this is allowed. Bodies of revolution need
+            (3, 3), with the hoop stress.
 
     Example:
         >>> from forms import LinearElastic
@@ -381,7 +382,7 @@ def _is_table(rows: Sequence[object]) -> bool:
 
 
 def prescribed_strain(eigenstrain: EigenstrainInput | None, matter: EigenstrainContext) -> Expr | None:
-    """Return the strain (3, 3), in UFL, that is added to the strain of displacements: minus the eigenstrain.
+    """Return minus the eigenstrain of a body or layer, (3, 3) in UFL, which is added to the strain of displacements.
 
     Return None if it is zero.
 
@@ -402,7 +403,7 @@ def prescribed_strain(eigenstrain: EigenstrainInput | None, matter: EigenstrainC
 class VaryingStrainIntegrals:
     """Integrals of prescribed strains over single cells or facets, for strains that vary in time or place. Collective.
 
-    Terms with other prescribed strains are left out.
+    Terms whose prescribed strains do not vary are left out.
 
     Args:
         terms: the terms of bodies and layers.
@@ -419,9 +420,9 @@ class VaryingStrainIntegrals:
                 self._forms.append((p, compiled(ufl.inner(strain, q) * p.measure)))
 
     def integrals(self, t: float) -> list[Array]:
-        """Return, for each term, the integrals at the time t of its prescribed strain over this rank's cells or facets.
+        """Return, for each term with a strain that varies, its integrals over this rank's cells or facets at the time t.
 
-        Each array has the 9 components of one cell after those of another.
+        Each array has the 9 components in one cell after those in another.
 
         Raises:
             InputError: a strain that is not finite.

@@ -150,8 +150,8 @@ def resistance_matrix(model: Model, resistances: Sequence[Resistance]) -> Array:
     Rows and columns belong to the m motions of `scaled_motions`. Entry (i, j) is the sum of two contributions. The
     first is the scalar product of the displacements in motions i and j along the directions of all support conditions.
     Multi-point constraints, such as rigid plates, adapt so that these displacements are least. The second is the
-    stiffness of other parts, such as springs. As only its null space counts, it is made symmetric and divided by its
-    largest absolute entry.
+    stiffness of other parts, such as springs. The stiffness of each part is made symmetric and divided by its largest
+    absolute entry, as only its null space counts.
 
     Args:
         model: the model.

@@ -1,8 +1,8 @@
 """Tractions on the side of a layer without cells, as forces of order eps on the layer's two faces.
 
 The side is the layer's own boundary at an end of S; its height is the thickness eps. Per length of this end, a traction
-t on the side does the work eps t . v, with the mean displacement v of the side. If the faces have the displacements <u>
--+ [u]/2, order 1 approximates v by <u>: each face gets half of the force.
+t on the side does the work eps t . v, with the mean displacement v of the side. If the faces have the displacements
+<u> -+ [u]/2, order 1 approximates v by <u>: each face gets half of the force.
 
 At a free end the side has further displacements of the same size. They are -(c_N M/lmbda) [u_N] along the outward
 normal m in S, and -c_T [u_m] along n. Here M is lmbda + 2 mu, and c_N, c_T and rho_N are constants of the end

@@ -104,9 +104,8 @@ class FacetWeights:
     """Weights with which free ends change the interface law on the n facets of a seam.
 
     Attributes:
-        a_N, a_T: (n,) relative loss of stiffness, the mean over each facet, against openings and against shear.
-        resistance: (n,) additional resistance to the flow along S that a pressure drives, over that far from ends, the
-            mean over each facet.
+        a_N, a_T: (n,) relative loss of stiffness against openings and against shear, the mean over each facet.
+        resistance: (n,) relative increase of the resistance to a flow along S under pressure, the mean over each facet.
         m: (n, d) unit normal in S of the nearest end, outward, in d dimensions; zero where there is none.
         offset: (n,) value of m . x at points x of the nearest end, a length.
         sheet, eps, strips: the seam, its thickness and the strips along ends, from which the weights are made.

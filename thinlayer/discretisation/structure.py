@@ -50,16 +50,16 @@ class Structure:
             layer that continues it, or the coordinates of a vertex. Displacements are {"x": value, ...}, {"n": value}
             along the outer normal, or one number for all components. Where places overlap, values must agree.
         tractions: name of a facet set -> traction (d,) in d dimensions (stress), constant or a function (x, t) of UFL
-            coordinates that returns d components. It acts on the bodies. With bodies="extended" it also acts on the
-            layer's side where this takes the place of loaded faces of the bodies, so that all models have the same
-            loads. The name "NAME/LAYER" loads the layer's own side next to the facet set NAME. This force of order eps
-            is in interface laws of order 1, but not in those of order 0. `Pressure(p)` acts along the inner normal.
+            coordinates that returns d components. It acts on the bodies. With bodies="extended" it also acts where the
+            layer's side takes the place of loaded faces of the bodies. All models then have the same loads. The name
+            "NAME/LAYER" loads the layer's own side next to the facet set NAME. This force of order eps is in interface
+            laws of order 1, but not in those of order 0. `Pressure(p)` acts along the inner normal.
         body_force: (d,) force per volume in the bodies, constant or a function (x, t). Or name -> force, for regions
             and seams; a single seam is called "S". On a seam it is the weight of the layer, of order eps. It acts on
             the layer's cells. In the interface model it is multiplied by the thickness, and half of it acts on each
             side of S. On a rigid base one half acts directly on the base.
         loads: list of `PointLoad` and `LineLoad`: forces at vertices and along edges.
-        plane: "strain", "stress" or "axisymmetric", for a joint in 2D. In plane stress laws compute the strains out of
+        plane: "strain", "stress" or "axisymmetric", for a joint in 2D. In plane stress, laws compute the strains out of
             the plane themselves (`BulkLaw.plane_stress`). Axisymmetric: x is the distance r >= 0 from the axis of
             revolution, y the place along it, and there is no twist. On the axis u_x = 0 is prescribed automatically.
             All integrals (energies, loads, forces, over S) are over the whole revolution.
@@ -269,7 +269,7 @@ class Structure:
 
     @cached_property
     def sheet(self) -> Sheet:
-        """All seams together as a surface in its own right: straight segments in 2D, triangles in 3D."""
+        """All seams together, divided into straight segments in 2D or triangles in 3D."""
         return Sheet(self.joint)
 
     @cached_property
@@ -322,7 +322,14 @@ class Structure:
 
 
 def require_body_law(name: str, law: Law) -> None:
-    """Raise InputError, with the reason, if the law of the body `name` is for layers only, or softens."""
+    """Raise InputError, with the reason, if a body cannot have a law.
+
+    This is so if the law is only for layers, or if its stress falls as strains grow (it softens).
+
+    Args:
+        name: name of the body.
+        law: the law.
+    """
     traits, kind = law.traits, type(law).__name__
     reason = ""
     if not isinstance(law, BulkLaw):

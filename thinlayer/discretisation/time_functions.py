@@ -120,15 +120,15 @@ def time_constants(expression: Expr) -> list[TimeConstant]:
 class TimeLevel:
     """A time, besides that of the clock, at which expressions and forms are evaluated.
 
-    For it, expressions get constants that are separate from those of the clock. A form that contains several time
-    levels is compiled once. To evaluate a compiled form at another time, call `set`.
+    Expressions at this level contain constants that are separate from those of the clock. A form may thus contain
+    several times, and is compiled once. To evaluate a compiled form at another time, call `set`.
     """
 
     def __init__(self, t: float = 0.0) -> None:
         self._t, self._constants = t, dict[TimeConstant, fem.Constant]()
 
     def set(self, t: float) -> None:
-        """Set the time of the level."""
+        """Set the time of this level, and so the values of its constants in compiled forms."""
         self._t = t
         for clock, constant in self._constants.items():
             constant.value = clock.at(t)
@@ -171,10 +171,10 @@ class StepStrains:
         """Begin a step from one time to another.
 
         Args:
-            old: time at the begin of the step.
+            old: time at the start of the step.
             new: time at the end of the step.
             theta: fraction of the step after which forces balance.
-            at_rest: whether prescribed strains are zero at the begin, as in the first step.
+            at_rest: whether prescribed strains are zero at the start, as in the first step.
         """
         self._old_factor.value, self._theta.value = 0.0 if at_rest else 1.0, theta
         self.grows = at_rest or self._varies
@@ -182,21 +182,24 @@ class StepStrains:
         self._new.set(new)
 
     def balanced(self, f: Expr) -> Expr:
-        """Return the expression f where forces balance, theta f(new) + (1 - theta) f(old), as for displacements."""
+        """Return an expression f at the time at which forces balance: theta f(new) + (1 - theta) f(old).
+
+        Displacements are averaged in the same way.
+        """
         if not time_constants(f):
             return f
         return self._theta * self._new.of(f) + (1 - self._theta) * self._old_factor * self._old.of(f)
 
     def growth(self, f: Expr) -> Expr:
-        """Return the increment f(new) - f(old) of the expression f over the step."""
+        """Return the increment f(new) - f(old) of an expression f over the step."""
         return self._new.of(f) - self._old_factor * self._old.of(f)
 
     def now(self, f: Expr) -> Expr:
-        """Return the expression f at the time that `set_now` sets."""
+        """Return an expression f at the time that `set_now` sets."""
         return self._now_factor * self._now.of(f)
 
     def set_now(self, t: float, *, at_rest: bool = False) -> None:
-        """Set the time of expressions from `now`; if `at_rest`, set these expressions to zero."""
+        """Set the time of the expressions from `now`; if `at_rest`, make these expressions zero."""
         self._now_factor.value = 0.0 if at_rest else 1.0
         self._now.set(t)
 
@@ -218,7 +221,10 @@ class PiecewiseLinear:
         self.breaks = tuple(map(float, times[[True, *changes.any(axis=1), True]]))
 
     def __call__(self, t: Expr) -> Expr | list[Expr]:
-        """Return the value at t, which is a number or a UFL expression: a number or scalar, or a list of components."""
+        """Return the value at t, a number or a UFL expression: one scalar, or a list of components.
+
+        It is in UFL if t is, otherwise it consists of numbers.
+        """
         if is_number(t) or isinstance(t, ufl.constantvalue.RealValue | ufl.constantvalue.Zero):
             y = [*map(float, self.at(float(t)))]
         else:
