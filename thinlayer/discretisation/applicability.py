@@ -88,10 +88,11 @@ class Applicability:
 
     # ---------------------------------------------------------------- sides
     def rim(self, *kinds: str) -> Rim:
-        """Return the ridges (vertices in 2D, edges in 3D) at which the seam ends with a layer's side of given kinds.
+        """Return the ridges (vertices in 2D, edges in 3D) where the seam ends and the layer's side is of given kinds.
 
-        `kinds` are words that say how supports constrain the side: "free", "symmetric", "antisymmetric", "held"
-        (clamped) or "oblique". `side_kinds` defines them.
+        The side is the layer's own boundary at the end of S, between its two faces. `kinds` are words that say how
+        supports constrain it: "free", "symmetric", "antisymmetric", "held" (clamped) or "oblique". `side_kinds` defines
+        them.
         """
         return self.layer.sheet.rim[np.isin(self._kinds, kinds)]
 
@@ -103,15 +104,16 @@ class Applicability:
     def free_rim(self) -> Rim:
         """Ridges of free ends, where nothing constrains the layer's side, or only in an oblique direction.
 
-        An oblique direction is neither along S nor across it.
+        The side is the layer's own boundary at the end of S. An oblique direction is neither along S nor across it.
         """
         return self.rim("free", "oblique")
 
     @cached_property
     def open_rim(self) -> Rim:
-        """Ridges at which no support prevents the layer's side from moving outward along S.
+        """Ridges of S at which no support prevents the layer's side from moving outward along S.
 
-        There loads on the side act on the layer, and a pressure in the layer falls to zero.
+        The side is the layer's own boundary there. Loads on it act on the layer, and a pressure in the layer falls to
+        zero.
         """
         return self.rim("free", "antisymmetric", "oblique")
 
@@ -163,7 +165,10 @@ class Applicability:
     # ---------------------------------------------------------------- ends
     @property
     def free_end_text(self) -> str:
-        """How the interface law treats free ends, as words in messages: "corrected", "not corrected, as ..." or "none"."""
+        """How the interface law treats free ends, as words of messages: "corrected", "not corrected, as ...", "none".
+
+        "none" means that no end is free.
+        """
         violation = self.why_not("ends")
         return f"not corrected, as {violation.reason}" if violation else "corrected" if self.weights else "none"
 
@@ -179,7 +184,7 @@ class Applicability:
 
     @property
     def width(self) -> float:
-        """Area of the seam over the total length of its free ends, divided by the thickness: a number."""
+        """Area of the seam over the total length of its free ends, as a multiple of the layer's thickness."""
         return float(self.layer.sheet.areas.sum() / self.free_rim.length.sum()) / self.layer.eps
 
     @cached_property
@@ -283,7 +288,8 @@ def _mean_strain_conditions(r: Applicability) -> Iterator[Violation]:
 def _support_conditions(r: Applicability) -> Iterator[Violation]:
     """Yield a violation if a support constrains only the side of the layer `r.layer`, not the bodies beside it.
 
-    Such a support has a name of the kind "NAME/LAYER": the part of the facet set NAME on the layer's own side.
+    The side is the layer's own boundary at an end of S. Such a support has a name of the kind "NAME/LAYER": the part of
+    the facet set NAME on this side.
     """
     sheet, layer_only = r.layer.sheet, constrained_directions(r.layer) - constrained_directions(r.layer, of_layer=False)
     if len(ridges := sheet.rim.vertices[np.abs(layer_only).max(axis=(1, 2)) > FLAT_SQUARED_COSINE]):
@@ -419,7 +425,7 @@ def _bonded_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _rate_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield a violation if the stress in the layer `r.layer` depends on strain rates, which a state does not contain."""
+    """Yield a violation if the stress in the layer `r.layer` depends on strain rates, which no state contains."""
     if r.layer.law.traits.rate:
         yield Violation("rate", f"{r.layer.law_name} has a rate, of which a state does not know", "mesh the layer")
 

@@ -103,7 +103,13 @@ def boundary_values(
 
 
 def refuse_periodic(joint: Joint, name: str, what: str) -> None:
-    """Raise InputError if `name` is a facet set on a periodic side of the joint; `what` begins the message."""
+    """Raise InputError if a facet set lies on a periodic side of the joint, where the structure continues.
+
+    Args:
+        joint: the joint.
+        name: name of the facet set.
+        what: first words of the message.
+    """
     if joint.periods and FacetName.parse(name).whole in joint.periods.names:
         remedy = "a periodic cell is loaded by a mean strain, Structure(..., strain=...)"
         raise InputError(f"{what}: this side is identified with another one, the structure goes on there; {remedy}")
@@ -180,7 +186,8 @@ def side_normals(joint: Joint, name: str, ridges: IntArray) -> Array:
 def _continued_normals(domain: Domain, place: str, facets: Indices) -> Array:
     """Return, for facets of a layer's side, the outer normals of the bodies' side that they continue.
 
-    The normals are those in the joint as drawn, before S is opened to the layer's thickness.
+    The normals are those in the joint as drawn, before S is opened to the layer's thickness. The layer's side is its
+    own boundary at an end of S.
 
     Args:
         domain: the distributed mesh, in d dimensions.

@@ -216,7 +216,7 @@ class BrokenMesh:
                     raise violation.error()
 
     def _at_vertices(self, tag: int) -> tuple[fem.Function, Indices, Array]:
-        """Return a function of degree 1 on the mesh, and where its values belong to the facets of S with a tag.
+        """Return a new function of degree 1 on the mesh, and its dofs at the facets with a tag.
 
         Returns:
             The function, the local numbers (n,) of its dofs at vertices of these facets, and their coordinates (d, n).

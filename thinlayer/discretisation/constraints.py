@@ -208,7 +208,7 @@ class Constraints:
         return conditions
 
     def support_works(self, forces: Array, motions: Callable[[IntArray], Array]) -> Array:
-        """Return the work (s, k) that the forces of each of s supports do in k motions, as far as this rank has them.
+        """Return the work (s, k) of the forces of s supports in k motions, from the conditions of this rank alone.
 
         Args:
             forces: (r,) forces of this rank's r conditions, see `support_forces`.

@@ -116,7 +116,10 @@ class NodePairs:
 
     @property
     def pairs(self) -> IntArray:
-        """Global numbers (n, 2) of the nodes of V on the upper and on the lower side; -1 on a rigid base."""
+        """Global numbers (n, 2) of the nodes of V on the upper and on the lower side of S.
+
+        On a rigid base -1 stands for the lower node.
+        """
         return np.column_stack([self._first + self.upper.astype(np.int64), self.lower_numbers])
 
     def shared(self) -> IntArray:
@@ -177,9 +180,10 @@ class NodePairs:
         return w
 
     def add_forces(self, t: Array, out: PETSc.Vec) -> None:
-        """Add to `out` the nodal forces of tractions t (n, d), which are components along the nodes' local axes.
+        """Add to the nodal forces `out` those of tractions t (n, d) between the two sides of S.
 
-        Their virtual work is that of the tractions in the jump: forces along t on the upper side, -t on the lower.
+        The tractions are components along the nodes' local axes. Their forces act along t on the upper nodes and along
+        -t on the lower ones, so that they do the same work in displacements as the tractions do in jumps.
         """
         forces = np.einsum("nji,nj->ni", self.frames, t * self.weights[:, None])
         np.add.at(out.array.reshape(-1, self.dim), self.upper, forces)  # where S branches, nodes share an upper side

@@ -188,10 +188,14 @@ class Forces:
         return sum((ufl.inner(load, region.mean(v)) * region.measure for _, load, region, _ in loads), form)
 
     def work_on_bases(self, v: Expr) -> dict[str, Expr]:
-        """Return name of a seam -> virtual work of the loads that act directly on the seam's rigid base.
+        """Return, for each rigid base, the virtual work of the loads that act directly on the base.
 
-        It is a UFL form, linear in a motion v of the bodies in which the rigid bases move with them. It takes its time
-        from the model's clock.
+        Args:
+            v: displacement, in UFL, of a motion of the bodies in which the rigid bases move with them.
+
+        Returns:
+            A dictionary from the name of the base's seam to a UFL form, linear in v. It takes its time from the model's
+            clock.
         """
         forms: dict[str, Expr] = {}
         for _, load, region, name in self._loads:

@@ -103,7 +103,10 @@ def compiled_summands(form: Expr) -> list[fem.Form]:
 
 
 def zero_matrix(V: fem.FunctionSpace, form: Expr) -> PETSc.Mat:
-    """Return a matrix over V, filled with zeros, with entries for any bilinear form on the cells and facets of a form."""
+    """Return a matrix over V, filled with zeros, that has entries for bilinear forms on the region of `form`.
+
+    This region is all cells and facets over which `form` integrates.
+    """
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     one_sided, two_sided = ufl.inner(u, v), ufl.inner(u("+") + u("-"), v("+") + v("-"))
     integrals = {}
@@ -206,7 +209,7 @@ def law_with_expressions(law: BulkLaw, mesh: Mesh, values: Mapping[str, Expr]) -
 
 
 def compiled_terms(terms: Iterable[Term]) -> dict[str, Term]:
-    """Return key -> term for those terms whose laws are compiled functions of a point, not parts of UFL forms.
+    """Return, by key, those terms whose laws are compiled functions of a point, not parts of UFL forms.
 
     Keys are "layer", "layer BED" on a seam BED, or "body STEEL" in a region STEEL. Several terms with the same key get
     numbers, for example sublayers, from the lower face on: "layer 1", "layer 2", or on a seam "layer BED/1".

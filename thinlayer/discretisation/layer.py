@@ -215,7 +215,7 @@ class InitialTangents:
         self.sublayers = [(a, material, declared_or_computed_tangent(material, n)) for a, material in law.sublayers]
 
     def tangents_after(self, dt: float) -> list[Array | None]:
-        """Return the stiffness (6, 6) of each sublayer, after creep or relaxation, under loads that last for dt > 0.
+        """Return the stiffness (6, 6) of each sublayer, after creep or relaxation, under loads that last for a time dt > 0.
 
         An entry is None if the law is not linear or cannot be evaluated, or if the stiffness is the initial tangent for
         all dt.
@@ -360,7 +360,7 @@ class SeamLayer:
 
 
 def loads_of_layers(model: Model) -> dict[str, Load]:
-    """Return name of a seam -> force per volume of its layer, for all loaded layers of a model.
+    """Return the forces per volume of a model's loaded layers, by the name of the seam.
 
     Seams with bonds are left out.
 

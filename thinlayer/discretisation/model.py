@@ -84,7 +84,7 @@ CACHES_OF_MESH = ("split_mesh", "places", "volume", "_middle", "dS", "sides")
 
 
 def copied(source: T, keep: Collection[str] = ()) -> T:
-    """Return a copy of an object without the values of its cached properties, except those of names in `keep`.
+    """Return a copy of an object without the values of its cached properties, except those named in `keep`.
 
     Cached values may change with the data of the object, so that the copy computes them anew.
     """
@@ -265,7 +265,7 @@ class Model(ABC):
         return result
 
     def _body_strain(self, name: str) -> Expr | None:
-        """Return minus the eigenstrain of the body `name`, (3, 3) in UFL, which is added to the strain of displacements.
+        """Return minus the eigenstrain of the body `name`, (3, 3) in UFL, which is added to the displacements' strain.
 
         Return None if there is no eigenstrain.
         """
@@ -531,7 +531,7 @@ class Model(ABC):
         return {"metadata": {"quadrature_degree": quadrature_degree(self.V, measure) + self.kinematics.degree}}
 
     def volume_degree(self, law: BulkLaw) -> int | None:
-        """Return the polynomial degree to which the volume strain is projected in each cell, for a law with isochoric flow.
+        """Return the polynomial degree to which the volume strain is projected in each cell, for isochoric flow laws.
 
         It is one below the degree of the displacements. Return None if no projection is needed: in straight triangles
         and tetrahedra the volume strain has this degree anyway. Other cells have more modes of volume strain. A flow
@@ -572,16 +572,16 @@ class Model(ABC):
 
     @cached_property
     def surfaces(self) -> dict[str, object]:
-        """Name of a seam -> mesh of S (`SurfaceMesh`), for the meshes made so far."""
+        """Meshes of S (`SurfaceMesh`) made so far, by the name of their seam."""
         return {}
 
     @cached_property
     def quadratures(self) -> dict[str, Quadrature]:
-        """Key of a compiled law's memory -> the quadrature points of the law. Collective."""
+        """Quadrature points of the model's compiled laws, by the key of the law's memory. Collective."""
         return {key: Quadrature(self.V, p, self.origin) for key, p in compiled_terms(self.terms).items()}
 
     def by_seam(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return name of a seam -> sum of the values that belong to its layer; empty if the joint has one seam.
+        """Return the sum of values for the layer of each seam, by the seam's name; empty if the joint has one seam.
 
         Args:
             values: key of a law, such as "layer BED/1" -> a value, such as an energy.

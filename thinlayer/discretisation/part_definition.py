@@ -132,8 +132,8 @@ class PartDefinition(FormerNames):
             u: the displacements.
 
         Returns:
-            Pairs of a place and an array: d components of the force in d dimensions, then the moment about
-                `model.centre`. By default there are none: forces of user-defined parts do not count as reactions.
+            Pairs of a place and an array, which has d components of the force in d dimensions, then the moment about
+            `model.centre`. By default there are none, because forces of user-defined parts do not count as reactions.
         """
         return []
 

@@ -420,9 +420,9 @@ class VaryingStrainIntegrals:
                 self._forms.append((p, compiled(ufl.inner(strain, q) * p.measure)))
 
     def integrals(self, t: float) -> list[Array]:
-        """Return, for each term with a strain that varies, its integrals over this rank's cells or facets at the time t.
+        """Return, for each term with a strain that varies, the strain's integrals over this rank's cells or facets.
 
-        Each array has the 9 components in one cell after those in another.
+        They are those at the time t. Each array has the 9 components in one cell after those in another.
 
         Raises:
             InputError: a strain that is not finite.

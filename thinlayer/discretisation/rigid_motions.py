@@ -97,10 +97,10 @@ def motion_values(x: Array, about: Array, rows: IntArray) -> Array:
 
 
 def scaled_motions(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
-    """Return name -> factors (k,) for each rigid motion that the kinematics and periods of a joint admit.
+    """Return the rigid motions that the kinematics and periods of a joint admit, each by name with k factors.
 
-    The factors multiply the k unit motions: d translations, then rotations about the centre. They make rotations as
-    large as translations: they are divided by the size of the structure.
+    The factors (k,) multiply the k unit motions: d translations, then rotations about the centre. Factors of rotations
+    are divided by the size of the structure, so that rotations are as large as translations.
 
     Translations come first in the result. In axisymmetry only that along the axis is left. In periodic joints rotations
     would move one periodic side against the other. The only exception is a rotation about the direction of a single
@@ -133,9 +133,13 @@ def model_motion_values(model: Model, rows: IntArray, kinematics: Kinematics | N
 
 
 def model_motions(model: Model, kinematics: Kinematics | None = None) -> dict[str, fem.Function]:
-    """Return name -> displacements of the structure's rigid motions, `scaled_motions`, in a model's space. Collective.
+    """Return the rigid motions of a model's structure as displacements in its space, by name. Collective.
 
-    `kinematics` decide which motions there are; None: those of the model.
+    The motions are those of `scaled_motions`.
+
+    Args:
+        model: the model.
+        kinematics: kinematics that decide which motions there are; None: those of the model.
     """
     values = model_motion_values(model, np.arange(model.places.size), kinematics)
     modes = {name: fem.Function(model.V) for name in scaled_motions(model.domain.joint, kinematics or model.kinematics)}
@@ -252,12 +256,12 @@ def centroid(domain: Domain, name: str) -> Array:
 
 
 def resultants_of_loads(model: Model, t: float, work: Callable[[Expr], Mapping[str, Expr]]) -> dict[str, Resultant]:
-    """Return name -> resultant of loads at the time t, with its moment about the model's centre. Collective.
+    """Return the resultants of loads at the time t, by name, with moments about the model's centre. Collective.
 
     Args:
         model: the model.
         t: the time.
-        work: function from a motion v to the virtual work of the loads in v: name -> UFL form.
+        work: function from a motion v, in UFL, to the virtual work of the loads in v: name of a load -> UFL form.
     """
     level = TimeLevel(t)
     motion, v = motion_expression(model.domain.mesh, model.centre)

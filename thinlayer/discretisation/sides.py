@@ -1,4 +1,4 @@
-"""Sides of a layer where its seam ends: how they are constrained, and weights on S near those that are free."""
+"""Sides of a layer, its own boundary at the ends of its seam: how they are constrained, and weights near free ones."""
 
 from __future__ import annotations
 
@@ -31,8 +31,9 @@ NO_END = 1e3  # distance of the nearest end, over the size of the joint, where t
 def side_kinds(layer: SeamLayer) -> npt.NDArray[np.str_]:
     """Return a word for each of the n ridges where a layer's seam ends: how the layer's side is constrained there.
 
-    The displacement of the side has a component along m, outward along S, and one along n, across S. Supports,
-    multi-point constraints and an axis of revolution may constrain them. The words (n,) are:
+    The side is the layer's own boundary, between its two faces. Its displacement has a component along m, outward along
+    S, and one along n, across S. Supports, multi-point constraints and an axis of revolution may constrain them. The
+    words (n,) are:
 
         - "free": neither component is constrained
         - "held": both are
@@ -52,11 +53,14 @@ def side_kinds(layer: SeamLayer) -> npt.NDArray[np.str_]:
 
 
 def constrained_directions(layer: SeamLayer, of_layer: bool = True) -> FloatArray:
-    """Return projections (n, d, d) onto the constrained directions of the layer's side, at n ridges where S ends.
+    """Return projections (n, d, d) onto the directions in which a layer's side cannot move, at n ridges where S ends.
+
+    The side is the layer's own boundary at such a ridge.
 
     Args:
         layer: the layer on its seam, in d dimensions.
-        of_layer: whether constraints of facet sets "NAME/LAYER", the layer's own side alone, count too.
+        of_layer: whether constraints of facet sets "NAME/LAYER" count too; such a set is the part of the facet set NAME
+            on the layer's own side.
     """
     structure, rim, joint = layer.structure, layer.sheet.rim, layer.sheet.joint
     d, keys, axes = joint.dim, ridge_keys(rim.vertices), AXIS_NAMES[: joint.dim]

@@ -237,7 +237,7 @@ class State(Configuration):
         return reduce(add, (reactions[name] for name in places)).at(point)
 
     def reactions_by_place(self, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
-        """Return place -> reaction, for all places that support the structure.
+        """Return the reactions of all places that support the structure, by place.
 
         Moments are about the point `about` (d,), by default `Model.centre`.
 

@@ -307,7 +307,7 @@ class Structure:
             raise InputError(f"element {self.element!r} does not exist on {cells}")
 
     def _laws_of(self, body: BulkLaw | Mapping[str, BulkLaw]) -> dict[str, BulkLaw]:
-        """Return name of a body -> its law, from one law for all bodies or a mapping.
+        """Return the law of each body by name, from one law for all bodies or a mapping.
 
         Raises:
             InputError: a body has no law, or a law that is only for layers.

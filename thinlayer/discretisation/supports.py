@@ -42,11 +42,12 @@ class Supports:
     Args:
         domain: the distributed mesh, with the joint's names.
         supports: place -> prescribed components. A place is the name of a facet set, which includes the side of a layer
-            that continues it. "NAME/REGION" is its part on one region, "NAME/LAYER" the layer's side alone. A place may
-            also be the coordinates of a vertex in the joint as drawn, before S is opened to the layer's thickness (on
-            S: the nodes on both sides). Components are {"x": value, ...}, or one number for all of them; a value is a
-            number or a function (x, t) of UFL coordinates. {"n": value} prescribes the displacement along the outer
-            normal alone, on any inclined or curved facets: see `Prescribed`. Where places overlap, values must agree.
+            that continues it. "NAME/REGION" is the part of the set NAME on one region, "NAME/LAYER" its part on the
+            layer's own side. A place may also be the coordinates of a vertex in the joint as drawn, before S is opened
+            to the layer's thickness (on S: the nodes on both sides). Components are {"x": value, ...}, or one number
+            for all of them; a value is a number or a function (x, t) of UFL coordinates. {"n": value} prescribes the
+            displacement along the outer normal alone, on any inclined or curved facets: see `Prescribed`. Where places
+            overlap, values must agree.
         at: place and time as arguments of these functions.
         clamped: names of facet sets that do not move; conditions of other supports at their nodes are dropped.
         kinematics: kinematics of the mesh; on an axis of revolution the component x is fixed.
@@ -60,7 +61,7 @@ class Supports:
         on_axis: mask (n,) of the points of the joint that lie on an axis of revolution.
 
     Raises:
-        InputError: unknown facet name, no vertex at a point; unknown component, a value that is no number.
+        InputError: unknown facet name, no vertex at a point; unknown component, a value that is not a number.
     """
 
     def __init__(
