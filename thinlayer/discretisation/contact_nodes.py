@@ -183,7 +183,7 @@ class NodePairs:
         """Add to the nodal forces `out` those of tractions t (n, d) between the two sides of S.
 
         The tractions are components along the nodes' local axes. Their forces act along t on the upper nodes and along
-        -t on the lower ones, so that they do the same work in displacements as the tractions do in jumps.
+        -t on the lower ones. They do the work that the tractions do in the jumps.
         """
         forces = np.einsum("nji,nj->ni", self.frames, t * self.weights[:, None])
         np.add.at(out.array.reshape(-1, self.dim), self.upper, forces)  # where S branches, nodes share an upper side

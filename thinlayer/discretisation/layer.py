@@ -215,10 +215,10 @@ class InitialTangents:
         self.sublayers = [(a, material, declared_or_computed_tangent(material, n)) for a, material in law.sublayers]
 
     def tangents_after(self, dt: float) -> list[Array | None]:
-        """Return the stiffness (6, 6) of each sublayer, after creep or relaxation, under loads that last for a time dt > 0.
+        """Return the stiffness (6, 6) of each sublayer, after creep or relaxation, under loads that last for dt.
 
-        An entry is None if the law is not linear or cannot be evaluated, or if the stiffness is the initial tangent for
-        all dt.
+        dt is a time > 0. An entry is None if the law is not linear or cannot be evaluated, or if the stiffness is the
+        initial tangent for all dt.
         """
         if dt not in self._by_duration:
             laws = [law for _, law, _ in self.sublayers]

@@ -185,9 +185,10 @@ class Structure:
         """Make the model whose layer is replaced by its interface law on S. Collective.
 
         Args:
-            layer: a thin layer, a law on S without a thickness (a `TractionLaw` or a contact law), or a `Bond`, which
-                makes displacements equal on both sides. With several seams, give a dictionary from the name of a seam
-                to its layer; None or a `Gap` leaves the seam open. A layer without a dictionary is that of all seams.
+            layer: a thin layer, or a law on S without a thickness (a `TractionLaw` or a contact law). Or a `Bond`,
+                which makes displacements equal on both sides. With several seams, give a dictionary from the name of a
+                seam to its layer; None or a `Gap` leaves the seam open. A layer without a dictionary is that of all
+                seams.
             bodies: "kept": bodies meet on S. "extended": bodies are where `full(layer, bodies="extended")` has them,
                 each half of the thickness away from S (on a rigid base all of it). Order 1 needs this on a curved S, or
                 with a thickness that varies. All layers must then have a thickness, and seams must not meet.
