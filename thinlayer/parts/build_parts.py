@@ -1,4 +1,4 @@
-"""Construction of the parts of a model's balance of forces."""
+"""Functions that make the parts of a model's balance of forces: one part for the forces of each law or pressure."""
 
 from __future__ import annotations
 
@@ -25,10 +25,14 @@ from thinlayer.system.ranks import destroy
 
 
 def body_parts(model: Model) -> list[Part]:
-    """Parts of the balance of forces that come from a model's bodies, each with its own key. Collective.
+    """Return the parts of the balance of forces that come from a model's bodies. Collective.
 
-    They are the laws in UFL forms, the compiled laws, and the unknown mean strain of a periodic cell under a mean
-    stress. In a model with bodies, the matrix `K` of the first part has the nonzero pattern of the bodies' stiffness.
+    One part has all laws in UFL forms. Each compiled law has a part of its own. Under a prescribed mean stress, the
+    unknown mean strain of the periodic cell is a further part. The parts have different keys, their names in states and
+    files.
+
+    The first part is that of the laws in UFL forms, even if there are none. In a model with bodies its matrix `K` has
+    the nonzero pattern of the bodies' stiffness.
     """
     form_part = LawFormPart("forms", model.V, model.bodies, model.layer_terms)
     parts: list[Part] = [form_part, *_compiled_parts(model, model.bodies)]
@@ -38,14 +42,16 @@ def body_parts(model: Model) -> list[Part]:
 
 
 def layer_parts(model: Model, bc_dofs: Indices, bodies: Sequence[Part]) -> list[Part]:
-    """Parts of the balance of forces that come from a model's layers, each with its own key. Collective.
+    """Return the parts of the balance of forces that come from a model's layers. Collective.
 
-    They are the laws in UFL forms, the compiled laws, the pressures of incompressible layers, and contact.
+    They are laws in UFL forms, compiled laws, pressures of incompressible layers, and contact laws. The parts have
+    different keys, their names in states and files.
 
     Args:
         model: the model.
         bc_dofs: local numbers of this rank's displacement components that supports prescribe.
-        bodies: the parts of the bodies, as `body_parts` returns them; equations of pressures are scaled by them.
+        bodies: the parts of the bodies, as `body_parts` returns them. Their stiffness scales the equations of the
+            pressures, so that residuals have the unit of forces.
     """
     in_forms = [p for p in model.layer_terms if not p.law.traits.compiled]
     terms = {key: [p for p in in_forms if p.key == key] for key in dict.fromkeys(p.key for p in in_forms)}
@@ -62,10 +68,14 @@ def layer_parts(model: Model, bc_dofs: Indices, bodies: Sequence[Part]) -> list[
 
 
 def _largest_stiffness(model: Model, parts: Sequence[Part]) -> float:
-    """Stiffness, force per displacement, with which equations of pressures are scaled to forces. Collective.
+    """Return a stiffness, force per displacement, by which the equations of pressures are scaled. Collective.
 
-    It is the largest diagonal entry of the parts' stiffness at rest, non-linear laws in UFL included. It is 1 if no
-    part has any stiffness at rest.
+    It is the largest diagonal entry of the stiffness of `parts` before loading, non-linear laws in UFL included. It is
+    1 if no part has any stiffness then.
+
+    Args:
+        model: the model, for its space of displacements.
+        parts: the parts of the bodies; without bodies, those of the layers.
     """
     sums = fem.Function(model.V)  # must outlive its PETSc vector
     largest = float(diagonal_at_rest(parts, sums.x.petsc_vec).max()[1])
@@ -79,9 +89,10 @@ def _compiled_parts(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:
 
 
 def diagonal_at_rest(parts: Sequence[Part], out: PETSc.Vec) -> PETSc.Vec:
-    """Write into `out` the diagonal of the stiffness at rest of some parts, and return `out`. Collective.
+    """Write the diagonal of the stiffness before loading, summed over `parts`, into `out`; return `out`. Collective.
 
-    It is the sum of the diagonals of the matrices `Part.K` and of the vectors `Part.diagonal_at_rest`.
+    `out` has an entry, force per displacement, for each displacement component. The stiffness of a part is its matrix
+    `K`. Parts of bodies that are not in `K` give their diagonal by their method `diagonal_at_rest`.
     """
     out.set(0.0)  # a subproblem of layers alone has no bodies
     diagonals = [part.K.getDiagonal() for part in parts if part.K is not None]
@@ -93,10 +104,18 @@ def diagonal_at_rest(parts: Sequence[Part], out: PETSc.Vec) -> PETSc.Vec:
 
 
 def _free_vertices(model: Model, term: Term) -> Array | None:
-    """Coordinates (n, d) of the vertices of S at free ends where a layer's pressure is set to zero.
+    """Return coordinates (n, d) of the n vertices of S where a layer's pressure is zero; d: number of dimensions.
 
-    None: the term is not an interface law of order 1 with a pressure. Ends with cells longer than the length over
-    which the pressure falls are left out.
+    They lie at free ends, where no support holds the side of the layer. Ends whose cells are longer than the length
+    over which the pressure falls to zero are left out.
+
+    Args:
+        model: the model with the layer.
+        term: virtual work of the layer's law.
+
+    Returns:
+        The coordinates, on a curved S midway between its sides. None: the law is not an interface law of order 1 with a
+        pressure.
     """
     if not flows_along_surface(term):
         return None

@@ -31,15 +31,17 @@ SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # fractions of a step at which parameters 
 
 
 def softening_law(points: CompiledTerm, e: Array, e_old: Array, memory: Array, response: Response) -> Softening | None:
-    """Class name of a layer's law if its stress falls in a step, and a text with the number of points. Collective.
-
-    None: the stress falls at no point.
+    """Find out whether the stress of a layer's law falls during a step at some quadrature points. Collective.
 
     Args:
         points: the law with its quadrature points.
         e, e_old: (points, m) strains at the end and at the beginning of the step, as m Mandel components.
         memory: (points, values) internal variables at the beginning of the step.
         response: response of the law in this step.
+
+    Returns:
+        Class name of the law, and a text for messages with the number of points where the stress falls. None: it falls
+        at no point.
     """
     term = points.term
     count = points.comm.allreduce(points.softening_points(e, e_old, memory, response))
@@ -47,9 +49,13 @@ def softening_law(points: CompiledTerm, e: Array, e_old: Array, memory: Array, r
 
 
 def prescribed_strains(points: CompiledTerm) -> Callable[[float], Array]:
-    """Function of the time that returns a term's prescribed strains at its quadrature points. Collective.
+    """Return a function of the time that computes a law's prescribed strains at its quadrature points. Collective.
 
-    The function is collective, too. Its values (points, m) are the m Mandel components `points.slots`.
+    The function is collective, too. It returns an array (points, m) with the m Mandel components `points.slots`, zeros
+    if no strain is prescribed.
+
+    Args:
+        points: the law with its quadrature points.
     """
     time, strain = TimeLevel(), points.term.prescribed_strain
     if strain is None:
@@ -70,11 +76,12 @@ class CompiledPart(Part):
         key: name of the part in states and files.
         V: space of the displacements.
         term: virtual work of the law, with its strain and its measure.
-        origin: relation of the mesh to its joint, which files need; None: there is no joint.
+        origin: relation of the mesh to the joint, the undistributed mesh from which it was made; needed to write files.
+            None: there is no joint.
         symmetric: whether solvers assume that the tangent is symmetric; the part then checks it in each iteration.
 
     Attributes:
-        points: the compiled law at its quadrature points.
+        points: the law at its quadrature points.
         law: the law.
     """
 
@@ -144,12 +151,14 @@ class CompiledPart(Part):
         self.points.spread(np.einsum("pm,pm->p", self._response.stress, self.points.strain(z.x.petsc_vec)), out)
 
     def tangents(self, relative_residual: float) -> list[Block]:
-        """Tangent matrices of the last evaluation; raise InputError if solvers need symmetric ones and they are not.
-
-        Symmetric solvers read only half of the matrix.
+        """Return the tangent matrices of the last evaluation, all in the block of forces by displacements.
 
         Args:
-            relative_residual: norm of the last residual over the reference force; a regularisation grows with it.
+            relative_residual: norm of the last residual over the reference force. If the tangent may be singular, a
+                multiple of the tangent at rest is added, which grows with this number.
+
+        Raises:
+            InputError: the tangent is not symmetric, but solvers assume it and read only half of the matrix.
         """
         if self._symmetric and (skew := self.comm.allreduce(self._response.skew, MPI.MAX)) > ASYMMETRY_TOLERANCE:
             raise InputError(ASYMMETRY_MESSAGE.format(type(self.law.in_space).__name__, skew))
@@ -158,10 +167,10 @@ class CompiledPart(Part):
 
     # ---------------------------------------------------------------- an accepted step
     def commit(self) -> StepOutcome:
-        """Energies, memory and stresses at the end of the step, for the last evaluation.
+        """Return energies over the accepted step, and memory and stresses at its end, for the last evaluation.
 
-        The remainder of the energy balance is computed by the law. If parameters vary, it is instead the work, less the
-        change of stored energy and the dissipated energy.
+        The law computes the remainder of the energy balance. If parameters vary in place or time, the remainder is
+        instead the work, minus the growth of stored energy, minus the dissipated energy.
         """
         response, interval = self._response, self.interval
         before = interval.old.stored[self.key] if self.key in interval.old.stored else self._stored_at_rest()
@@ -180,15 +189,19 @@ class CompiledPart(Part):
         return StepOutcome(before, after, dissipated, remainder, response.memory, supplied=supplied, stress=stress)
 
     def _stored_at_rest(self) -> float:
-        """Energy stored before the first step by a prescribed strain that was always present."""
+        """Return the energy stored at the start of the first step by strains that are prescribed from the outset.
+
+        Laws that depend on strain rates take such strains as always present. For all other laws they are applied in the
+        first step, so that no energy is stored before it.
+        """
         if self.points.term.prescribed_strain is None:
             return 0.0
         return float(self.comm.allreduce(self.points.stored(self._e_old, self._memory, self.interval.dt)))
 
     def _stored_at(self, t: float) -> float:
-        """Stored energy of the last evaluated strains and memory, with the law's parameters at time t.
+        """Return the stored energy of the last evaluated strains and memory, with the law's parameters of time `t`.
 
-        Afterwards the law has its present parameters again.
+        The method then sets the parameters back to their values before the call.
         """
         t_old = self._t
         self.at_time(t)
@@ -230,7 +243,10 @@ class CompiledPart(Part):
         return None
 
     def _changes_in_time(self, times: Sequence[float]) -> Array:
-        """Mask (sublayers,) of those whose parameters change in time, sampled at and between `times`. Collective."""
+        """Return a mask (sublayers,), True for each sublayer of the law whose parameters change in time. Collective.
+
+        The parameters are compared at `times`, which ascend, and at some times between them.
+        """
         points = self.points
         points.at_time(times[0])
         old = points.material.sublayer_parameters
@@ -256,9 +272,10 @@ class CompiledPart(Part):
 
     @property
     def file_order(self) -> FileOrder:
-        """Order of the quadrature points in files: by the number of their cell or facet in the joint.
+        """Order in which values at the quadrature points are written to files, by cells or facets of the joint.
 
-        Points of a facet are sorted by position, as their local order depends on the cell from which it is seen.
+        Cells or facets are sorted by their number in the joint, the undistributed mesh. Points of one facet are sorted
+        by their coordinates. Their local order would depend on the cell from which the facet is seen.
         """
         points = self.points
         if points.region.dim < points.dim:

@@ -20,16 +20,16 @@ class ContactPart(Part):
     """Forces, tangent, energies and memory of one contact law; the memory is the slip at the nodes of this rank.
 
     Args:
-        law: the law.
-        surface: the facets where it acts.
-        bc_dofs: local numbers of this rank's displacement components that supports prescribe; Gauss-Seidel sweeps leave
-            them unchanged.
+        law: the contact law.
+        surface: the facets of S where the law acts.
+        bc_dofs: local numbers of this rank's displacement components that supports prescribe. Gauss-Seidel sweeps of
+            the contact solver leave them unchanged.
         key: name of the part in states and files.
 
     Attributes:
-        law: the law.
+        law: the contact law.
         nodes: the n nodes of S on this rank.
-        law_now: the law in use: the law itself, or the law of the continuation that `set_homotopy` has selected.
+        law_now: the law that forces are computed with: `law`, or a stiffer one that `set_homotopy` has chosen.
         slip: (n, d - 1) tangential slip at the beginning of the step, a length; d: number of dimensions.
     """
 
@@ -70,19 +70,23 @@ class ContactPart(Part):
         return 0.0
 
     def tangents(self, relative_residual: float) -> list[Block]:
-        """Tangent matrix of the last evaluation.
+        """Return the tangent matrix of the last evaluation, in a list with one block.
 
-        While all jumps are zero, the law has no unique tangent. The springs of bonded sides, which neither open nor
-        slide, then replace it.
+        While all jumps are zero, the law has no unique tangent. The matrix is then that of springs between the sides of
+        S, which resist opening and slip.
+
+        Args:
+            relative_residual: norm of the last residual over the reference force; not used.
         """
         C = self.law_now.tangent(self._w, self.slip) if self._moved else self.law.bonded(len(self._w), self.nodes.dim)
         return [Block(self.nodes.stiffness(C))]
 
     def resisting(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
-        """Tangent matrix of the nodes whose contact forces exceed rounding error, to find loose bodies.
+        """Return the tangent matrix without the contact forces that are as small as rounding error.
 
-        A node resists opening only if its pressure exceeds the rounding error. It resists slip only if its bound of
-        friction does. While all jumps are zero, all nodes resist.
+        Solvers use it to find bodies that no contact holds. A node resists opening only if its pressure force exceeds
+        the rounding error. It resists slip only if its friction limit exceeds the rounding error. While all jumps are
+        zero, all nodes resist both.
 
         Args:
             relative_residual: norm of the last residual over the reference force.

@@ -1,4 +1,4 @@
-"""Parts of the balance of forces that are UFL forms: laws in UFL, springs and user-defined forms."""
+"""Parts of the balance of forces that are UFL forms: laws of bodies and layers, springs and user-defined forms."""
 
 from __future__ import annotations
 
@@ -32,16 +32,17 @@ from thinlayer.system.ranks import communicator, destroy
 
 
 class FormPart(Part):
-    """Nodal forces K u + F(u) + g of UFL forms: linear, non-linear and constant in the displacements u.
+    """Nodal forces K u + F(u) + g of UFL forms at the displacements u.
 
-    In a step u is u_old + theta (u_new - u_old), at which forces balance.
+    K u is linear in u, F(u) is non-linear and g does not depend on u. In a time step, u is u_old + theta (u_new -
+    u_old), the displacements at which forces balance.
 
     Args:
         key: name of the part in states and files.
-        u: displacement function in the forms `F` and `energy`; the part writes values into it.
-        K: matrix of the linear forces, which `destroy` frees; None: no linear forces.
+        u: displacement function that occurs in the forms `F` and `energy`. The part writes values into it.
+        K: matrix of the linear forces, which the method `destroy` frees; None: no linear forces.
         F: virtual work of the non-linear forces, a UFL form of u, linear in a test function; None: no such forces.
-        energy: the stored energy of F and g, a UFL form of u; None: they have no energy.
+        energy: stored energy of the forces F(u) and g, a UFL form of u; None: they have no energy.
         kept: whether states store the part's energy under its key.
         g: virtual work of the constant forces, a UFL form that is linear in a test function; None: no such forces.
     """
@@ -66,7 +67,10 @@ class FormPart(Part):
             self._copy_u(mid.x.petsc_vec)
 
     def _copy_u(self, u: PETSc.Vec, into: fem.Function | None = None) -> None:
-        """Copy displacements u, ghosts included, into a function: by default that of the forms F and `energy`."""
+        """Copy the displacements `u`, ghosts included, into the function `into`.
+
+        If `into` is None, they are copied into the function that occurs in the part's UFL forms.
+        """
         target = into or self._u
         u.copy(target.x.petsc_vec)
         target.x.scatter_forward()
@@ -79,9 +83,10 @@ class FormPart(Part):
         return self._add_forces_at(self._mid.x.petsc_vec, out)
 
     def _add_forces_at(self, u: PETSc.Vec, out: PETSc.Vec) -> float:
-        """Add the nodal forces at displacements u; return the larger of the norms of K u and F(u) + g.
+        """Add the nodal forces K u + F(u) + g to `out`, and return a norm of them.
 
-        The function in the form F must already have the values u.
+        It is the larger of the norms of K u and of F(u) + g. Before the call, the caller copies the displacements `u`
+        into the function that occurs in the form F.
         """
         size = 0.0
         if self.K is not None:
@@ -98,7 +103,10 @@ class FormPart(Part):
         return blocks + [Block(J, theta, kept=True) for J in self._present_tangent()]
 
     def _present_tangent(self) -> list[PETSc.Mat]:
-        """List with the tangent matrix of the non-linear forces at the last displacements; [] without such forces."""
+        """Return the tangent matrix of the non-linear forces at the last displacements, in a list.
+
+        The list is empty if there are no such forces.
+        """
         if self._tangent is None:
             return []
         self._tangent.zeroEntries()
@@ -132,11 +140,14 @@ class FormPart(Part):
         return StepOutcome(before, after, 0.0, remainder, kept=self._kept, supplied=supplied)
 
     def _supplied_work(self) -> float:
-        """Work of the last evaluation's stresses in the increments of prescribed strains; 0 without such strains."""
+        """Return the work of the stresses in the strains prescribed during the step; 0 if no strains are prescribed.
+
+        The stresses are those of the last evaluation, the strains the increments of prescribed strains over the step.
+        """
         return 0.0
 
     def _quadratic(self, u: PETSc.Vec) -> float:
-        """Energy u.K u/2 of the linear forces."""
+        """Return the energy u.K u/2 of the linear forces at displacements `u`; 0 without such forces."""
         if self.K is None:
             return 0.0
         self.K.mult(u, self._product)
@@ -147,12 +158,12 @@ class FormPart(Part):
         return [] if self._energy is None else compiled_summands(self._energy)
 
     def _stored(self, u: PETSc.Vec, interval: TimeStep, *, before: bool = False) -> float:
-        """Energy of the forces F and g at displacements u; NaN if they have no energy.
+        """Return the stored energy of the forces F(u) and g at displacements `u`; NaN if they have no energy.
 
         Args:
             u: displacements at the beginning or at the end of a step.
             interval: the step.
-            before: whether they are those at its beginning.
+            before: True if `u` belongs to the beginning of the step, False if it belongs to the end.
         """
         if self._energy is None:
             return float("nan")
@@ -164,22 +175,22 @@ class FormPart(Part):
 
 
 def assemble_plain_matrix(form: Expr) -> PETSc.Mat:
-    """Assemble the matrix of a UFL bilinear form, without supports."""
+    """Assemble the matrix of a UFL bilinear form; no rows or columns are changed for supports."""
     return assemble_matrix(compiled(form))
 
 
 class LawFormPart(FormPart):
-    """Forces of the laws in UFL forms of bodies or layers: K u of linear laws, F(u) of the others.
+    """Nodal forces of those laws of bodies or layers that are UFL forms: K u of linear laws, F(u) of the others.
 
     If there are bodies but no linear law, K is zero with the nonzero pattern of the bodies' tangent. Prescribed strains
-    of linear laws cause constant forces g. Prescribed strains of all laws do work as they grow.
+    of linear laws cause forces g that do not depend on u. Prescribed strains of all laws do work as they grow.
 
     Args:
         key: name of the part in states and files.
         V: space of the displacements.
-        terms: virtual works of the laws; those of compiled laws are left out.
-        other_terms: virtual works of other parts. The nonzero pattern of K includes those of laws between two bodies on
-            S that are not compiled.
+        terms: virtual works of the laws. Those of compiled laws are left out.
+        other_terms: virtual works that belong to other parts. If they are UFL forms on S between two bodies, the
+            nonzero pattern of K includes their entries.
     """
 
     def __init__(self, key: str, V: fem.FunctionSpace, terms: Sequence[Term], other_terms: Iterable[Term] = ()) -> None:
@@ -216,7 +227,10 @@ class LawFormPart(FormPart):
     # ---------------------------------------------------------------- prescribed strains
     @cached_property
     def _supplied_form(self) -> fem.Form:
-        """Compiled form of the work of the last evaluation's stresses in the increments of prescribed strains."""
+        """Compiled form of the work of the stresses in the strains prescribed during the step.
+
+        The stresses are those of the last evaluation, the strains the increments of prescribed strains over the step.
+        """
         strains, grown = self._step_strain, [p for p in self._terms if p.prescribed_strain is not None]
         pairs = zip([stress(p, self._u) for p in _with_strains(grown, strains.balanced)], grown, strict=True)
         return compiled(sum(ufl.inner(s, strains.growth(p.prescribed_strain)) * p.weight * p.measure for s, p in pairs))
@@ -233,11 +247,11 @@ class LawFormPart(FormPart):
         return max(super().add_forces(out), self._strain_force_scale())
 
     def _strain_force_scale(self) -> float:
-        """Reference force of non-linear bodies with prescribed strains: a mean stress times V^(1 - 1/d).
+        """Return a reference force of the non-linear bodies with prescribed strains e: a mean stress times V^(1 - 1/d).
 
-        V is their volume, d the number of dimensions. The mean stress is |int stress : e|/sqrt(V int e : e), with the
-        prescribed strains e; 0 if these are zero. Nodal forces of uniform stresses cancel, and non-linear bodies have
-        no stiffness in K from which a reference force would follow.
+        V is the volume of these bodies, d the number of dimensions. The mean stress is |int stress : e|/sqrt(V int e :
+        e); it is 0 if e is zero. Residuals are compared with the reference force. It cannot follow from nodal forces,
+        which cancel if stresses are uniform, nor from K, where non-linear bodies have no stiffness.
         """
         if not self._scale_forms:
             return 0.0
@@ -259,9 +273,10 @@ class LawFormPart(FormPart):
         return super()._stored(u, interval, before=before)
 
     def largest_stiffness(self) -> float:
-        """Largest diagonal entry of the non-linear laws' tangent at rest, force per displacement. Collective.
+        """Return the largest diagonal entry of the non-linear laws' tangent before loading. Collective.
 
-        0 if there is no non-linear law, or if the entry is not finite or not positive.
+        It is a force per displacement. The result is 0 if there is no non-linear law, or if that entry is not a
+        positive finite number.
         """
         self._u.x.array[:] = 0.0
         diagonals = [A.getDiagonal() for A in self._present_tangent()]
@@ -271,9 +286,10 @@ class LawFormPart(FormPart):
 
     @cached_property
     def _softening(self) -> list[tuple[CompiledTerm, Callable[[float], Array]]]:
-        """Compiled forms of the layers' laws that may soften, each with a function of the time: its prescribed strains.
+        """Those laws of layers that may soften, each compiled at its quadrature points.
 
-        Laws with a parameter that is a function of the place are left out.
+        Each entry is a pair: the compiled law, and a function of the time that returns the prescribed strains (points,
+        m) at the points. Laws with a parameter that is a function of the place are left out.
         """
         terms = [p for p in self._terms if p.n is not None and p.law.traits.may_soften and _is_uniform(p.law)]
         points = [CompiledTerm(self._u.function_space, replace(p, law=_compiled_law(p.law))) for p in terms]
@@ -295,20 +311,21 @@ class LawFormPart(FormPart):
 
 
 def _is_uniform(law: BulkLaw) -> bool:
-    """Whether all parameters of a law, or of its sublayers, are numbers or DOLFINx Constants."""
+    """Tell whether all parameters of `law`, or of its sublayers, are numbers or DOLFINx Constants."""
     parameters = [value for _, sublayer in law.sublayers for value in sublayer.parameters().values()]
     return all(isinstance(value, fem.Constant) or not isinstance(value, ufl.core.expr.Expr) for value in parameters)
 
 
 def _compiled_law(law: BulkLaw) -> BulkLaw:
-    """A law in UFL as a compiled law, with the present values of its DOLFINx Constants as numbers."""
+    """Return the law in UFL `law` as a compiled law, with the present values of its DOLFINx Constants as numbers."""
     return law.mapped(lambda value, _: np.asarray(getattr(value, "value", value), float)).for_points()
 
 
 def _form_traits(p: Term) -> PartTraits:
-    """Traits of a law in UFL forms, without the traits that only compiled laws have.
+    """Return the traits of a law in a UFL form, from its virtual work `p`.
 
-    Such a law has no homotopy, and its tangent is not regularised. In bodies the trait `weakens` is dropped.
+    They are the traits of the law, without those that only compiled laws have. A law in a UFL form has no homotopy, and
+    its tangent is not regularised. In bodies the trait `weakens` is set to False.
     """
     traits = PartTraits.of(p.law)
     weakens, unchecked = traits.weakens and p.n is not None, not p.proportional
@@ -316,23 +333,31 @@ def _form_traits(p: Term) -> PartTraits:
 
 
 def _with_strains(terms: Iterable[Term], change: Callable[[Expr], Expr]) -> list[Term]:
-    """Copies of terms whose prescribed strains, if any, are replaced by `change` of them."""
+    """Return copies of `terms` in which each prescribed strain e, if there is one, is replaced by `change(e)`."""
     pairs = [(p, p.prescribed_strain) for p in terms]
     return [p if strain is None else replace(p, prescribed_strain=change(strain)) for p, strain in pairs]
 
 
 def _strain_work(p: Term, v: Expr) -> Expr:
-    """Virtual work, in the strains of v, of the stress that a term's prescribed strain causes without displacements."""
+    """Return the virtual work, a UFL form, of the stress that the prescribed strain of the linear law `p` causes alone.
+
+    The work is done in the strains of the virtual displacements `v`.
+    """
     return ufl.inner(p.law.stress(Step(p.prescribed_strain, p.n)), p.strain(v)) * p.weight * p.measure
 
 
 def _strain_energy(p: Term, u: fem.Function) -> Expr:
-    """Energy, a UFL form, by which the prescribed strain of a linear law changes the energy of displacements u."""
+    """Return the energy that the prescribed strain of the linear law `p` adds to that of displacements `u`, a UFL form."""
     return _strain_work(p, u) + p.law.energy(Step(p.prescribed_strain, p.n)) * p.weight * p.measure
 
 
 def _strain_force_integrals(strained: Sequence[Term], u: fem.Function) -> list[fem.Form]:
-    """Compiled integrals over bodies with prescribed strains e: of stress : e, of e : e, and the volume."""
+    """Return three compiled integrals over bodies with prescribed strains e: of stress : e, of e : e, and of 1.
+
+    Args:
+        strained: virtual works of these bodies' laws; without any, the result is an empty list.
+        u: displacements, from which and from e the stress follows.
+    """
     unity = fem.Constant(u.function_space.mesh, 1.0)
     densities = [(ufl.inner(stress(p, u), e), ufl.inner(e, e), unity) for p in strained for e in [p.prescribed_strain]]
     rows = [[f * p.weight * p.measure for f in row] for p, row in zip(strained, densities, strict=True)]
@@ -348,8 +373,8 @@ def _linear_stiffness(
         V: space of the displacements.
         linear: virtual works of the linear laws.
         bodies: virtual works of all bodies' laws.
-        other_terms: further virtual works. The nonzero pattern includes those of laws between two bodies on S that are
-            not compiled.
+        other_terms: virtual works that belong to other parts. If they are UFL forms on S between two bodies, the
+            nonzero pattern includes their entries.
 
     Raises:
         InputError: a law declares that it is linear and is not.

@@ -1,4 +1,4 @@
-"""Mean strain of a periodic cell under a prescribed mean stress, as unknowns of the whole cell."""
+"""Mean strain of a periodic cell under a prescribed mean stress: a few unknowns of the whole cell."""
 
 from __future__ import annotations
 
@@ -26,13 +26,14 @@ from thinlayer.system.ranks import destroy
 class MeanStressPart(FieldPart):
     """Mean strain E of a periodic cell as unknowns, with the equation that the mean stress has its prescribed value.
 
-    The unknowns are the components of E times the size of the cell, which are lengths; shears are 2 E_12. The rows of
-    the equation are forces: mean stress minus prescribed mean stress, times the volume of the cell over its size.
+    The unknowns are the components of E times the size of the cell, which are lengths; a shear component is 2 E_12. The
+    rows of the equation are forces: the difference of the mean stress and its prescribed value, times the cell's
+    volume, divided by its size.
 
     Args:
         V: space of the displacements.
-        bodies: virtual works of the bodies, with linear laws; their prescribed strains, from eigenstrains, are added to
-            E.
+        bodies: virtual works of the bodies' laws, which are linear. Strains prescribed in them by eigenstrains are
+            added to E.
         mean_stress: the prescribed mean stress.
         volume: volume of the cell.
         comm: communicator of the mesh.
@@ -96,7 +97,7 @@ class MeanStressPart(FieldPart):
         return [Block(matrix, theta, row, column, kept=True) for matrix, row, column in matrices]
 
     def commit(self) -> StepOutcome:
-        """Energies of the accepted step: those that the mean strain adds to the bodies' energies."""
+        """Return those energies over the accepted step that the mean strain adds to the bodies' energies."""
         now, old = self._u.x.petsc_vec, self.interval.old.u.x.petsc_vec
         difference = now - old
         self._change.array[:] = self.field.x.array[: self.own_size] - self._old.array_r
@@ -110,12 +111,13 @@ class MeanStressPart(FieldPart):
         return StepOutcome(before, after, 0.0, (2 * theta - 1) * change_energy, kept=False, supplied=supplied)
 
     def _energy(self, u: PETSc.Vec, E: PETSc.Vec, forces: Array) -> float:
-        """Energy that the mean strain adds to the bodies' energy.
+        """Return the energy that the mean strain adds to the bodies' energy, a number.
 
         Args:
             u: displacements.
-            E: the unknowns of the mean strain.
-            forces: forces of the bodies' prescribed strains in the equations of the mean strain.
+            E: the unknowns: components of the mean strain times the size of the cell.
+            forces: (own_size,) contribution of the bodies' prescribed strains to the rows of the equation of the mean
+                stress.
         """
         self.B.mult(E, self._forces)
         self.D.mult(E, self._more)
@@ -128,7 +130,7 @@ class MeanStressPart(FieldPart):
     # ---------------------------------------------------------------- own unknowns
     @property
     def own_file_order(self) -> FileOrder:
-        """Order of the components in files: one row for the whole periodic cell."""
+        """Order in which the mean strain's components are written to files: one row for the whole periodic cell."""
         return FileOrder(np.zeros(1, np.int64), np.arange(self._mean_stress.count)[None, :])
 
     def destroy(self) -> None:

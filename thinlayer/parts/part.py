@@ -29,7 +29,10 @@ MISSPELT_SIMILARITY = 0.9  # ratio of two names (difflib) from which on one coun
 
 @dataclass(frozen=True)
 class TimeStep:
-    """A time step from the configuration `old` to the time t = old.t + dt, with forces balanced at old.t + theta dt."""
+    """Time step from the configuration `old`, at time old.t, to the time t = old.t + dt.
+
+    Forces balance at the time old.t + theta dt. For theta = 1 that is the end of the step.
+    """
 
     old: Configuration
     t: float
@@ -44,24 +47,24 @@ class TimeStep:
 
 @dataclass(frozen=True)
 class PartTraits:
-    """Properties of a part of the balance of forces, as flags; `a | b` has the flags that a or b has.
+    """Properties of a part of the balance of forces, as flags; `a | b` has each flag that a or b has.
 
     Attributes:
-        rate: the forces depend on velocities or strain rates. `march` then begins at rest, and `solve` refuses the
-            part.
+        rate: the forces depend on velocities or strain rates. The solver `march` then begins at rest, and `solve`
+            refuses the part.
         remembers: the forces depend on the history before the step.
         nonlinear: the forces are not proportional to the displacements.
         bounded: stresses are bounded, so that loads may have a limit.
         softens: stresses fall as jumps grow, so that loads may have several equilibria.
-        weakens: forces may grow less than the tangent predicts, as the part flows, yields or softens, or its tangent
-            vanishes.
+        weakens: forces may grow less than the tangent predicts. The part flows, yields or softens, or its tangent may
+            vanish.
         releases: the part may resist a body in one step and release it in the next, as contact does.
         singular: the tangent may be singular for some strains although there is an energy.
         saddle: the tangent, with supports applied, may have eigenvalues of both signs.
         has_homotopy: the part has laws for homotopy continuation, which its method `set_homotopy` selects.
-        switches: points have phases, which are fixed while an equilibrium is computed, and change after it.
+        switches: quadrature points have phases, which are fixed while an equilibrium is computed, and change after it.
         inner: the part acts within bodies alone, so that rigid motions of a whole body cause no forces.
-        unchecked: stresses are not checked at each point; a NaN appears only in the summed forces.
+        unchecked: stresses are not checked at each quadrature point; a NaN appears only in the nodal forces.
     """
 
     rate: bool = False
@@ -83,7 +86,7 @@ class PartTraits:
 
     @classmethod
     def of(cls, law: Law) -> PartTraits:
-        """Traits of a part that consists of one law."""
+        """Return the traits of a part that consists of the one law `law`."""
         same = ("rate", "remembers", "bounded", "softens", "singular", "has_homotopy", "switches")
         has = {name: getattr(law.traits, name) for name in same}
         weakens = has["rate"] or has["bounded"] or has["singular"] or has["softens"]
@@ -117,11 +120,11 @@ class StepOutcome:
     Attributes:
         before, after: energy stored at the beginning and at the end of the step.
         dissipated: energy dissipated in the step.
-        remainder: work of the part's forces, `supplied` included, minus the change of stored energy and minus
-            `dissipated`. It is caused by the time scheme or by varying parameters.
+        remainder: error of the step's energy balance: the work of the part's forces plus `supplied`, minus the growth
+            of stored energy, minus `dissipated`. It is caused by the time scheme or by varying parameters.
         memory: memory at the end of the step, of the type that `Part.rest` returns; None: the part has no memory.
         supplied: work done on the part by prescribed strains, in addition to the work of loads and supports.
-        stress: (n, components) stresses at the n points of the memory at the end of the step; None: no stresses.
+        stress: (n, components) stresses at the end of the step, at the n points of the memory; None: no stresses.
         kept: whether the state stores `after` under the part's key. False if the state can compute the energy itself,
             as for laws in UFL forms.
     """
@@ -138,12 +141,16 @@ class StepOutcome:
 
 @dataclass(frozen=True)
 class FileOrder:
-    """Order of a rank's n values in files: by the number of their cell, facet or vertex ("entity") in the joint.
+    """Order in which one rank's values at cells, facets or vertices are written to files.
+
+    Cells, facets and vertices are called entities here. A file has one row for each entity, at the entity's number in
+    the joint, the undistributed mesh. Each entity has k of the rank's n values, for instance one for each quadrature
+    point.
 
     Attributes:
         numbers: (entities,) numbers of this rank's entities in the joint.
-        order: (entities, k) positions of each entity's k values among the n values, in an order that does not depend on
-            the distribution of the mesh.
+        order: (entities, k) positions of each entity's k values among the rank's n values. Their sequence does not
+            depend on the distribution of the mesh.
         n_owned: this rank writes the values of its first `n_owned` entities; None: of all.
     """
 
@@ -153,29 +160,37 @@ class FileOrder:
 
     @property
     def width(self) -> int:
-        """Number k of values of each cell, facet or vertex."""
+        """Number k of values that each cell, facet or vertex has."""
         return int(self.order.shape[1])
 
     @classmethod
     def by_place(cls, numbers: IntArray, indices: IntArray, x: Array) -> FileOrder:
-        """Order in which the values of each cell or facet are sorted by the positions of their points.
+        """Return the order in which the values of each cell or facet are sorted by the positions of their points.
 
         The points are sorted by their projections on the direction `SORTING_DIRECTION`.
 
         Args:
-            numbers: (entities,) numbers of the cells or facets in the joint.
-            indices: (entities, k) positions of each one's values among this rank's n values, in any order.
-            x: (n, d) coordinates of the points of the values; d: number of dimensions.
+            numbers: (entities,) numbers of the cells or facets in the joint, the undistributed mesh.
+            indices: (entities, k) positions, among this rank's n values, of the k values of each cell or facet,
+                unsorted.
+            x: (n, d) coordinates of the points of the n values; d: number of dimensions.
         """
         projections = x @ np.array(SORTING_DIRECTION[: x.shape[1]])
         return cls(numbers, np.take_along_axis(indices, np.argsort(projections[indices], axis=1), axis=1))
 
     def ordered(self, values: Array) -> Array:
-        """Values (n, v) of this rank as rows (entities, k v), one for each cell, facet or vertex, as in files."""
+        """Return this rank's `values` as the rows (entities, k v) of a file, one row for each cell, facet or vertex.
+
+        `values` is (n, v): v numbers for each of n points. A row contains the k v numbers of the entity's k points.
+        """
         return values[self.order].reshape(len(self.numbers), self.width * values.shape[1])
 
     def put(self, out: Array, rows: Array) -> None:
-        """Write rows (entities, k v), as `ordered` returns them, into the values `out` (n, v) of this rank."""
+        """Write the `rows` of a file, (entities, k v) as `ordered` returns them, into this rank's values `out`, (n, v).
+
+        `out` has v numbers for each of n points. A row contains the v numbers of each of the k points of a cell, facet
+        or vertex.
+        """
         out[self.order.ravel()] = rows.reshape(self.order.size, out.shape[1])
 
 
@@ -184,29 +199,31 @@ SORTING_DIRECTION = (0.5403023058681398, 0.2926817141205163, 0.7890437903507289)
 
 
 class Part(ABC):
-    """A part of the balance of forces, such as bodies, a layer, springs or contact. All methods are collective.
+    """Base class of a part of the balance of forces, such as bodies, a layer, springs or contact.
 
-    A step starts with `begin`. A solver then tries unknowns: it passes the displacements to `evaluate`, and all other
-    methods refer to this last evaluation. `commit` is called once, when the step is accepted. Four methods are
-    compulsory: `evaluate`, `add_forces`, `tangents` and `commit`. A part that defines the methods of `SwitchesPhases`
-    or of `MeasuresError` has this ability, too.
+    All methods are collective. A step starts with `begin`. A solver then tries values of the unknowns: it passes the
+    displacements to `evaluate`. All other methods refer to this last evaluation. `commit` is called once, when the step
+    is accepted.
+
+    Subclasses must define `evaluate`, `add_forces`, `tangents` and `commit`. A part whose phases switch also defines
+    the methods of `SwitchesPhases`. A part that measures time errors also defines those of `MeasuresError`.
 
     Attributes:
         key: name of the part's memory, energy and unknowns, in states and in files.
         traits: properties of the part.
-        failed: number of points on all ranks at which the last evaluation failed.
+        failed: number of points, on all ranks, at which the last evaluation failed.
         K: matrix of the forces that are linear in the displacements; None: there is no such matrix.
         field: unknowns of the part besides the displacements; None: it has none.
         distance: largest prescribed distance between bodies, such as an initial gap. The rounding error of
             displacements is at least that of this length.
-        cancelling: norm of the diagonal of a stiffness that acts on differences of displacements, such as jumps, and is
-            not in K; for the rounding error of forces.
+        cancelling: norm of the diagonal of a stiffness that is not in K and acts on differences of displacements, such
+            as jumps. The rounding error of forces follows from it.
         stress_width: number of stress components that states store at each point of the memory.
         interval: the present step.
 
     Raises:
-        InputError: when a subclass is defined: a method's name is that of an optional method misspelt, or only some
-            methods of an ability are defined.
+        InputError: a subclass is defined in which a method has the misspelt name of an optional method. Or it defines
+            only some of the methods of `SwitchesPhases` or of `MeasuresError`.
     """
 
     key: str
@@ -234,46 +251,52 @@ class Part(ABC):
                 raise InputError(f"{cls.__name__} has {min(names - missing)!r} without {min(missing)!r}; define both")
 
     def begin(self, interval: TimeStep) -> None:
-        """Begin a time step; its initial data are the configuration `interval.old`."""
+        """Begin the time step `interval`; its initial data are the configuration `interval.old`."""
         self.interval = interval
 
     def add_fixed(self, out: PETSc.Vec) -> None:
-        """Add to `out` the nodal forces that do not depend on the unknowns of the step; by default none."""
+        """Add to `out` those nodal forces that do not depend on the unknowns of the step; by default none."""
 
     def at_time(self, t: float) -> None:
-        """Set the part's parameters to their values at time t; raise InputError if one is out of range."""
+        """Set the part's parameters to their values at time `t`; raise InputError if one is out of range."""
 
     def parameters(self) -> list[Array]:
         """This rank's arrays of parameters that vary in time, at the time of the last `at_time`; by default none."""
         return []
 
     def set_homotopy(self, parameter: float) -> None:
-        """Choose the law of a homotopy continuation: parameter 0 is the part's law itself, 1 an elastic law."""
+        """Choose a law for homotopy continuation: `parameter` 0 selects the part's own law, 1 an elastic law.
+
+        Values in between select laws between these two.
+        """
 
     @abstractmethod
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
-        """Compute what the other methods need at trial displacements. The caller keeps u and mid unchanged meanwhile.
+        """Compute what the other methods need at trial displacements.
+
+        The caller does not change the functions `u` and `mid` until the next evaluation.
 
         Args:
             u: displacements at the end of the step.
-            mid: displacements old + theta (u - old) at which forces balance.
+            mid: displacements old + theta (u - old) at which forces balance; old: displacements at the beginning.
         """
 
     def failure(self) -> str:
-        """Message with the first failure of the last evaluation and its place; "" if nothing failed."""
+        """Return a message about the first point where the last evaluation failed; "" if it failed nowhere."""
         return ""
 
     @abstractmethod
     def add_forces(self, out: PETSc.Vec) -> float:
-        """Add the nodal forces of the last evaluation to `out`, and return their norm for the reference force.
+        """Add the nodal forces of the last evaluation to `out`, and return a norm of them.
 
-        Residuals are compared with the reference force. Return 0 if the forces are not to count in it.
+        Solvers compare residuals with a reference force, to which this norm contributes. A part whose forces should not
+        contribute to it returns 0.
         """
 
     def add_work_in(self, z: fem.Function, out: PETSc.Vec) -> None:
-        """Add to `out` the work, distributed to nodes, of the last evaluation's stresses in displacements z.
+        """Add to `out` the work of the last evaluation's stresses in the displacements `z`, distributed to the nodes.
 
-        By default it is each component of the nodal forces times that of z.
+        By default an entry of `out` grows by the product of a component of the nodal forces and that of `z`.
         """
         forces = out.duplicate()
         forces.set(0.0)
@@ -283,78 +306,91 @@ class Part(ABC):
         forces.destroy()
 
     def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:
-        """Add to `out` the nodal forces of the bodies' stresses in a state, which error estimates compare.
+        """Add to `out` the nodal forces of the stresses that bodies have in `state`; by default none.
 
-        By default none.
+        Error estimates compare these forces.
         """
 
     @abstractmethod
     def tangents(self, relative_residual: float) -> list[Block]:
-        """Blocks of the tangent of the last evaluation.
+        """Return the blocks of the tangent for the last evaluation.
 
         They are the derivatives of the nodal forces, and of the part's own equations, by the unknowns at the end of the
         step.
 
         Args:
-            relative_residual: norm of the last residual over the reference force; 0 unless a tangent may be singular.
-                Singular tangents are regularised in proportion to it.
+            relative_residual: norm of the last residual over the reference force; 0 unless a tangent may be singular. A
+                singular tangent is regularised in proportion to it.
         """
 
     def resisting(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
-        """Blocks of the tangent with which loose bodies are found; by default those of `tangents`.
+        """Return the blocks of the tangent without resistance that may be mere rounding error.
+
+        Solvers use it to find bodies that nothing holds. By default these blocks are those of `tangents`.
 
         Args:
             relative_residual: norm of the last residual over the reference force.
-            rounding: rounding error of each component of the nodal forces. Resistance of forces below it is left out.
+            rounding: rounding error of each component of the nodal forces. A resistance is left out if its force is
+                smaller.
         """
         return self.tangents(relative_residual)
 
     @abstractmethod
     def commit(self) -> StepOutcome:
-        """Energies over the step, and memory at its end, for the last evaluation."""
+        """Return energies over the accepted step, and memory at its end, for the last evaluation."""
 
     def undeclared_softening(self) -> Softening | None:
-        """Name of a law whose stress falls in the last evaluation although it lacks the trait `softens`, and the place.
+        """Find a law whose stress falls in the last evaluation although the law lacks the trait `softens`.
 
-        None: there is no such law.
+        Returns:
+            Name of the law, and a text that says where its stress falls. None: there is no such law.
         """
         return None
 
     def rest(self) -> Memory | None:
-        """Initial memory, before the first step; None: the part has no memory.
+        """Return the memory before the first step; None: the part has no memory.
 
-        It is an array (n, values) with a row for each quadrature point or node, written to files in the `file_order`.
-        Or it maps names to functions on the model's mesh, such as velocities, which are written cell by cell.
+        It is an array (n, values) with a row for each quadrature point or node, written to files in the order
+        `file_order`. Or it maps names to functions on the model's mesh, such as velocities, which are written cell by
+        cell.
         """
         return None
 
     @property
     def file_order(self) -> FileOrder | None:
-        """Order in files of the rows of a memory that is an array; None: the memory is none, or has no order."""
+        """Order in which the rows of the memory, if it is an array, are written to files; None: no such order."""
         return None
 
     def named(self) -> dict[str, PartTraits]:
-        """Traits of the part's laws, or of the part itself, by their names in error messages."""
+        """Return the traits of the part's laws, each under the name of the law for error messages.
+
+        By default these are the traits of the whole part, under a name with its key.
+        """
         return {f"the part {self.key!r}": self.traits}
 
     def diagonal_at_rest(self) -> PETSc.Vec | None:
-        """Diagonal of the tangent at rest of a body that is not in K, for the reference force; None: no such body.
+        """Return the diagonal of the tangent before loading, for a body whose stiffness is not in the matrix K.
 
-        The caller destroys the vector.
+        It contributes to the reference force. None: the part is no such body. The caller destroys the vector.
         """
         return None
 
     def takes_time(self) -> str:
-        """Name of a law that creeps or relaxes, so that its response depends on the length of the step; "": none."""
+        """Return the name of a law that creeps or relaxes: its response depends on the length of the step.
+
+        The result is "" if the part has no such law.
+        """
         return ""
 
     def answers_at_once(self, times: Sequence[float]) -> tuple[str, bool] | None:
-        """Name of a law whose instantaneous response is not linear, and whether changes of parameters are the reason.
-
-        None: there is no such law.
+        """Find a law whose response is instantaneous and not linear.
 
         Args:
-            times: start and ends of the steps; changes of parameters are looked for at and between them.
+            times: the start, then the ends of the steps. Parameters are checked for changes at and between these times.
+
+        Returns:
+            Name of the law, and whether its parameters change in time, which makes a linear law non-linear. None: there
+            is no such law.
         """
         return next(((name, False) for name, has in self.named().items() if has.nonlinear and not has.rate), None)
 
@@ -364,46 +400,50 @@ class Part(ABC):
 
 @runtime_checkable
 class SwitchesPhases(Protocol):
-    """Ability of a part whose columns, the cells above each other through the layer, have phases that switch."""
+    """Methods of a part of a layer whose columns have phases: branches of a non-monotone law, which may switch.
+
+    A column consists of the cells above each other through the layer's thickness.
+    """
 
     def excess(self) -> float:
-        """Largest energy that a column would lose by a change of phase, over the energy of the transformation.
+        """Return the largest energy that a column would lose by a change of phase, over that of the transformation.
 
-        Columns switch if it is > 0.
+        It is a number without unit: the energy of the transformation is a parameter of the law. If it is positive, a
+        column must change its phase.
         """
 
     def switch(self) -> bool:
-        """Change columns to the phases of lowest energy in the last evaluation; return whether a column changed."""
+        """Change each column to its phase of lowest energy in the last evaluation; return whether a column changed."""
 
 
 @runtime_checkable
 class MeasuresError(Protocol):
-    """Ability of a part to give its strains or jumps, which error estimates of steps compare."""
+    """Methods of a part that gives its strains or jumps to estimates of the time step's error."""
 
     def error_measure(self, u: fem.Function) -> Array:
-        """Values (n,) on this rank of strains or jumps at u, times square roots of quadrature weights.
+        """Return this rank's strains or jumps (n,) at displacements `u`, times square roots of quadrature weights.
 
-        The sum of their squares is the integral of the squared strains or jumps.
+        So the sum of the squares of all entries is the integral of the squared strains or jumps.
         """
 
     def unit_jump_measure(self) -> float:
-        """Estimate, on all ranks, of the sum of squares of `error_measure` for a unit jump across the layer."""
+        """Estimate the sum of squares of `error_measure`, over all ranks, for a displacement jump of 1 across the layer."""
 
 
 def _public_names(kind: type) -> set[str]:
-    """Public names in the body of a class, without inherited ones."""
+    """Return the public names that the body of the class `kind` defines, without inherited ones."""
     return {name for name in vars(kind) if not name.startswith("_")}
 
 
 class FieldPart(Part):
-    """A part with its own unknowns and equations besides displacements, such as a pressure or a mean strain.
+    """Part with unknowns and equations of its own besides the displacements, such as a pressure or a mean strain.
 
     Attributes:
-        field: the own unknowns, scaled so that their equations have the size of forces.
-        unit: factor by which the own unknowns are multiplied in states.
+        field: the part's own unknowns, divided by `unit`. This scaling gives their equations the unit of forces.
+        unit: factor by which `field` is multiplied before a state stores it.
         load: (own_size,) forces prescribed in the part's own equations; `own_residual` subtracts them.
-        on_S: whether the own unknowns are on S, so that block preconditioners suit them.
-        hint: clause of error messages with the reason why the part may make a linear solve fail; "": none.
+        on_S: whether the part's own unknowns are on S; block preconditioners suit them then.
+        hint: text for error messages that says why the part may make a linear solve fail; "": none.
     """
 
     field: fem.Function
@@ -420,39 +460,52 @@ class FieldPart(Part):
 
     @abstractmethod
     def own_residual(self) -> Array:
-        """Residual of the part's own equations for the last evaluation, one entry for each own unknown of this rank."""
+        """Return the residual of the part's own equations for the last evaluation, (own_size,), on this rank."""
 
     def load_at(self, t: float) -> Array:
-        """Forces (own_size,) that are prescribed in the part's own equations at time t; by default zero."""
+        """Return the forces (own_size,) that are prescribed in the part's own equations at time `t`; by default 0."""
         return np.zeros(self.own_size)
 
     def at_time(self, t: float) -> None:
-        """Set the time for which `parameters` returns prescribed forces and unknowns."""
+        """Set the time `t` of the values that `parameters` returns."""
         self._t = t
 
     def parameters(self) -> list[Array]:
-        """Forces prescribed in the part's own equations, and values of its prescribed unknowns, at the set time."""
+        """Return two arrays at the time set by `at_time`, on this rank.
+
+        The first contains the forces prescribed in the part's own equations, the second the values of its prescribed
+        unknowns.
+        """
         return [self.load_at(self._t), self.own_prescribed(self._t)[1]]
 
     def own_start(self, old: Configuration) -> Array:
-        """Values (own_size,) of the part's own unknowns, such as pressures, at the start of a step, on this rank."""
+        """Return this rank's values (own_size,) of the part's own unknowns, such as pressures, at the start of a step.
+
+        They are taken from the configuration `old` and divided by `unit`; zeros if `old` does not contain them.
+        """
         values = old.fields.get(self.key)
         return np.zeros(self.own_size) if values is None else np.asarray((values.x.array / self.unit)[: self.own_size])
 
     def own_prescribed(self, t: float | None) -> tuple[IntArray, Array]:
-        """Local numbers of the part's own unknowns that are prescribed, and their values at time t.
+        """Return which of the part's own unknowns are prescribed, and their values at time `t`.
 
-        The values are zeros if t is None. By default no own unknowns are prescribed.
+        By default none is prescribed.
+
+        Args:
+            t: time. None: the values that are returned are zeros.
+
+        Returns:
+            Local numbers (k,) of the prescribed unknowns, and their k values.
         """
         return np.empty(0, np.int64), np.empty(0)
 
     def _strain_forces(self, strains: StepStrains, form: fem.Form | None) -> tuple[Array, Array]:
-        """Forces of prescribed strains in the part's own equations, at the end and at the start of the step.
+        """Return the terms of prescribed strains in the part's own equations, at the end and at the start of the step.
 
-        Each array has one entry for each own unknown of this rank.
+        Each of the two arrays has one entry for each of the part's own unknowns on this rank.
 
         Args:
-            strains: the prescribed strains over the step; the method sets the time of `strains.now`.
+            strains: the prescribed strains over the step. The method changes the time of `strains.now`.
             form: linear form of the prescribed strains `strains.now`; None: no strains are prescribed.
         """
         old = self.interval.old
@@ -462,21 +515,21 @@ class FieldPart(Part):
         return new, assemble_values(form, self.own_size)
 
     def own_result(self) -> fem.Function:
-        """Function of the part's own unknowns at the end of the step, multiplied by `unit` as states store them."""
+        """Return the part's own unknowns at the end of the step as a function, `field` times `unit`, for the state."""
         values = self.field.copy()
         values.x.array[:] *= self.unit
         return values
 
     @property
     def own_size(self) -> int:
-        """Number of the part's unknowns, besides displacements, that this rank owns."""
+        """Number of the part's own unknowns, those besides displacements, that this rank owns."""
         dofmap = self.field.function_space.dofmap
         return int(dofmap.index_map.size_local * dofmap.index_map_bs)
 
     @property
     @abstractmethod
     def own_file_order(self) -> FileOrder:
-        """Order in files of the part's unknowns besides displacements, ghosts included."""
+        """Order in which the part's own unknowns, those besides displacements, are written to files, ghosts included."""
 
 
 __getattr__ = former_names(__name__, {"Interval": TimeStep, "Outcome": StepOutcome})
