@@ -347,7 +347,10 @@ def _strain_work(p: Term, v: Expr) -> Expr:
 
 
 def _strain_energy(p: Term, u: fem.Function) -> Expr:
-    """Return the energy that the prescribed strain of the linear law `p` adds to that of displacements `u`, a UFL form."""
+    """Return, as a UFL form, the energy that the prescribed strain of the linear law `p` adds to that of `u`.
+
+    The energy of the displacements `u` alone is u.K u/2.
+    """
     return _strain_work(p, u) + p.law.energy(Step(p.prescribed_strain, p.n)) * p.weight * p.measure
 
 

@@ -427,7 +427,7 @@ class MeasuresError(Protocol):
         """
 
     def unit_jump_measure(self) -> float:
-        """Estimate the sum of squares of `error_measure`, over all ranks, for a displacement jump of 1 across the layer."""
+        """Estimate the sum of squares of `error_measure`, over all ranks, for a jump of 1 across the layer."""
 
 
 def _public_names(kind: type) -> set[str]:
@@ -529,7 +529,7 @@ class FieldPart(Part):
     @property
     @abstractmethod
     def own_file_order(self) -> FileOrder:
-        """Order in which the part's own unknowns, those besides displacements, are written to files, ghosts included."""
+        """Order in which the part's own unknowns, those besides displacements, are written to files, with ghosts."""
 
 
 __getattr__ = former_names(__name__, {"Interval": TimeStep, "Outcome": StepOutcome})

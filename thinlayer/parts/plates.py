@@ -1,4 +1,4 @@
-"""Rigid plates on the boundary: for each of their motions the motion or the resultant force is prescribed."""
+"""Rigid plates on the boundary: for each motion of a plate, either the motion or its force is prescribed."""
 
 from __future__ import annotations
 
@@ -33,7 +33,10 @@ ROTATION_NAMES = {2: ("rotation",), 3: ("rotation x", "rotation y", "rotation z"
 
 
 def motion_names(d: int) -> list[str]:
-    """Names of a plate's translations, then of its rotations, in d dimensions."""
+    """Return the names of a plate's motions in `d` dimensions: "x", "y" and "rotation" in 2D.
+
+    In 3D they are "x", "y", "z", "rotation x", "rotation y" and "rotation z".
+    """
     return [*AXIS_NAMES[:d], *ROTATION_NAMES[d]]
 
 
@@ -54,11 +57,14 @@ class PlateMotion:
 
 @dataclass(frozen=True)
 class RigidPlate(PartDefinition):
-    """A rigid plate, bonded to a facet set of the outer boundary and to the side of the layer that continues it.
+    """Rigid plate that is bonded to a facet set of the outer boundary.
 
-    Its nodes move as a rigid body, with small rotations. It has a translation along each of the d axes, and 1 rotation
-    in 2D, 3 in 3D. For each of these motions either the motion is prescribed, or its force or moment, by default zero.
-    Each value may also be a function (x, t) of the time alone, or `piecewise`. A support at one of its nodes constrains
+    Where the facet set meets the side of a meshed layer, the plate is bonded to that side, too. The nodes of the plate
+    move as a rigid body, with small rotations. Its motions are a translation along each of the d axes, and one rotation
+    in 2D, three in 3D.
+
+    For each motion the user prescribes either the motion or its force or moment, by default zero. Each value may also
+    be a function (x, t) that depends on the time alone, or `piecewise`. A support at one node of the plate constrains
     the motion of the whole plate.
 
     Attributes:
@@ -68,11 +74,11 @@ class RigidPlate(PartDefinition):
         motion: name of a motion -> its prescribed value. "x", "y", "z": displacement of the point `about`, a length.
             "rotation" (in 3D "rotation x", ...): a small angle in radians.
         about: (d,) coordinates of the reference point in the model's mesh; None: the centroid of the facet set.
-        key: name of its unknowns, "plate NAME" with the name of the facet set.
+        key: name of the plate's unknowns: "plate NAME" for the facet set NAME.
 
     Raises:
-        InputError: when a model is made: an unknown or empty facet set, inner facets, or values that are no numbers. Or
-            a force along a prescribed motion, or nodes that belong to another plate too.
+        InputError: when a model is made: the facet set is unknown or empty, or has inner facets; or a value is no
+            number. Also if a prescribed motion has a force too, or a node belongs to two plates.
 
     Example:
         >>> from forms import LinearElastic
@@ -99,7 +105,7 @@ class RigidPlate(PartDefinition):
         object.__setattr__(self, "key", f"plate {self.place}")
 
     def multi_point_constraint(self, model: HostModel) -> MultiPointConstraint:
-        """Multi-point constraint by which displacements of the plate's nodes follow its few motions. Collective."""
+        """Return the constraint by which the displacements of the plate's nodes follow its few motions. Collective."""
         d, size = model.joint.dim, model.domain.joint.size
         scale = np.where(np.arange(motion_count(d)) < d, 1.0, size)
         keys, loads, vals = self.prescribed_motions(model), self._resultants(model), self._motions(model)
@@ -108,7 +114,7 @@ class RigidPlate(PartDefinition):
         return MultiPointConstraint(self.key, motion_names(d), R, motion, lambda t: self._at(t, loads, keys, d) / scale)
 
     def motion_in(self, state: State) -> PlateMotion:
-        """The plate's motion in a state. Collective."""
+        """Return the displacement and rotation of the plate in `state`. Collective."""
         model = state.model
         (mpc,) = (mpc for mpc in model.constraints.mpcs if mpc.key == self.key)
         q, d = model.constraints.motion(mpc, state.u.x.array[: model.constraints.n]), model.joint.dim
@@ -116,14 +122,14 @@ class RigidPlate(PartDefinition):
         return PlateMotion(q[:d], np.asarray(rotation[0] if d == 2 else rotation), self.point(model))
 
     def _motion_matrix(self, model: HostModel, about: Array, size: float) -> scipy.sparse.csr_matrix:
-        """Matrix (n, k) from the k motions of the plate to the n displacement components of this rank. Collective.
+        """Return the matrix (n, k) from the plate's k motions to this rank's n displacement components. Collective.
 
-        A rotation shifts the bodies on both sides of a layer along S relative to each other, with the layer's thickness
-        as lever arm.
+        In an interface model of order 1 the lever arms of rotations include the layer's thickness. They are measured
+        with the bodies moved apart by it, as for a meshed layer.
 
         Args:
             model: the model.
-            about: (d,) reference point of the rotations.
+            about: (d,) reference point of the rotations; d: number of dimensions.
             size: size of the structure. The unknowns of rotations are angles times this length.
         """
         V, d = model.V, model.joint.dim
@@ -167,41 +173,47 @@ class RigidPlate(PartDefinition):
             self._at(0.0, self._resultants(model), self.prescribed_motions(model), d)
 
     def _resultants(self, model: HostModel) -> dict[str, Coefficient]:
-        """The prescribed loads of the plate under the names "force" and "moment", without values that are None."""
+        """Return the prescribed loads of the plate, under the names "force" and "moment", if they are not None."""
         d, loads = model.joint.dim, (("force", self.force), ("moment", self.moment))
         shapes: dict[str, tuple[int, ...]] = {"force": (d,), "moment": () if d == 2 else (3,)}
         return {name: self._value(model, name, value, shapes[name]) for name, value in loads if value is not None}
 
     def _motions(self, model: HostModel) -> dict[int, Coefficient]:
-        """Position of each prescribed motion in `motion_names` -> its value."""
+        """Return the prescribed motions: position of the motion in `motion_names` -> its prescribed value."""
         names = motion_names(model.joint.dim)
         return {names.index(k): self._value(model, f"motion {k!r}", value, ()) for k, value in self.motion.items()}
 
     def _value(self, model: HostModel, name: str, value: Number | Vector, shape: tuple[int, ...]) -> Coefficient:
-        """Convert a user's value to a `Coefficient` that may depend on the time, not on the place.
+        """Convert a value that the user prescribes to a `Coefficient` that may depend on the time, not on the place.
 
         Args:
             model: the model.
             name: name of the value in messages.
-            value: the value.
-            shape: shape that it must have.
+            value: number, vector or function (x, t) that the user gave.
+            shape: shape that the value must have.
         """
         coefficient: Coefficient = model.coordinates.coefficient(value, f"{self.what}: {name}", shape)
         return coefficient.once("the whole plate")
 
     @staticmethod
     def _excluded(model: HostModel) -> list[int]:
-        """Positions in `motion_names` of the motions that the model's kinematics exclude, as axisymmetry does."""
+        """Return the positions in `motion_names` of the motions that the model's symmetry excludes.
+
+        In axisymmetry these are all motions except the translation along the axis.
+        """
         return [int(k) for k in np.flatnonzero(balanced_motions(model.kinematics, model.joint.dim) == 0)]
 
     def _at(self, t: float, loads: Mapping[str, Coefficient], prescribed: Sequence[int], d: int) -> Array:
-        """Forces and moments (k,) on the k motions at time t; raise InputError if one is on a prescribed motion.
+        """Return the forces (k,) on the k motions of the plate at time `t`; those on rotations are moments.
 
         Args:
             t: time.
             loads: the prescribed loads under the names "force" and "moment".
             prescribed: positions of the prescribed motions in `motion_names`.
             d: number of dimensions.
+
+        Raises:
+            InputError: a motion is prescribed, and its force or moment is not zero.
         """
         out, places = np.zeros(motion_count(d)), {"force": slice(d), "moment": slice(d, None)}
         for name, value in loads.items():
@@ -213,7 +225,7 @@ class RigidPlate(PartDefinition):
         return out
 
     def point(self, model: HostModel) -> Array:
-        """Coordinates (d,), in d dimensions, of the reference point of rotations and moments. Collective.
+        """Return the coordinates (d,) of the reference point of rotations and moments, in d dimensions. Collective.
 
         By default it is the centroid of the facet set, in axisymmetry the projection of the centroid onto the axis.
         """
@@ -222,7 +234,7 @@ class RigidPlate(PartDefinition):
         return moment_centre(model.kinematics, centroid(model.domain, self.place))
 
     def prescribed_motions(self, model: HostModel) -> list[int]:
-        """Positions in `motion_names` of the motions that are prescribed or excluded by axisymmetry, ascending.
+        """Return the positions in `motion_names`, ascending, of motions that are prescribed or excluded by axisymmetry.
 
         Axisymmetry excludes all motions except the translation along the axis.
         """

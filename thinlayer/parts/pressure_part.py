@@ -1,4 +1,4 @@
-"""Pressure of an incompressible or rubbery layer: a field on the cells of the meshed layer, or on S."""
+"""Pressure of an incompressible or rubbery layer: unknowns on the cells of the meshed layer, or on S."""
 
 from __future__ import annotations
 
@@ -36,12 +36,15 @@ VERTEX_TOLERANCE = 1e-9  # distance of two vertices, relative to the size of S, 
 
 
 class PressurePart(FieldPart):
-    """Pressure p of an incompressible or rubbery layer as a field of unknowns, with a weak equation for the volume.
+    """Pressure p of an incompressible or rubbery layer as unknowns, with a weak equation for the change of volume.
 
     p is positive in tension. The equation is int q (tr e - c p) - int_S f grad_S p . grad_S q = 0 for all q of degree
-    1. The strain e is the sum of the strain of the displacements and the prescribed strain, so that a free expansion
-    causes no pressure. c is the law's `volume_compliance`, and f = eps^3/(12 mu) (`Term.flow`) the flow along S of an
-    interface law of order 1; else f = 0. If the law has this flow, p is zero at free ends.
+    1. Its terms are:
+
+    - e: strain of the displacements plus the prescribed strain, so that a free expansion causes no pressure.
+    - c: the law's `volume_compliance`.
+    - f: the flow along S, `Term.flow`. An interface law of order 1 has f = eps^3/(12 mu), and p is zero at free ends.
+      Otherwise f = 0.
 
     The pressure has degree 1, displacements and jumps have degree 2. In the meshed layer this is the Taylor-Hood
     element.
@@ -51,17 +54,17 @@ class PressurePart(FieldPart):
         term: virtual work of the incompressible law.
         stiffness: a nodal stiffness, force per displacement, > 0. It scales the rows of G to forces, so that the
             residuals of both equations have the same unit.
-        origin: relation of the mesh to its joint. Files need it; for a law with flow it gives the points of S between
-            bodies that are apart. None: there is no joint.
-        free: (n, d) coordinates of the vertices of S where p is zero; None: there are none.
+        origin: relation of the mesh to the joint, the undistributed mesh from which it was made. Files need it. For a
+            law with flow it gives the positions of S between bodies that are apart. None: there is no joint.
+        free: (n, d) coordinates of the vertices of S where p is zero, in d dimensions; None: there are none.
         masters: (n_points,) for each point of the joint, the point with which periodic sides identify it
             (`Joint.masters`); None: the joint is not periodic.
 
     Attributes:
         key: name of the pressure in `State.fields`: the term's key, with "pressure" in place of "layer".
         region: the cells of the meshed layer, or S, as a mesh.
-        unit: factor of G; `field` is the pressure divided by it.
-        G: matrix of int q tr e(v) times `unit`; rows: pressures, columns: displacements.
+        unit: scale of the unknowns: the pressure is `field` times `unit`.
+        G: matrix of int q tr e(v), times `unit`; rows: pressures, columns: displacements v.
         C: matrix of int c p q + int_S f grad_S p . grad_S q, times the square of `unit`; None: c and f are zero.
     """
 
@@ -100,10 +103,11 @@ class PressurePart(FieldPart):
     def _compliance(self, space: fem.FunctionSpace, term: Term, points: Quadrature | None) -> PETSc.Mat | None:
         """Assemble the matrix of int c p q + int_S f grad_S p . grad_S q; None: c and f are zero. Collective.
 
-        c and f are explained in the class. The attribute `C` is this matrix times the square of `unit`.
+        c is the law's `volume_compliance`, f the flow `Term.flow` along S. The attribute `C` is this matrix times the
+        square of `unit`.
 
         Args:
-            space: space of the pressures.
+            space: space of the pressures p and q.
             term: virtual work of the law.
             points: quadrature points where parameters that are functions of the place are evaluated; None: there are no
                 such parameters.
@@ -129,7 +133,7 @@ class PressurePart(FieldPart):
         return C
 
     def _means(self, f: Expr) -> fem.Function:
-        """Piecewise constant function of the means of an expression over each facet or cell. Collective."""
+        """Return the mean of the UFL scalar `f` over each facet or cell, a piecewise constant function. Collective."""
         space = fem.functionspace(self.region.mesh, ("DG", 0))
         q, n_owned = self.region.side(ufl.TestFunction(space)), space.dofmap.index_map.size_local
         forms = [integrand * q * self.region.measure for integrand in (f, fem.Constant(self.region.parent_mesh, 1.0))]
@@ -137,12 +141,20 @@ class PressurePart(FieldPart):
         return set_owned_values(fem.Function(space), integrals / sizes)
 
     def _end_p(self) -> Array:
-        """This rank's pressures at the end of the step, divided by `unit`, for the last evaluation."""
+        """Return this rank's pressures (own_size,) at the end of the step, divided by `unit`.
+
+        They belong to the last evaluation.
+        """
         theta, p = self.interval.theta, self._p.x.array[: self.own_size]
         return np.asarray(p if theta == 1 else (p - (1 - theta) * self.own_start(self.interval.old)) / theta)
 
     def _multiply_C(self, C: PETSc.Mat, p: Array) -> tuple[Array, float]:
-        """C p on this rank, and p . C p summed over all ranks, for this rank's pressures p. Collective."""
+        """Return C p on this rank, and the number p . C p summed over all ranks. Collective.
+
+        Args:
+            C: the matrix.
+            p: (own_size,) this rank's pressures, divided by `unit`.
+        """
         v = self._C_product.duplicate()
         v.array[:] = p
         C.mult(v, self._C_product)
@@ -177,7 +189,10 @@ class PressurePart(FieldPart):
         return self._residual
 
     def own_prescribed(self, t: float | None) -> tuple[IntArray, Array]:
-        """Local numbers of the pressures at free ends, which a law with flow along S sets to zero, and these zeros."""
+        """Return the local numbers of the pressures that are set to zero at free ends of S, and as many zeros.
+
+        Only laws with a flow along S have such pressures. The time `t` has no influence.
+        """
         return self._zero_dofs, np.zeros(len(self._zero_dofs))
 
     def tangents(self, relative_residual: float) -> list[Block]:
@@ -187,7 +202,10 @@ class PressurePart(FieldPart):
         return blocks
 
     def commit(self) -> StepOutcome:
-        """Energies of the pressure over the step: it stores p.C p/2, and works in increments of prescribed strains."""
+        """Return the energies of the pressure over the accepted step.
+
+        The stored energy is p.C p/2. The supplied work is that of the pressure in the growth of prescribed strains.
+        """
         self._volume.array[:] = self._growth
         supplied = float(self._volume.dot(self._p.x.petsc_vec))
         if self.C is None:
@@ -197,7 +215,12 @@ class PressurePart(FieldPart):
         return StepOutcome(before, after, remainder=(2 * self.interval.theta - 1) * change_energy, supplied=supplied)
 
     def own_result(self) -> fem.Function:
-        """Pressure at the end of the step, extrapolated from `field`, the pressure over `unit` at old.t + theta dt."""
+        """Return the pressure at the end of the step as a function, for the state.
+
+        `field` is the pressure at the time old.t + theta dt, divided by `unit`. For theta < 1 the result is
+        extrapolated from it and from the pressure at the start. If C is None, the pressure before the first step is
+        unknown; then `field` times `unit` is returned.
+        """
         p, old, theta = super().own_result(), self.interval.old.fields.get(self.key), self.interval.theta
         if theta < 1 and (old is not None or self.C is not None):
             p.x.array[:] = (p.x.array - (1 - theta) * (0.0 if old is None else old.x.array)) / theta
@@ -218,12 +241,15 @@ class PressurePart(FieldPart):
 
 
 def flows_along_surface(term: Term) -> bool:
-    """Whether a law's pressure drives a flow along S, as in interface laws of order 1 of incompressible layers."""
+    """Tell whether the pressure of the law in `term` drives a flow along S.
+
+    It does in interface laws of order 1 of incompressible layers.
+    """
     return not isinstance(ufl.as_ufl(term.flow), Zero)
 
 
 def periodic_functions(region: MeasureRegion, masters: IntArray) -> fem.FunctionSpace:
-    """Space of degree 1 whose functions have equal values at vertices that periodic sides identify. Collective.
+    """Return a space of degree 1 whose functions have equal values at points that periodic sides identify. Collective.
 
     Args:
         region: the mesh of the functions.
@@ -238,7 +264,10 @@ def periodic_functions(region: MeasureRegion, masters: IntArray) -> fem.Function
 
 
 def dofs_at_vertices(space: fem.FunctionSpace, places: Array) -> IntArray:
-    """Owned dofs of a space of degree 1 at vertices with coordinates `places` (n, d), to rounding. Collective."""
+    """Return this rank's owned dofs of `space`, of degree 1, at the vertices with coordinates `places`. Collective.
+
+    `places` is (n, d) for n vertices in d dimensions; rounding errors of coordinates are allowed.
+    """
     x = space.tabulate_dof_coordinates()[: space.dofmap.index_map.size_local, : places.shape[1]]
     boxes = space.mesh.comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)))
     low, high = (np.array(bounds) for bounds in zip(*boxes, strict=True))

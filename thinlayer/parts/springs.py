@@ -30,8 +30,10 @@ class Springs(PartDefinition):
 
     Their traction on the structure is -k_N u_N - k_T u_T, with the normal and the tangential displacement u_N and u_T.
     Springs push and pull: a foundation that only pushes is contact with a rigid base (`geometry.block`, a contact law).
-    A structure on springs needs no supports. Where a facet set NAME meets a meshed layer, the layer's own side is the
-    facet set "NAME/LAYER", and gets springs only under that name.
+    A structure on springs needs no supports.
+
+    A facet set NAME of the bodies does not include the side of a meshed layer between them. That side is the facet set
+    "NAME/LAYER", and needs springs of its own.
 
     Attributes:
         place: name of a facet set on the outer boundary.
@@ -39,11 +41,11 @@ class Springs(PartDefinition):
             number, or a function of the coordinates x in the joint as drawn, before S is opened to the layer's
             thickness. A function in UFL, x -> UFL scalar, is exact. A function in numpy, x (d, n) -> (n,), is
             interpolated in each cell with degree 2.
-        key: name of their energy in `State.energies`, "springs NAME" with the name of the facet set.
+        key: name of the springs' energy in `State.energies`: "springs NAME" for the facet set NAME.
 
     Raises:
-        InputError: no stiffness. When a model is made: an unknown or empty facet set, or inner facets. Or a stiffness
-            that is negative, or neither a number nor a function of the coordinates.
+        InputError: both stiffnesses are 0. When a model is made: the facet set is unknown or empty, or has inner
+            facets. Or a stiffness is negative, or neither a number nor a function of the coordinates.
 
     Example:
         >>> from forms import LinearElastic
@@ -81,26 +83,36 @@ class Springs(PartDefinition):
                 raise InputError(f"{stiffness.what} is {values[k]:.6g} at {at_place(x[k])}; allowed: finite, >= 0")
 
     def _stiffnesses(self, model: HostModel) -> list[Coefficient]:
-        """The normal and the tangential stiffness as coefficients of the place. Collective."""
+        """Return the normal, then the tangential stiffness, as functions of the place in `model`. Collective."""
         values, text = {"normal": self.normal, "tangential": self.tangential}, f"springs on {self.place!r}: "
         return [model.coordinates.coefficient(k, text + name, (), of_place=True) for name, k in values.items()]
 
     def work(self, model: HostModel, u: Expr, v: Expr) -> ufl.Form:
-        """Virtual work, a UFL form, of the springs' resistance to displacements u in the displacements v."""
+        """Return the virtual work k_N u_N v_N + k_T u_T . v_T of the springs, a UFL form.
+
+        Args:
+            model: the model.
+            u: displacements.
+            v: virtual displacements.
+        """
         n = ufl.FacetNormal(model.V.mesh)
         normal, tangential = (stiffness.expression for stiffness in self._stiffnesses(model))
         work = (normal - tangential) * ufl.dot(u, n) * ufl.dot(v, n) + tangential * ufl.inner(u, v)
         return work * model.kinematics.factor * model.ds(model.domain.values(self.place))
 
     def reaction(self, model: HostModel, u: fem.Function) -> list[tuple[Place, Array]]:
-        """The facet set, with the springs' resultant force and moment on the structure at displacements u. Collective.
+        """Return the resultant of the springs' tractions on the structure, in a list with one pair. Collective.
 
-        Moments are about `model.centre`.
+        The pair is the name of the facet set and an array: the force, then the moment about `model.centre`.
+
+        Args:
+            model: the model.
+            u: displacements.
         """
         motion, v = motion_expression(model.domain.mesh, model.centre)
         return [(self.place, -unit_values(model.comm, self.work(model, u, v), motion))]
 
     def part(self, model: HostModel) -> FormPart:
-        """The springs as a part of a model's balance of forces. Collective."""
+        """Return the springs as a part of the balance of forces of `model`. Collective."""
         u, v = ufl.TrialFunction(model.V), ufl.TestFunction(model.V)
         return FormPart(self.key, fem.Function(model.V), assemble_plain_matrix(self.work(model, u, v)), kept=True)

@@ -27,9 +27,11 @@ class UflPart(PartDefinition):
     """Forces that a user defines by a UFL form of their virtual work or of their energy.
 
     UFL computes the derivatives. In a step of length dt from time old.t, the form is evaluated at the displacements at
-    old.t + theta dt, where forces balance. If the forces have an energy, define `energy`: the tangent is then
-    symmetric, and the energy balance of a step contains the energy. Otherwise the tangent counts as not symmetric, and
-    the energy is NaN unless the forces are linear with a symmetric matrix.
+    old.t + theta dt, where forces balance.
+
+    If the forces have an energy, define `energy`: the tangent is then symmetric, and the energy balance of a step
+    contains the energy. With `virtual_work` the tangent counts as not symmetric. The energy is then NaN, unless the
+    forces are linear with a symmetric matrix.
 
     Attributes:
         virtual_work: function (u, v, model) -> the virtual work at displacements u, a form linear in v. The measures
@@ -39,7 +41,7 @@ class UflPart(PartDefinition):
         key: name of the part in `State.energies`.
 
     Raises:
-        InputError: neither function, or both. When a model is made: the function does not return such a form.
+        InputError: neither function is given, or both. When a model is made: the function does not return such a form.
 
     Example:
         >>> import ufl
@@ -65,7 +67,7 @@ class UflPart(PartDefinition):
             raise InputError(f"{self!r}: give one function, virtual_work(u, v, model) or energy(u, model)")
 
     def check(self, model: HostModel) -> None:
-        """Raise InputError unless the function returns a form that can be assembled on the model. Collective."""
+        """Raise InputError unless the user's function returns a form that can be assembled on `model`. Collective."""
         u, v = fem.Function(model.V), ufl.TestFunction(model.V)
         text = f"the part {self.key!r}"
         try:
@@ -85,11 +87,14 @@ class UflPart(PartDefinition):
             raise InputError(f"the forces of {text} do not depend on u; loads are `tractions` and `body_force`")
 
     def _form(self, model: HostModel, u: Expr, v: Expr) -> ufl.Form:
-        """The form that the user's function returns at displacements u; v is not used by an energy."""
+        """Return the form that the user's function gives at displacements `u`; only a virtual work contains `v`."""
         return self.energy(u, model) if self.energy else self.virtual_work and self.virtual_work(u, v, model)
 
     def work(self, model: HostModel, u: Expr, v: Expr) -> ufl.Form:
-        """Virtual work at displacements u, a form linear in v; of an energy its derivative in the direction v."""
+        """Return the virtual work at displacements `u`, a form linear in the virtual displacements `v`.
+
+        If the user gave an energy, it is the derivative of the energy in the direction `v`.
+        """
         if not self.energy:
             return whole_structure_form(self._form(model, u, v), model)
         unknown = fem.Function(model.V)
@@ -103,12 +108,16 @@ class UflPart(PartDefinition):
         return self.energy is not None
 
     def part(self, model: HostModel) -> FormPart:
-        """The form as a part of a model's balance of forces. Collective."""
+        """Return the user's form as a part of the balance of forces of `model`. Collective."""
         return _UserFormPart(self, model)
 
 
 class _UserFormPart(FormPart):
-    """The forces of a `UflPart`: a matrix if they are linear, else a form."""
+    """Part of the balance of forces with the forces of a `UflPart`.
+
+    If the forces are linear in the displacements, their matrix is assembled once. Otherwise the form is assembled in
+    each evaluation.
+    """
 
     def __init__(self, part: UflPart, model: HostModel) -> None:
         u, v, linear = fem.Function(model.V), ufl.TestFunction(model.V), part.is_linear(model)
@@ -127,7 +136,10 @@ class _UserFormPart(FormPart):
 
 @without_cycles()
 def has_arity(form: ufl.Form) -> bool:
-    """Whether a UFL form is linear in each of its arguments, and each summand contains all of them."""
+    """Tell whether the UFL `form` is linear in each of its arguments (test and trial functions).
+
+    Each summand must contain all of these arguments.
+    """
     try:  # derivatives of energies contain inner(u, v) and inner(v, u), which differ by a complex conjugate
         check_form_arity(remove_complex_nodes(apply_algebra_lowering(expand_derivatives(form))), form.arguments())
     except (ArityMismatch, ValueError):  # UFL raises ValueError for sums whose terms differ

@@ -1,4 +1,4 @@
-"""Term of a softening law in a meshed layer, evaluated at the mean strains through the thickness."""
+"""Virtual work of a softening law in a meshed layer, evaluated at the mean strains through the thickness."""
 
 from __future__ import annotations
 
@@ -20,12 +20,14 @@ from thinlayer.system.ranks import destroy
 
 
 class ColumnTerm(CompiledTerm):
-    """A softening law in a meshed layer, evaluated at means of the strains through the thickness.
+    """Softening law in a meshed layer, evaluated at means of the strains through the thickness.
 
     The means are over columns, the cells above each other through the thickness, so that the layer behaves as one on S.
-    If single rows of cells softened, they would unload the others: the fracture energy would depend on the number of
-    rows. The deviations of strains from their means are elastic, with the law's tangent C at rest. Nodes in a broken
-    layer therefore keep a stiffness. With the law's energy psi,
+    With strains of single cells, only one row of cells would soften and the others unload. The fracture energy would
+    then depend on the number of rows.
+
+    The deviations of strains from their means are elastic, with the law's tangent C before loading. Nodes in a broken
+    layer therefore keep a stiffness. With the law's energy psi and the strain e,
 
         energy = int [psi(mean) + (e - mean) : C (e - mean)/2].
     """
@@ -39,10 +41,11 @@ class ColumnTerm(CompiledTerm):
 
     @cached_property
     def _mean(self) -> Projection:
-        """Projection of strains in each column on polynomials of the position along S, constant through the thickness.
+        """Projection that replaces strains at quadrature points by their means through the layer's thickness.
 
-        In quadrilaterals and hexahedra they have the quadrature degree, and thus represent any values at the points'
-        positions along S. In other cells they have the degree of the displacements.
+        Along S the means vary as polynomials in each column of cells. In quadrilaterals and hexahedra the polynomials
+        have the quadrature degree, so that they represent any values at the points' positions along S. In other cells
+        they have the degree of the displacements.
         """
         tensor = is_tensor(self.region.mesh.topology.cell_name())
         max_degree = self.degree if tensor else self._V.ufl_element().basix_element.degree
@@ -60,9 +63,9 @@ class ColumnTerm(CompiledTerm):
 
     @cached_property
     def _elastic(self) -> Array:
-        """Tangents (points, 6, m) of the law at rest: all Mandel components of stress by the m of strain.
+        """Tangents (points, 6, m) of the law before loading: the 6 Mandel components of stress by the m of strain.
 
-        With uniform parameters they are computed once for each distinct director.
+        If the parameters do not depend on the place, points with the same normal of the layer share one computation.
         """
         law = self.term.law
         laws = list(law.at_places(self.joint_x)) if law.fields else repeat(law)
@@ -72,9 +75,9 @@ class ColumnTerm(CompiledTerm):
         return np.broadcast_to(C[positions.ravel()][..., self.slots], (self.count, 6, len(self.slots)))
 
     def respond(self, e: Array, e_old: Array, memory: Array, dt: float, theta: float) -> Response:
-        """Response of the law to the strains' means over columns, with elastic deviations; only for theta = 1.
+        """Return the law's response to mean strains over columns, plus the elastic response to deviations from them.
 
-        The stress is conjugate to the strains e, not to their means.
+        theta must be 1. The stress is the derivative of the total energy by the strains e, not by their means.
 
         Args:
             e, e_old: (points, m) strains at the end and at the beginning of the step, as m Mandel components.
@@ -90,11 +93,14 @@ class ColumnTerm(CompiledTerm):
         return replace(response, whole=stress, stress=stress[:, self.slots], energies=energies)
 
     def _energy(self, deviation: Array) -> float:
-        """Elastic energy, over this rank's points, of strains (points, m): the deviations from means over columns."""
+        """Return the elastic energy, over this rank's points, of `deviation` (points, m).
+
+        These are the strains minus their means over columns, as m Mandel components.
+        """
         return float(np.einsum("p,pi,pij,pj->", self.weights, deviation, self._elastic[:, self.slots], deviation) / 2)
 
     def stored(self, e: Array, memory: Array, dt: float) -> float:
-        """Stored energy on this rank: that of the law at mean strains, and that of the strains' deviations from them.
+        """Return the stored energy on this rank: that of the mean strains plus that of the deviations from them.
 
         Means are over columns, the cells above each other through the layer's thickness.
 
@@ -107,11 +113,13 @@ class ColumnTerm(CompiledTerm):
         return super().stored(mean, memory, dt) + self._energy(e - mean)
 
     def stiffness(self, tangent: Array, relative_residual: float = 0.0, into: PETSc.Mat | None = None) -> PETSc.Mat:
-        """Part of the tangent matrix that depends on the means of strains; `constant` has the elastic remainder.
+        """Return the tangent matrix of the law at the mean strains over columns.
+
+        The elastic matrix of the deviations from the means does not change; it is the attribute `constant`.
 
         Args:
             tangent: (points, m, m) tangents of the law, for m Mandel components.
-            relative_residual: residual of the balance of forces over the reference force.
+            relative_residual: norm of the last residual over the reference force.
             into: an earlier result, which is overwritten and whose nonzero pattern is used again; None: a new matrix.
         """
         return self._product(self._regularised(tangent, relative_residual), self._B_of_means, into)

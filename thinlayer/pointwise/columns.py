@@ -15,7 +15,10 @@ EXCESS_TOLERANCE = 1e-11  # largest excess (an energy over C) that counts as rou
 
 
 class Columns:
-    """Sums and means of values at quadrature points over columns. Collective, as all methods are.
+    """Columns of a layer, with sums and means over each column of values at quadrature points.
+
+    A column is a facet of S or, in the meshed layer, the cells above each other through the thickness. All methods are
+    collective.
 
     Attributes:
         count: number of columns on all ranks.
@@ -27,38 +30,47 @@ class Columns:
         self._total = self.sum_of(weights)
 
     def sum_of(self, values: Array) -> Array:
-        """Sums (count,) over each column of values (points,), the same on all ranks."""
+        """Return the sum (count,) over each column of `values` (points,), the same on all ranks."""
         # np.bincount gives integers if there are no points
         sums: Array = np.bincount(self.column_of, values, self.count).astype(float)
         self.comm.Allreduce(MPI.IN_PLACE, sums)
         return sums
 
     def mean(self, values: Array) -> Array:
-        """Means (count,) over each column of values (points,), by quadrature weights, the same on all ranks."""
+        """Return the mean (count,) over each column of `values` (points,), the same on all ranks.
+
+        Points have the weights of the quadrature rule.
+        """
         return self.sum_of(self._weights * values) / self._total
 
 
 @runtime_checkable
 class SwitchingLaw(Protocol):
-    """Methods that a law with pure phases must have, each for n columns of a layer.
+    """Methods of a law whose points are in one of several pure phases, which may switch.
 
-    Their arguments are the law's `switching_variables`, (n,) each: the phase; the driving force, an energy per volume;
-    and its bound, the energy of the transformation.
+    The arguments of both methods are arrays (n,), one number for each of n columns of a layer:
+
+    - phase: the present phase, such as -1, 0 or 1.
+    - drive: driving force, an energy per volume.
+    - bound: energy per volume of the transformation, with which the driving force is compared.
     """
 
     def excess(self, phase: Array, drive: Array, bound: Array) -> Array:
-        """Energies (n,) of the phases minus the least energy of other phases, over `bound`; columns switch if > 0."""
+        """Return (n,) the energy of the present phase minus the least energy of the other phases, over `bound`.
+
+        A column switches if the number is positive.
+        """
 
     def switched(self, phase: Array, drive: Array, bound: Array) -> Array:
-        """Phases (n,) of lowest energy."""
+        """Return the phase (n,) of lowest energy of each of n columns."""
 
 
 class Switching:
     """Phases of a layer's columns, read from and changed in the internal variables of a law with pure phases.
 
     Args:
-        law: the law.
-        columns: the columns of the quadrature points; None: each point has a phase of its own.
+        law: the law; it has the methods of `SwitchingLaw`.
+        columns: the columns, with the number of the column of each quadrature point; None: each point is a column.
 
     Raises:
         InputError: the law lacks the methods of `SwitchingLaw`.
@@ -78,9 +90,9 @@ class Switching:
         return [np.rint(phase), drive, bound]  # a mean of equal numbers has rounding errors
 
     def excess(self, memory: Array) -> float:
-        """Largest energy that a column would lose by a change of phase, over the energy of the transformation.
+        """Return the largest energy that a column would lose by a change of phase, over that of the transformation.
 
-        Collective, with the same result on all ranks; > 0 if a column must switch.
+        It is a number without unit, the same on all ranks. If it is positive, a column must switch. Collective.
 
         Args:
             memory: (points, values) internal variables.
@@ -88,13 +100,14 @@ class Switching:
         return float(self.law.excess(*self._column_values(memory)).max(initial=-np.inf))
 
     def switched(self, memory: Array, old: Array) -> Array | None:
-        """Copy of the internal variables `old` with the phases of lowest energy. Collective.
-
-        None: no column changes its phase.
+        """Return a copy of the internal variables `old` in which all columns have phases of lowest energy. Collective.
 
         Args:
-            memory: (points, values) internal variables at the equilibrium with fixed phases.
+            memory: (points, values) internal variables at an equilibrium that was computed with fixed phases.
             old: (points, values) internal variables at the beginning of the step, with the same phases.
+
+        Returns:
+            The copy (points, values). None: no column changes its phase.
         """
         values = self._column_values(memory)
         phases = np.where(self.law.excess(*values) > EXCESS_TOLERANCE, self.law.switched(*values), values[0])

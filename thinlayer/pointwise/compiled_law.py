@@ -1,4 +1,4 @@
-"""Compiled laws with numbers as parameters, evaluated at arrays of points."""
+"""Compiled laws with numbers as parameters, evaluated at many points at once."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ C_SOURCE = Path(__file__).with_name("response.c")
 
 
 class CompiledLaw:
-    """A law compiled to a function of arrays of points, with numbers as parameters. Collective.
+    """Law that is compiled to a C function, evaluated at all quadrature points of this rank. Collective.
 
     Attributes:
-        memory: number of internal values at a point. They are internal variables, 3 strains out of the plane for each
-            sublayer in plane stress, and 3 strains across each sublayer of a stack.
+        memory: number of internal values at a point. Besides internal variables these are, if needed, strains at the
+            point: 3 out of the plane for each sublayer in plane stress, and 3 across each sublayer of a stack.
         parameters: (n,) parameters of the first sublayer, then of the next ones; (points, n) if they vary in place or
             time.
     """
@@ -46,12 +46,13 @@ class CompiledLaw:
             _check_kernel(comm, sublayer.in_space)
 
     def set_law(self, law: BulkLaw) -> None:
-        """Set the parameters to those of another law with the same compiled code.
+        """Set the parameters to those of `law`, which must have the same compiled code.
 
-        Parameters that vary in place or time are set by the next `set_law_at`.
+        Parameters that vary in place or time are set only by the next call of `set_law_at`.
 
         Raises:
-            InputError: the law has another class or other choices in a sublayer, or parameters of another shape.
+            InputError: `law` or one of its sublayers has another class or other options that change the compiled code.
+                Or its parameters have another shape.
         """
         if _identities(law) != _identities(self.law) or [len(p) for p in _parameters(law)] != self._counts.tolist():
             raise InputError(f"{law!r} is not of the kind that is compiled, {self.law!r}")
@@ -66,18 +67,18 @@ class CompiledLaw:
 
     @property
     def sublayer_parameters(self) -> list[Array]:
-        """List of the parameters of each sublayer k, (n_k,) or, if they vary, (points, n_k)."""
+        """List with the parameters of each sublayer: (n,) or, if they vary in place or time, (points, n)."""
         return np.split(self.parameters, np.cumsum(self._counts)[:-1], axis=-1)
 
     def set_law_at(self, x: Array, t: float) -> None:
-        """Set the parameters that vary to their values at points and a time.
+        """Set those parameters that vary in place or time to their values at points and a time.
 
         Args:
             x: (d, points) coordinates in the joint as drawn, before S is opened to the layer's thickness.
             t: time.
 
         Raises:
-            InputError: parameters out of range at one of the points, or of the wrong shape.
+            InputError: a parameter is out of range at one of the points, or has the wrong shape.
         """
         columns = []
         for _, law in self._current_law.sublayers:
@@ -93,19 +94,23 @@ class CompiledLaw:
         """Evaluate the law over a step at all points of this rank.
 
         Args:
-            slots: numbers of the m Mandel components of the strains e; the other components are zero.
+            slots: positions of the m components of `e` among the 6 Mandel components; the others are zero.
             e, e_old: (points, m) strains at the end and the beginning of the step.
             q: (points, memory) internal values at the beginning of the step.
-            n: (points, 3) director.
+            n: (points, 3) unit normal of the layer (director).
             dt, theta: length of the step, and fraction of it after which forces balance.
-            fixed: whether strains, also in sublayers, keep their values at the beginning; only energies are then
-                computed.
+            fixed: True: all strains, also those in sublayers, stay as at the beginning of the step. Only the energies
+                in the result are valid then.
 
         Returns:
-            Stresses (points, 6) where forces balance; their derivatives (points, m, m) by the strains at the end;
-            internal values (points, memory) at the end; per volume the stored energy at the end, the energy dissipated
-            in the step and the remainder of the energy balance (points, 3); and the number of points where the law
-            failed.
+            Five values:
+
+            - (points, 6) stresses where forces balance;
+            - (points, m, m) their derivatives by the strains at the end;
+            - (points, memory) internal values at the end;
+            - (points, 3) energies per volume: stored at the end, dissipated in the step, remainder of the energy
+              balance;
+            - the number of points where the law failed.
         """
         components = np.array(list(slots), np.int32)
         points, m, varying = len(e), len(components), self.parameters.ndim == 2
@@ -126,10 +131,14 @@ _CHECKED_KERNELS: set[tuple[type[BulkLaw], bytes]] = set()  # classes and parame
 
 
 def _check_kernel(comm: MPI.Intracomm, law: BulkLaw) -> None:
-    """Raise InputError if a user-defined KernelLaw depends on the step length dt and `relaxes` is False, or vice versa.
+    """Raise InputError if a user's `KernelLaw` declares wrongly whether it depends on the step length dt.
 
-    The test calls its compiled function for strains, or jumps, of many sizes, and for steps of several lengths. Laws of
-    this package and laws with the trait `rate` are not tested.
+    The declaration is `relaxes`: True if the law depends on dt. The test calls the compiled function for strains, or
+    jumps, of many sizes and for several dt. Laws of this package and laws with the trait `rate` are not tested.
+
+    Args:
+        comm: communicator for compiling.
+        law: the law.
     """
     key = type(law), law.parameter_values().tobytes()
     if not isinstance(law, KernelLaw) or law_identity(law) is not None or law.traits.rate or key in _CHECKED_KERNELS:
@@ -146,11 +155,16 @@ def _check_kernel(comm: MPI.Intracomm, law: BulkLaw) -> None:
 
 
 def _varying_parameters(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
-    """Values (n,), by name, of a law's parameters that vary, at points x (d, n) and time t.
+    """Return those parameters of `law` that vary in place or time: name -> values (n,) at n points.
+
+    Args:
+        law: the law.
+        x: (d, n) coordinates of the points.
+        t: time.
 
     Raises:
-        InputError: the law's method `at` returns names that are no scalar parameters, or values that are not (n,) and
-            finite.
+        InputError: the law's method `at` returns names that are no scalar parameters. Or its values are not finite or
+            not (n,).
     """
     subject = f"{type(law).__name__}.at(x, t), for x of shape {x.shape}"
     scalar_names = [name for name, value in law.parameters().items() if parameter_numbers(value).ndim == 0]
@@ -164,10 +178,10 @@ def _varying_parameters(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
 
 
 def _identities(law: BulkLaw) -> list[tuple[type[BulkLaw], str]]:
-    """Class of each sublayer and the text of its choices, which together determine its compiled code."""
+    """Return what determines the compiled code of each sublayer of `law`: its class and its options as text."""
     return [(type(sublayer), repr(sublayer.choices())) for _, sublayer in law.sublayers]
 
 
 def _parameters(law: BulkLaw) -> list[Array]:
-    """List of the parameters (n_k,) of each sublayer k."""
+    """Return a list with the parameters (n,) of each sublayer of `law`."""
     return [sublayer.parameter_values() for _, sublayer in law.sublayers]

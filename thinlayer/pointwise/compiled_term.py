@@ -1,4 +1,4 @@
-"""A compiled law at the quadrature points of a layer: strains, stresses and their nodal forces."""
+"""A compiled law at the quadrature points of a body or a layer: strains, stresses and their nodal forces."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Response:
 
     Attributes:
         whole: (points, 6) stress at old.t + theta dt, where forces balance; all Mandel components.
-        stress: (points, m) the m components of `whole` for which the term has strains.
+        stress: (points, m) those m components of `whole` for which strains are computed.
         tangent: (points, m, m) derivative of `stress` by the strains at the end of the step.
         memory: (points, values) internal variables at the end of the step.
         energies: (3,) stored energy at the end, energy dissipated in the step, and remainder of the energy balance,
@@ -52,7 +52,10 @@ class Response:
 
     @property
     def skew(self) -> float:
-        """Largest entry of tangent minus transpose over that of the tangent; maximum over this rank's points."""
+        """Asymmetry of the tangent C: the largest entry of C - C^T over the largest entry of C.
+
+        It is the maximum over this rank's points.
+        """
         C = self.tangent
         asymmetry, size = np.abs(C - C.swapaxes(1, 2)).max(axis=(1, 2)), np.abs(C).max(axis=(1, 2))
         regular = np.isfinite(asymmetry) & (size > UNDERFLOW_LIMIT)
@@ -60,18 +63,19 @@ class Response:
 
 
 class CompiledTerm(Quadrature):
-    """A compiled law at the quadrature points of a measure: strains, stresses, nodal forces, tangents. Collective.
+    """Compiled law at the quadrature points of a measure: strains, stresses, nodal forces and tangents. Collective.
 
     Args:
         V: space of the displacements on the term's mesh.
         term: virtual work of the law.
-        origin: relation of the mesh to its joint; None: there is no joint.
+        origin: relation of the mesh to the joint, the undistributed mesh from which it was made; None: there is no
+            joint.
 
     Attributes:
-        B: matrix from displacements to strains at the points; m rows, one for each strain component, for each point.
+        B: matrix from displacements to strains. Each point has m rows, one for each of the m Mandel components `slots`.
         material: the compiled law.
         switching: phases of a law that are fixed in a solve and switch after it; None for other laws.
-        constant: matrices of the tangent that do not change, which `stiffness` leaves out.
+        constant: matrices of the tangent that do not change; the result of `stiffness` does not contain them.
     """
 
     constant: tuple[PETSc.Mat, ...] = ()
@@ -93,34 +97,35 @@ class CompiledTerm(Quadrature):
         self._C_rest = self.tangent_at_rest() if term.law.traits.singular else None
 
     def form_of(self, strain: Expr) -> fem.Form:
-        """Compile a form from which `values_of` computes a strain's values at the points; `strain` is (3, 3) in UFL."""
+        """Compile a form from which `values_of` computes the values of `strain`, (3, 3) in UFL, at the points."""
         q = self.region.side(ufl.TestFunction(self._space((len(self.slots),))))
         return self.region.compiled(ufl.inner(mandel_vector(strain, self.slots), q) * self.measure)
 
     def values_of(self, form: fem.Form) -> Array:
-        """Values (points, m) of the strain in a form made by `form_of`, at the present values of its constants.
+        """Return the values (points, m) of a strain at the points, from a `form` that `form_of` made of it.
 
-        They are the m Mandel components `slots`. With B-bar their traces are projected in each cell, as for the law.
+        They are the m Mandel components `slots`, at the present values of the form's constants. If the law uses B-bar,
+        the traces are projected in each cell.
         """
         values = np.asarray(fem.assemble_vector(form).array).reshape(-1, len(self.slots))[: self.count]
         return self.projected(values / self._integrals[:, None])
 
     def projected(self, values: Array) -> Array:
-        """Strains (points, m) or stresses (points, 6) whose traces are projected in each cell, if the term uses B-bar.
+        """Return `values` with traces projected in each cell if the law uses B-bar, else unchanged.
 
-        Without B-bar they are unchanged. The work of projected stresses in strains is the work of the stresses in
-        projected strains.
+        `values` are strains (points, m) or stresses (points, 6). The projection is symmetric: projected stresses do the
+        same work in strains as stresses in projected strains.
         """
         return self._volume(values) if self._volume else values
 
     def _vector(self, values: Array) -> PETSc.Vec:
-        """PETSc vector of values on this rank, one for each row of B."""
+        """Return a PETSc vector with the numbers `values` of this rank, one for each row of B."""
         out = self.B.createVecLeft()
         out.array[:] = values
         return out
 
     def strain(self, u: PETSc.Vec) -> Array:
-        """Strains (points, m) of displacements u, as the m Mandel components `slots`. Collective.
+        """Return the strains (points, m) of displacements `u`, as the m Mandel components `slots`. Collective.
 
         Prescribed strains are not included.
         """
@@ -128,7 +133,7 @@ class CompiledTerm(Quadrature):
         return self._strain.array_r.reshape(self.count, len(self.slots)).copy()
 
     def respond(self, e: Array, e_old: Array, memory: Array, dt: float, theta: float) -> Response:
-        """Response of the law at this rank's points over a step.
+        """Return the response of the law at this rank's points over a step.
 
         Args:
             e, e_old: (points, m) strains at the end and at the beginning of the step, as m Mandel components.
@@ -142,7 +147,7 @@ class CompiledTerm(Quadrature):
         return Response(s, s[:, self.slots], C, new, total, failed)
 
     def stored(self, e: Array, memory: Array, dt: float) -> float:
-        """Stored energy, integrated over this rank's points; NaN if the law declares no energy.
+        """Return the stored energy, integrated over this rank's points; NaN if the law declares no energy.
 
         Args:
             e: (points, m) strains, as m Mandel components.
@@ -153,7 +158,10 @@ class CompiledTerm(Quadrature):
         return float(self.weights @ energies[:, 0]) if self.term.law.traits.has_energy else np.nan
 
     def failure(self, response: Response) -> str:
-        """Message about the first point of this rank where the law failed; "" if it failed nowhere."""
+        """Return a message about the first point of this rank where the law failed; "" if it failed nowhere.
+
+        `response` is the response of the law in which the failures are looked for.
+        """
         if not (failed := np.isnan(response.whole[:, 0])).any():
             return ""
         k, law = int(failed.argmax()), self.term.law
@@ -164,10 +172,11 @@ class CompiledTerm(Quadrature):
         return f"the {text} of {type(law.in_space).__name__} is not finite at x = ({place}){why}"
 
     def softening_points(self, e: Array, e_old: Array, memory: Array, response: Response) -> int:
-        """Number of this rank's points where stresses fall, in a step, as the layer opens or slips.
+        """Return the number of this rank's points where stresses fall, in a step, as the layer opens or slips.
 
-        Stresses fall where the tangent is negative for the strain sym(v (x) n) of some jump v. For a law without memory
-        they also fall where the change of stress does negative work on the change of strain.
+        Stresses fall where the tangent is negative for the strain sym(v (x) n) of some jump v. For a law with constant
+        parameters and no internal variables there is a second test. Stresses also fall where the change of stress does
+        negative work on the change of strain.
 
         Args:
             e, e_old: (points, m) strains at the end and at the beginning of the step, as m Mandel components.
@@ -189,11 +198,11 @@ class CompiledTerm(Quadrature):
         return int(np.count_nonzero(falls))
 
     def set_homotopy(self, parameter: float) -> None:
-        """Choose the law of a homotopy continuation by its parameter `parameter`: 0 is the law itself, 1 an elastic law."""
+        """Choose a law for homotopy continuation: `parameter` 0 selects the law itself, 1 an elastic law."""
         self.material.set_law(self.term.law.homotopy(parameter) if parameter else self.term.law)
 
     def at_time(self, t: float) -> None:
-        """Set the law's parameters to their values at time t. Collective.
+        """Set the law's parameters to their values at time `t`. Collective.
 
         Raises:
             InputError: parameters out of range on some rank; all ranks raise it.
@@ -204,18 +213,20 @@ class CompiledTerm(Quadrature):
                 self.material.set_law_at(places, t)
 
     def tangent_at_rest(self) -> Array:
-        """Tangents (points, m, m) at rest for m strain components, at time 0; of laws with rate at zero strain rates.
+        """Return the tangents (points, m, m) before loading, for m Mandel components, with parameters of time 0.
 
-        Sets varying parameters to their values at time 0, and is then collective.
+        For laws that depend on strain rates, the rates are zero. If parameters vary, they keep their values of time 0,
+        and the method is collective.
         """
         zero = np.zeros((self.count, len(self.slots)))
         self.at_time(0.0)
         return self.respond(zero, zero, self.rest(), LONG_TIME_STEP if self.term.law.traits.rate else 0.0, 1.0).tangent
 
     def _regularised(self, tangent: Array, relative_residual: float) -> Array:
-        """Regularise tangents (points, m, m) for m strain components, of laws that may have singular ones.
+        """Return the tangents (points, m, m) `tangent`, regularised if the law may have singular ones.
 
-        Where they differ from the tangent at rest, the fraction `relative_residual` of that is added, within bounds.
+        Where a tangent differs from that before loading, a fraction of the latter is added. The fraction is
+        `relative_residual`, within bounds.
         """
         if self._C_rest is None:
             return tangent
@@ -224,13 +235,13 @@ class CompiledTerm(Quadrature):
         return tangent + rest_share * self._C_rest * (difference > 1e-9 * size)[:, None, None]
 
     def rest(self) -> Array:
-        """Internal variables (points, values) at rest, zero."""
+        """Return the internal variables (points, values) before the first step: zeros."""
         return np.zeros((self.count, self.material.memory))
 
     def forces(self, stress: Array) -> PETSc.Vec:
-        """Nodal forces int stress : e(v) of stresses (points, m), given as the m Mandel components `slots`.
+        """Return the nodal forces int stress : e(v) of stresses (points, m), m Mandel components `slots`. Collective.
 
-        The next call overwrites the vector. Collective.
+        The next call overwrites the vector.
         """
         weighted = self._vector((stress * self.weights[:, None]).ravel())
         self.B.multTranspose(weighted, self._forces)
@@ -238,33 +249,33 @@ class CompiledTerm(Quadrature):
         return self._forces
 
     def spread(self, density: Array, out: PETSc.Vec) -> None:
-        """Add the integral of a density (points,) to the first component at the nodes of `out`. Collective.
+        """Add the integral of `density` (points,) to the vector `out`, distributed by shape functions. Collective.
 
-        It is distributed to the nodes by their shape functions.
+        A node's contribution is added to the first component at the node.
         """
         weighted = self.region.side(self.region_function(density)) * self.term.weight
         add_distributed(weighted, self._V, self.measure, out, self.region.maps)
 
     def stiffness(self, tangent: Array, relative_residual: float = 0.0, into: PETSc.Mat | None = None) -> PETSc.Mat:
-        """Tangent matrix int e(v) : tangent : e(du) for Newton's method. Collective.
+        """Return the tangent matrix int e(v) : tangent : e(du) for Newton's method. Collective.
 
-        If the tangent may be singular (`Traits.singular`), a small multiple of the tangent at rest is added, which
-        grows with the residual (Levenberg-Marquardt). Without it the matrix is singular where the strains of cells
-        above each other in the meshed layer are not unique. The equilibrium does not change.
+        If the law may have singular tangents (`Traits.singular`), a small multiple of the tangent before loading is
+        added. It grows with the residual (Levenberg-Marquardt), and the equilibrium does not change. Without it the
+        matrix is singular where the strains of cells above each other in the meshed layer are not unique.
 
         Args:
             tangent: (points, m, m) derivatives of the stress by the strain, for m Mandel components.
-            relative_residual: residual of the balance of forces over the reference force.
+            relative_residual: norm of the last residual over the reference force.
             into: an earlier result, which is overwritten and whose nonzero pattern is used again; None: a new matrix.
         """
         return self._product(self._regularised(tangent, relative_residual), self.B, into)
 
     def _product(self, tangent: Array, B: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
-        """Matrix of int e(v) : tangent : e(du), where the matrix B gives strains of displacements. Collective.
+        """Return the matrix of int e(v) : tangent : e(du) for strains e(u) that are `B` times u. Collective.
 
         Args:
             tangent: (points, m, m) derivatives of the stress by the strain, for m Mandel components.
-            B: matrix from displacements to strains at the points.
+            B: matrix from displacements to strains at the points, m rows for each point.
             into: an earlier result, which is overwritten; None: a new matrix.
         """
         m, rows = len(self.slots), self.count * len(self.slots)
@@ -284,17 +295,19 @@ class CompiledTerm(Quadrature):
 
 
 class Projection:
-    """L2 projection of strains or stresses on given functions, in each of many groups of quadrature points. Collective.
+    """L2 projection of strains or stresses at quadrature points on functions, in separate groups of points. Collective.
 
-    It is orthogonal in the product with quadrature weights. So the work of a stress in projected strains is the work of
-    the projected stress in the strains themselves.
+    A group has for instance the points of one cell, or of one column of cells. The projection is orthogonal in the
+    product with quadrature weights. So a projected stress does the same work in strains as the stress in projected
+    strains.
 
     Args:
         points: the quadrature points.
-        bases: for each size of groups, two arrays. The first has the numbers (groups, q) of the q points of each group.
-            The second has the values (groups, q, k) there of k functions, which need not be independent.
-        part: (c, c) symmetric matrix P = P P that acts on the first c Mandel components. The part P e of a strain e is
-            projected, and the remainder is unchanged.
+        bases: two arrays for all groups with the same number q of points. The first has the numbers (groups, q) of the
+            points in each group. The second has the values (groups, q, k) there of the k functions, which may be
+            linearly dependent.
+        part: (c, c) symmetric matrix P with P P = P for the first c Mandel components. Of a strain e, P e is projected
+            and e - P e is unchanged.
     """
 
     def __init__(self, points: Quadrature, bases: Iterable[tuple[Array, Array]], part: Array) -> None:
@@ -310,12 +323,12 @@ class Projection:
             self._difference += scipy.sparse.csr_matrix((change[mask], places), self._difference.shape)
 
     def __call__(self, values: Array) -> Array:
-        """Project strains or stresses (points, m), as m Mandel components, on the functions; return the same shape."""
+        """Return the projection (points, m) of strains or stresses `values` (points, m), as m Mandel components."""
         m = values.shape[1]
         return np.asarray(values + self._difference @ values @ self._part[:m, :m])
 
     def matrix(self, B: PETSc.Mat) -> PETSc.Mat:
-        """Matrix from displacements to projected strains, m rows for each point. Collective.
+        """Return the matrix from displacements to projected strains, m rows for each point. Collective.
 
         Args:
             B: matrix from displacements to strains, m rows for each point.
@@ -330,7 +343,7 @@ class Projection:
 
 
 class MeanVolume(Projection):
-    """Projection of the traces of strains on polynomials in each cell (B-bar).
+    """Projection of the volume strains (traces) on polynomials in each cell, known as B-bar.
 
     It avoids volumetric locking: elements with too many independent volume strains resist isochoric deformation.
     Stiffnesses stay symmetric (Hughes 1980; Simo, Taylor and Pister 1985).
@@ -340,7 +353,7 @@ class MeanVolume(Projection):
         degree: degree of the polynomials of the coordinates: 0, which gives means over cells, or 1.
 
     Raises:
-        InputError: another degree, or a term that is not over cells.
+        InputError: another degree, or quadrature points on facets.
     """
 
     def __init__(self, points: Quadrature, degree: int) -> None:

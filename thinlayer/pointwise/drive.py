@@ -23,23 +23,25 @@ StepLengths = float | Sequence[float]  # one for all steps, or one for each
 
 @dataclass(frozen=True, eq=False)
 class PointHistory:
-    """Response of an interface law at one point of S, one row for each step; d: number of dimensions.
+    """Response of a law at one point of S over several steps; d: number of dimensions.
 
-    Jumps and tractions have their components in the frame of S, tangential components first.
+    Each array has one row for each step. Jumps and tractions have their components in the frame of S: first tangential,
+    then normal ones.
 
     Attributes:
         n: (d,) unit normal of S.
         t: (steps,) time at the end of the step.
-        jumps: (steps, d) jumps at the end of the step; for laws of strains divided by the thickness, [u]/eps.
-        tractions: (steps, d) tractions where forces balance: after the fraction theta of the step.
-        stress: (steps, 3, 3) stress, where forces balance, in the coordinates of n; with the components along S, which
-            do not act on S.
+        jumps: (steps, d) jumps [u] at the end of the step. For laws of strains they are divided by the layer's
+            thickness, [u]/eps.
+        tractions: (steps, d) tractions after the fraction theta of the step, when forces balance.
+        stress: (steps, 3, 3) stress at the same time, in the coordinates of n. It includes components along S, which do
+            not act on S.
         memory: (steps, values) internal variables at the end of the step, in the law's order; tensors in Mandel's order
             11, 22, 33, sqrt2 12, sqrt2 13, sqrt2 23.
-        energies: (steps, 3) energies stored at the end of the step, dissipated in it, and the error of the time scheme
+        energies: (steps, 3) energy stored at the end of the step, energy dissipated in it, and error of the time scheme
             in its energy balance. They are per area of S, or for laws of strains per volume of the layer; NaN if the
             law declares no energy.
-        parts: (steps,) number of smaller steps into which the step was divided; 1 for a whole step.
+        parts: (steps,) number of smaller steps into which the step was divided; 1 if it was not divided.
     """
 
     n: Array
@@ -56,9 +58,10 @@ class PointHistory:
 
     @property
     def table(self) -> Table:
-        """Table with the columns t, w_T, w_N (in 3D w_T1, w_T2, w_N), t_T, ..., stored, dissipated and remainder.
+        """Table with a row for each step: time, jumps, tractions and `energies`.
 
-        They are time, jumps, tractions and `energies`, one row for each step.
+        Its columns are t, w_T, w_N, t_T, t_N, stored, dissipated and remainder. In 3D, w_T1, w_T2, t_T1 and t_T2
+        replace w_T and t_T.
         """
         names = COMPONENT_NAMES[len(self.n)]
         columns = ["t", *(f"w_{c}" for c in names), *(f"t_{c}" for c in names), "stored", "dissipated", "remainder"]
@@ -71,9 +74,10 @@ def drive(
 ) -> PointHistory:
     """Compute the response of an interface law of order 0, at one point of S, to prescribed jumps and tractions.
 
-    The point starts from rest. Each step prescribes for every component either the jump at the end of the step or the
-    traction after the fraction theta of it: `[{"w_T": 0.01, "t_N": -1.0}, ...]`. In 3D T1 and T2, the tangents of
-    `Surface.frame`, replace T. A step that does not converge is halved repeatedly.
+    The point starts from rest. For each component, a step prescribes either the jump w at its end or the traction t
+    after the fraction theta of it. An example in 2D is `[{"w_T": 0.01, "t_N": -1.0}, ...]`, where N is the normal and T
+    the tangential component. In 3D T1 and T2, the tangents of `Surface.frame`, replace T. A step that does not converge
+    is halved repeatedly.
 
     Args:
         law: any law of a layer except contact and incompressible laws, also a Stack. For a law of strains the caller
@@ -87,10 +91,10 @@ def drive(
             steps oscillate about the path, and `march` refuses such values.
 
     Raises:
-        InputError: a step that prescribes neither or both of jump and traction for a component; no dt where the law
-            depends on it; other input out of range.
-        SolveError: no jump has the prescribed traction, as beyond the law's strength; its attribute `history` has the
-            previous steps.
+        InputError: a step prescribes neither or both of jump and traction for a component. Or dt is missing and the law
+            depends on it, or other input is out of range.
+        SolveError: no jump has the prescribed traction, for instance beyond the law's strength. The attribute `history`
+            of the error has the previous steps.
 
     Example:
         >>> from forms import MohrCoulomb
@@ -123,7 +127,7 @@ def drive(
     states, parts = [point.rest()], list[int]()
 
     def history() -> PointHistory:
-        """History of the steps so far, without the state at rest."""
+        """Return the history of the steps made so far, without a row for the state before the first step."""
         t, w, traction, _, stress, memory, energies = (np.array(column)[1:] for column in zip(*states, strict=True))
         energies = energies if law.traits.has_energy else np.full_like(energies, np.nan)
         return PointHistory(normal, t, w, traction, mandel_tensors(stress), memory, energies, np.array(parts, int))
@@ -140,9 +144,9 @@ def drive(
 
 
 def _frame(n: Sequence[float]) -> tuple[Array, Array]:
-    """Unit normal (d,) and frame (3, d) of S in d dimensions, for a normal n of any length.
+    """Return the unit normal (d,) and the frame (3, d) of S, for a normal `n` (d,) of any length in d dimensions.
 
-    The columns of the frame are the tangents, then the normal; in 2D the tangent is (n_2, -n_1).
+    The columns of the frame are the unit tangents, then the normal; in 2D the tangent is (n_2, -n_1).
     """
     if (normal := finite_values(n, (2,), (3,))) is None or not normal.any():
         raise InputError(f"the normal n is {n!r}; allowed: 2 or 3 numbers, not all zero")
@@ -156,12 +160,15 @@ def _frame(n: Sequence[float]) -> tuple[Array, Array]:
 
 
 def _read_step(step: PathStep, k: int, d: int) -> tuple[Array, Array]:
-    """Check a step, and return its prescribed values (d,) after a mask (d,): True for jumps, False for tractions.
+    """Check a step of `drive`, and return which jumps it prescribes and all its prescribed values.
 
     Args:
         step: name of a jump or traction -> its prescribed value.
         k: number of the step, from 0, for messages.
         d: number of dimensions.
+
+    Returns:
+        A mask (d,) of the components, True if the jump, False if the traction is prescribed. Then the values (d,).
     """
     names = COMPONENT_NAMES[d]
     allowed = ", ".join(f"w_{c} or t_{c}" for c in names)

@@ -6,10 +6,12 @@ function of two arrays of numbers,
     in:  e (6), e_old (6), q, n (3), dt, theta, parameters
     out: stress (6), q_new, tangent (36), energies (3).
 
-The strains are e at the end and e_old at the beginning of a step, the internal variables q_new and q. n is the
-director, dt the length of the step, and theta the fraction of it after which forces balance. Tensors are in Mandel's
-order. `response.c` calls the function at each point, and finds the strains of the sublayers of a `Stack`. Parameters
-are no part of the compiled code: a law is compiled once for all parameters and thicknesses.
+e and q_new are the strains and internal variables at the end of a step, e_old and q those at its beginning. n is the
+unit normal of the layer (director) and dt the length of the step. Forces balance after the fraction theta of the step.
+Tensors are in Mandel's order.
+
+`response.c` calls the function at each point, and finds the strains of the sublayers of a `Stack`. Parameters are no
+part of the compiled code: a law is compiled once for all parameters and thicknesses.
 """
 
 from __future__ import annotations
@@ -40,11 +42,12 @@ class Kernel:
 
     Attributes:
         address: address of the C function.
-        memory: number of internal variables of the function, without the three out-of-plane strains of `plane`.
+        memory: number of internal variables of the function. It does not count the three out-of-plane strains that are
+            stored if `plane` is True.
         parameters: (n,) parameters of the law, one after the other.
         fraction: fraction of the layer's thickness that the sublayer has; 1 for a whole layer.
-        plane: whether the law is in plane stress: its out-of-plane strains follow at each point from zero out-of-plane
-            stresses.
+        plane: whether the law is in plane stress. The out-of-plane strains are then computed at each point such that
+            the out-of-plane stresses are zero.
         keep: objects that must live as long as the address is used.
     """
 
@@ -57,10 +60,10 @@ class Kernel:
 
 
 def compile_kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
-    """Compile a law whose parameters are numbers, to one function for each sublayer. Collective.
+    """Compile `law`, whose parameters are numbers, to one C function for each sublayer. Collective.
 
     Raises:
-        InputError: a law contradicts its declarations, such as that it is linear (`forms.check`); all ranks raise it.
+        InputError: the law contradicts its declarations, such as that it is linear (`forms.check`); all ranks raise it.
         SourceError: a C source cannot be compiled.
     """
     check(law)
@@ -95,9 +98,10 @@ def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, object]:
 
 
 def _outputs(law: BulkLaw, point: SymbolicLaw) -> list[Expr]:
-    """UFL expressions of a law's stress (6,), each internal variable's components, and three energies, in a list.
+    """Return UFL expressions of the results of a law at a point: stress (6,), then internal variables, then energies.
 
-    The energies are those stored, dissipated, and the remainder of the energy balance; zero if the law declares none.
+    Each internal variable adds one entry to the list for each component. The last three entries are the energies:
+    stored, dissipated, and the remainder of the energy balance. They are zero if the law declares no energy.
 
     Args:
         law: the law.

@@ -23,13 +23,19 @@ TRACTION_TOLERANCE, STAGNATION_TOLERANCE = (1e-12, 1e-9)
 
 
 class MaterialPointState(NamedTuple):
-    """Response of a law at a point of S in a step, or at rest; d: number of dimensions.
+    """Response of a law at a point of S, at the end of a step or before the first one; d: number of dimensions.
 
-    Values at the end of the step are the time t, the jump w (d,), the internal variables `memory` and the stored
-    energy. `energies` (3,) are this energy, the energy dissipated in the step, and the remainder of the energy balance.
-    Values after the fraction theta of the step, where forces balance, are the traction (d,) and the stress (6,).
-    `tangent` (d, d) is the derivative of this traction by w. w, traction and tangent are in the frame of S: tangents
-    first, then the normal. The stress has Mandel components in the axes x, y, z.
+    Jump, traction and tangent have components in the frame of S: tangents first, then the normal.
+
+    Attributes:
+        t: time at the end of the step.
+        w: (d,) jump at the end of the step; for laws of strains, divided by the layer's thickness.
+        traction: (d,) traction after the fraction theta of the step, when forces balance.
+        tangent: (d, d) derivative of `traction` by `w`.
+        stress: (6,) stress at the time of `traction`, as Mandel components in the axes x, y, z.
+        memory: (values,) internal variables at the end of the step.
+        energies: (3,) energy stored at the end of the step, energy dissipated in it, and remainder of the energy
+            balance.
     """
 
     t: float
@@ -42,7 +48,7 @@ class MaterialPointState(NamedTuple):
 
 
 class MaterialPoint:
-    """Solver for the jumps and tractions of a compiled law at one point of S; d: number of dimensions.
+    """Solver for the jumps and tractions of a law at one point of S; d: number of dimensions.
 
     Args:
         law: the law, with numbers for parameters.
@@ -61,12 +67,12 @@ class MaterialPoint:
         self.stiffness = 0.0  # largest entry of a tangent so far
 
     def rest(self) -> MaterialPointState:
-        """The state at rest, at time 0."""
+        """Return the state before the first step, at time 0, with all values zero."""
         d = len(self.n)
         return MaterialPointState(0.0, *(np.zeros(shape) for shape in (d, d, (d, d), 6, self.material.memory, 3)))
 
     def _respond(self, old: MaterialPointState, w: Array, dt: float) -> MaterialPointState | None:
-        """State after a step of length dt from `old` to the jump w (d,); None if the law fails."""
+        """Return the state after a step of length `dt` from `old` to the jump `w` (d,); None if the law fails."""
         e, e_old = (self.E @ w)[None], (self.E @ old.w)[None]
         step = (e, e_old, old.memory[None], self.n3[None], dt, self.theta if dt > 0 else 1.0)
         stress, C, memory, energies, failed = self.material.update(range(6), *step)
@@ -83,8 +89,8 @@ class MaterialPoint:
 
         Args:
             old: the state before the step.
-            fixed: (d,) for each component, whether its jump is prescribed; else its traction is.
-            goal: (d,) prescribed jumps and tractions at the end of the step.
+            fixed: (d,) True for a component whose jump is prescribed, False if its traction is.
+            goal: (d,) values of these prescribed jumps and tractions at the end of the step.
             dt: length of the step.
 
         Raises:
@@ -108,12 +114,14 @@ class MaterialPoint:
         return state._replace(energies=total), n_parts
 
     def _phase_step(self, old: MaterialPointState, fixed: Array, aim: Array, dt: float) -> MaterialPointState | None:
-        """State after a step, solved again until no phase changes; None if Newton's method does not converge.
+        """Return the state after a step with phases that do not change any more; None if no solution is found.
+
+        The step is solved with fixed phases. If a phase then changes, the step is solved again.
 
         Args:
             old: the state before the step.
-            fixed: (d,) for each component, whether its jump is prescribed; else its traction is.
-            aim: (d,) prescribed jumps and tractions.
+            fixed: (d,) True for a component whose jump is prescribed, False if its traction is.
+            aim: (d,) values of these prescribed jumps and tractions.
             dt: length of the step.
         """
         state = self._solve(old, fixed, aim, dt)
@@ -132,15 +140,16 @@ class MaterialPoint:
         return f"no jump has the prescribed traction; {place}. Beyond the law's limit? Prescribe the jump there"
 
     def _solve(self, old: MaterialPointState, fixed: Array, goal: Array, dt: float) -> MaterialPointState | None:
-        """State after a step, by Newton's method for the jumps whose traction is prescribed; None if it diverges.
+        """Return the state after a step with fixed phases, by Newton's method; None if it diverges.
 
-        The tangent is singular at a limit load, or where an open layer must close. There the jump moves in the
-        direction of the missing traction, by a distance that doubles in each iteration.
+        The unknowns are those jumps whose traction is prescribed. The tangent is singular at a limit load, or where an
+        open layer must close. There the jump moves in the direction of the missing traction, by a distance that doubles
+        in each iteration.
 
         Args:
             old: the state before the step.
-            fixed: (d,) for each component, whether its jump is prescribed; else its traction is.
-            goal: (d,) prescribed jumps and tractions.
+            fixed: (d,) True for a component whose jump is prescribed, False if its traction is.
+            goal: (d,) values of these prescribed jumps and tractions.
             dt: length of the step.
         """
         free, null_length = np.logical_not(fixed), 1.0
@@ -149,7 +158,10 @@ class MaterialPoint:
             return float(np.abs(goal - state.traction)[free].max(initial=0.0))
 
         def line_search(step: Array, most: float) -> MaterialPointState | None:
-            """Line search: state after the first of step, step/2, ... with a traction error <= `most`; None: none."""
+            """Try the increments `step`, step/2, step/4, ... of the unknown jumps, and return the first good state.
+
+            In a good state no prescribed traction has an error larger than `most`. None: there is no such state.
+            """
             full_step = np.zeros(len(free))
             full_step[free] = step
             tried = (self._respond(old, now.w + 0.5**shortening * full_step, dt) for shortening in range(MAX_HALVINGS))

@@ -1,4 +1,4 @@
-"""Quadrature points of a law in a UFL measure; assembly of matrices and nodal forces."""
+"""Quadrature points of a law on the domain of a UFL measure; assembly of matrices and nodal forces."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ class MeshOrigin:
         comm: communicator for the sums and messages of laws at quadrature points.
         x: (d,) UFL coordinates in the joint as drawn.
         numbers: function (topological dimension, local numbers of cells or facets) -> their numbers in the joint.
-        columns: function that returns two arrays. The first has the number of the column of each cell (-1 outside the
-            layer), or of each facet; columns are cells above each other through the thickness. The second has the
-            centres (columns, d) of the columns.
-        x_on_s: (d,) UFL coordinates on S in the joint as drawn, to be restricted to a side; None: S lies on the facets
-            of the mesh, and `x` is used.
-        middle: (n_points, d) coordinates of the mesh's points, with points of S midway between its sides; None: S lies
-            on the facets.
+        columns: function without arguments that returns two arrays about the layer's columns, the cells above each
+            other through the thickness. The first has the number of the column of each cell (-1 outside the layer), or
+            of each facet. The second has the centres (columns, d) of the columns.
+        x_on_s: (d,) UFL coordinates on S in the joint as drawn, to be restricted to a side; None: S lies on facets of
+            the mesh, and `x` is used.
+        middle: (n_points, d) coordinates of the mesh's points, where points of S are moved midway between its sides;
+            None: S lies on facets of the mesh.
     """
 
     comm: MPI.Intracomm
@@ -59,18 +59,18 @@ class MeshOrigin:
 
 
 class MeasureRegion:
-    """Submesh of the cells or facets over which a measure integrates. Collective.
+    """Submesh of the cells or facets over which a UFL measure integrates. Collective.
 
     Attributes:
-        measure: dx, ds or dS, on all cells or facets, or on those with some tags.
+        measure: the measure dx, ds or dS, on all cells or facets or on those with some tags.
         parent_mesh: the whole mesh.
         mesh: submesh of the cells or facets of the measure, ghosts included.
         dim: topological dimension of the submesh.
-        parent: local number in `parent_mesh` of each cell of `mesh`.
-        maps: entity maps of the submesh, for forms.
+        parent: local numbers, in `parent_mesh`, of the cells or facets that are the cells of `mesh`.
+        maps: entity maps of the submesh, for compiling forms.
 
     Raises:
-        InputError: a measure of another kind, or a measure that selects tags but has no subdomain data.
+        InputError: the measure is not dx, ds or dS, or it selects tags but has no subdomain data.
     """
 
     def __init__(self, mesh: Mesh, measure: ufl.Measure) -> None:
@@ -81,25 +81,31 @@ class MeasureRegion:
         self.mesh, self.maps, self.parent = create_submesh(mesh, self.dim, _entities(mesh, measure))
 
     def move(self, places: Array) -> None:
-        """Move the nodes of a submesh of S to other coordinates, as those midway between its sides.
+        """Move the nodes of the submesh to other coordinates, for S for instance to those midway between its sides.
 
         Args:
-            places: (n, d) coordinates for all points of the undistributed mesh; d: number of dimensions.
+            places: (n, d) new coordinates for all n points of the undistributed mesh; d: number of dimensions.
         """
         geometry = self.mesh.geometry
         geometry.x[:, : places.shape[1]] = places[np.asarray(geometry.input_global_indices, np.int64)]
 
     def compiled(self, form: Expr) -> fem.Form:
-        """Compile a UFL form whose functions may live on `mesh` and on `parent_mesh`."""
+        """Compile the UFL `form`, whose functions may be defined on `mesh` and on `parent_mesh`."""
         return compiled(form, self.maps)
 
     def side(self, f: Expr) -> Expr:
-        """The function f, restricted to "+" if the measure is dS, else unchanged; on `mesh` both sides are equal."""
+        """Return `f` restricted to the side "+" if the measure is dS, otherwise `f` itself.
+
+        A function on the submesh has the same values on both sides, so that the choice does not matter.
+        """
         return f("+") if self.measure.integral_type() == "interior_facet" else f
 
 
 def _entities(mesh: Mesh, measure: ufl.Measure) -> Indices:
-    """Local cells or facets over which a measure integrates, ghosts included, sorted. Collective."""
+    """Return the local numbers of the cells or facets over which `measure` integrates, ascending. Collective.
+
+    Ghosts are included.
+    """
     kind, data, topology = measure.integral_type(), measure.subdomain_data(), mesh.topology
     dim = topology.dim - (kind != "cell")
     create_connectivity(mesh, dim)
@@ -128,11 +134,15 @@ def _entities(mesh: Mesh, measure: ufl.Measure) -> Indices:
 
 
 def quadrature_degree(V: fem.FunctionSpace, measure: ufl.Measure) -> int:
-    """Quadrature degree for the virtual work of laws of displacements in V.
+    """Return the quadrature degree for the virtual work of laws of displacements in `V`.
 
-    It is exact for linear laws on straight triangles and tetrahedra, and higher on curved cells. Quadrilaterals and
-    hexahedra get one more point per direction. UFL would sum the degrees of all directions and of the geometry, which
-    needs many times more points without a gain in accuracy.
+    It is exact for linear laws on straight triangles and tetrahedra, and is raised on curved cells. Quadrilaterals and
+    hexahedra get one more point per direction. UFL's own estimate sums the degrees of all directions and of the
+    geometry. It needs many times more points and gains no accuracy.
+
+    Args:
+        V: space of the displacements.
+        measure: measure of the virtual work.
     """
     mesh = V.mesh
     degree = V.ufl_element().basix_element.degree
@@ -143,21 +153,22 @@ def quadrature_degree(V: fem.FunctionSpace, measure: ufl.Measure) -> int:
 
 
 class Quadrature:
-    """Quadrature points of a law in its measure; d: number of dimensions. Collective.
+    """Quadrature points of one law on the domain of its measure; d: number of dimensions. Collective.
 
     Attributes:
-        term: the law with its strain, weight and measure.
+        term: virtual work of the law, with its strain, weight and measure.
         region: submesh of the cells or facets of the measure.
-        origin: relation of the mesh to its joint; None: there is no joint.
+        origin: relation of the mesh to the joint, the undistributed mesh from which it was made; None: there is no
+            joint.
         comm: communicator of the ranks.
-        degree: quadrature degree: that of the measure or, if it has none, `quadrature_degree` plus the degree that the
-            kinematics add.
+        degree: quadrature degree. It is that of the measure; if the measure has none, `quadrature_degree` plus the
+            degree that the kinematics add, as in axisymmetry.
         measure: the term's measure with this degree.
         count: number of points of this rank.
         cells: (cells, k) numbers of the k points in each cell of the region that this rank owns.
         x: (points, d) coordinates of the points.
-        n: (points, 3) director; NaN in bodies, which have no director.
-        weights: (points,) quadrature weights of integrals over cells or S, with the term's weight.
+        n: (points, 3) unit normal of the layer (director); NaN in bodies.
+        weights: (points,) quadrature weights of integrals over cells or S, times the term's weight.
     """
 
     def __init__(self, V: fem.FunctionSpace, term: Term, origin: MeshOrigin | None = None) -> None:
@@ -188,7 +199,7 @@ class Quadrature:
 
     @cached_property
     def slots(self) -> list[int]:
-        """Numbers of the Mandel components, ascending, that strains may have here; the other components are zero."""
+        """Positions of those Mandel components, ascending, that strains may have here; the others are zero."""
         e_0, strain_slots = self.term.prescribed_strain, self.term.kinematics.slots(self.dim)
         if self.term.volume is not None:
             strain_slots = (*strain_slots, *TRACE_SLOTS)
@@ -201,25 +212,28 @@ class Quadrature:
         return fem.functionspace(mesh, element)
 
     def _integrated(self, rows: Expr, q: Expr) -> Array:
-        """Values (points, m) of an expression at the points, times the quadrature weights.
+        """Return the values (points, m) of a UFL vector at the points, times the quadrature weights.
 
         Args:
-            rows: UFL vector (m,).
-            q: test function (m,) with one degree of freedom per component at each point.
+            rows: the UFL vector (m,).
+            q: test function (m,) with one degree of freedom for each component at each point.
         """
         form = self.region.compiled(ufl.inner(rows, q) * self.measure)
         return np.asarray(fem.assemble_vector(form).array.reshape(-1, q.ufl_shape[0])[: self.count])
 
     def values(self, f: Expr) -> Array:
-        """Values (points, m) of a UFL vector (m,) at the points. Collective.
+        """Return the values (points, m) of the UFL vector `f` (m,) at the points. Collective.
 
-        Functions in it must be restricted to a side if the measure is dS.
+        If the measure is dS, the functions in `f` must be restricted to a side.
         """
         q = self.region.side(ufl.TestFunction(self._space(f.ufl_shape)))
         return self._integrated(f, q) / self._integrals[:, None]
 
     def means(self, values: Array) -> Array:
-        """Means (cells, ...) of values (points, ...), by `weights`, over each of this rank's cells of `region`."""
+        """Return the means (cells, ...) of `values` (points, ...) over each cell of `region` that this rank owns.
+
+        Points are weighted by `weights`.
+        """
         cell_values, weights = values[self.cells], self.weights[self.cells]
         cell_weights = weights.sum(axis=1).reshape(-1, *[1] * (values.ndim - 1))
         return np.asarray(np.einsum("cp,cp...->c...", weights, cell_values) / cell_weights)
@@ -228,7 +242,7 @@ class Quadrature:
     def joint_x(self) -> Array:
         """Coordinates (d, points) of the points in the joint as drawn, before S is opened to the layer's thickness.
 
-        Without a joint they are those in the mesh.
+        If there is no joint, they are the coordinates in the mesh.
         """
         on_s = self.origin.x_on_s if self.origin and self.region.dim < self.dim else None
         x = on_s if on_s is not None or self.origin is None else self.origin.x
@@ -236,9 +250,9 @@ class Quadrature:
         return np.ascontiguousarray((self.x if in_mesh else self.values(self.region.side(x))).T)
 
     def function(self, values: Array) -> fem.Function:
-        """Function (m,) on the whole mesh with `values` (points, m) at the points of a cell measure, zero elsewhere.
+        """Return a function (m,) on the whole mesh that has `values` (points, m) at the points, and is zero elsewhere.
 
-        It can be integrated with `measure`.
+        It can be integrated with `measure`, which must be over cells.
         """
         width = values.shape[1]
         if width not in self._functions:
@@ -250,7 +264,7 @@ class Quadrature:
         return f
 
     def region_function(self, values: Array) -> fem.Function:
-        """Function on the region's mesh with values (points,) at the points. Collective.
+        """Return a function on the mesh of the region that has `values` (points,) at the points. Collective.
 
         It can be integrated with measures of the quadrature degree `degree`.
         """
@@ -258,13 +272,13 @@ class Quadrature:
 
     @property
     def entity_numbers(self) -> IntArray:
-        """Numbers (cells,) in the joint of the cells or facets of `region` that this rank owns."""
+        """Numbers (cells,), in the joint, of the cells or facets of `region` that this rank owns."""
         assert self.origin is not None, "a mesh without a joint"
         return self.origin.numbers(self.region.dim, self.region.parent[: len(self.cells)])
 
     @cached_property
     def columns(self) -> Columns:
-        """Columns of the layer, with the points in them; on S each facet is a column.
+        """Columns of the layer, with the points in each; on S each facet is a column.
 
         In the meshed layer a column consists of the cells above each other through the thickness.
 
@@ -289,7 +303,7 @@ class Quadrature:
 
 
 def assemble_matrix(form: fem.Form) -> PETSc.Mat:
-    """Assemble the matrix of a bilinear form, without supports."""
+    """Assemble the matrix of the bilinear `form`; no rows or columns are changed for supports."""
     pattern = fem.create_sparsity_pattern(form)
     pattern.finalize()
     created = dolfinx.cpp.la.petsc.create_matrix(communicator(form.mesh), pattern)
@@ -310,7 +324,7 @@ def assemble_forces(first: fem.Form, *others: fem.Form) -> PETSc.Vec:
 
 
 def add_assembled_forces(out: PETSc.Vec, *forms: fem.Form) -> float:
-    """Add the nodal forces of linear forms to a vector, and return the norm of their sum."""
+    """Add the nodal forces of the linear `forms` to the vector `out`, and return the norm of their sum."""
     b = assemble_forces(*forms)
     out.axpy(1.0, b)
     size = float(b.norm())
@@ -319,14 +333,14 @@ def add_assembled_forces(out: PETSc.Vec, *forms: fem.Form) -> float:
 
 
 def set_owned_values(f: fem.Function, values: Array) -> fem.Function:
-    """Set the owned dofs of a function to `values`, update its ghosts, and return it. Collective."""
+    """Set the dofs of `f` that this rank owns to `values`, update the ghosts of `f`, and return it. Collective."""
     f.x.array[: len(values)] = values
     f.x.scatter_forward()
     return f
 
 
 def assemble_values(form: fem.Form | None, count: int) -> Array:
-    """Assemble a linear form, and return its values (count,) at the dofs of this rank; zeros if the form is None."""
+    """Assemble the linear `form`, and return its values (count,) at the dofs that this rank owns; zeros for None."""
     if form is None:
         return np.zeros(count)
     b = assemble_forces(form)
@@ -338,9 +352,10 @@ def assemble_values(form: fem.Form | None, count: int) -> Array:
 def add_distributed(
     density: Expr, V: fem.FunctionSpace, measure: ufl.Measure, b: PETSc.Vec, maps: EntityMaps | None = None
 ) -> None:
-    """Add the integral of a density to the first component at the nodes, distributed by their shape functions.
+    """Add the integral of a density to a vector, distributed to the nodes by their shape functions.
 
-    On S these are the shape functions of the upper side. As they add up to one, the entries add up to the integral.
+    A node's contribution is added to the first component at the node. On S the shape functions are those of the upper
+    side. As they add up to one, all contributions add up to the integral.
 
     Args:
         density: UFL scalar, restricted to a side if the measure is dS.

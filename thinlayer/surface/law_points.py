@@ -28,12 +28,12 @@ _QUADRATURES: WeakKeyDictionary[Model, list[Quadrature]] = WeakKeyDictionary()
 
 @dataclass(frozen=True, eq=False)
 class LawPoints:
-    """This rank's quadrature points of one law in a state, with stresses and internal variables there.
+    """This rank's quadrature points of one law, with stresses and internal variables there in a state.
 
     Attributes:
         state: the state.
-        term: virtual work of the law at the time of the state. Under a mean stress its prescribed strain includes the
-            mean strain.
+        term: virtual work of the law at the time of the state. Its prescribed strain includes the mean strain of a
+            periodic cell under a prescribed mean stress.
         quadrature: the quadrature points of the law.
         key: key of a compiled law in `State.memory`; "" for a law that is not compiled.
     """
@@ -45,11 +45,14 @@ class LawPoints:
 
     @cached_property
     def entities(self) -> IntArray:
-        """Numbers in the joint of this rank's cells with points, or of its facets (rows of `Joint.table`)."""
+        """Numbers, in the joint, of this rank's cells or facets that contain the points.
+
+        The number of a facet is its row in `Joint.table`.
+        """
         return self.quadrature.entity_numbers
 
     def stress(self) -> Array:
-        """Stresses (points, 3, 3), which include the pressure of an incompressible law. Collective."""
+        """Return the stresses (points, 3, 3), with the pressure of an incompressible law. Collective."""
         term, points = self.term, self.quadrature
         if term.law.traits.compiled:
             vectors = self.state.stresses.get(self.key, np.zeros((points.count, len(MANDEL_PAIRS))))
@@ -58,7 +61,7 @@ class LawPoints:
         return mandel_tensors(vectors) + self._pressure()[:, None, None] * np.eye(3)
 
     def _pressure(self) -> Array:
-        """Pressure (points,) of an incompressible law, positive in tension; zero for other laws."""
+        """Return the pressure (points,) of an incompressible law, positive in tension; zeros for other laws."""
         if not self.term.law.traits.constrained:
             return np.zeros(self.quadrature.count)
         region = self.quadrature.region
@@ -68,9 +71,10 @@ class LawPoints:
         return self.quadrature.values(ufl.as_vector([region.side(region_p)]))[:, 0]
 
     def internal(self) -> list[dict[str, Array]]:
-        """Internal variables (points, *shape) by name, in a list with one dictionary for each sublayer.
+        """Return the internal variables of each sublayer: name -> values (points, *shape), with the variable's shape.
 
-        Sublayers are in order from the lower to the upper face; a law that is no `Stack` is one sublayer.
+        The list has one dictionary for each sublayer, from the lower to the upper face. A law that is no `Stack` is one
+        sublayer.
         """
         sublayers = [law for _, law in self.term.law.sublayers]
         if not self.key:
@@ -82,20 +86,23 @@ class LawPoints:
 
 
 def seams_with_shares(model: Model) -> list[str]:
-    """Names of the seams whose layers have phases or can break, so that `layer_shares` has numbers for them."""
+    """Return the names of the seams whose layers have phases or can break; only for them `layer_shares` has numbers."""
     return [name for name, layer in model.layers.items() if share_columns(layer.law)]
 
 
 def share_columns(law: Law) -> tuple[str, ...]:
-    """Names of the numbers that `layer_shares` returns for a layer with this law; () if it has no phases or damage."""
+    """Return the names of the numbers that `layer_shares` computes for a layer with the law `law`.
+
+    The result is () if the law has no phases and cannot break.
+    """
     return tuple(dict.fromkeys(name for _, sublayer in law.sublayers for name in sublayer.share_columns))
 
 
 def layer_shares(state: State, seam: str) -> dict[str, float]:
-    """Volume fractions of a layer's material in other phases, or broken, in a state of a model. Collective.
+    """Return the volume fractions of a layer's material in other phases, or broken, in a state. Collective.
 
-    The phase is a number in [-1, 1]. -1, 0 and 1 are pure phases. Any other value is a mixture with phase 0: its
-    absolute value is the volume fraction of phase 1 (or -1).
+    A point's phase is a number in [-1, 1]: -1, 0 and 1 are pure phases. Any other value is a mixture with phase 0. Its
+    absolute value is then the volume fraction of phase 1 (or -1).
 
     Args:
         state: state of a full or an interface model.
@@ -105,9 +112,9 @@ def layer_shares(state: State, seam: str) -> dict[str, float]:
         Numbers by the names that the law declares (`share_columns`). For a layer with phases they are:
 
         - "plus", "minus": volume fractions of phases 1 and -1 in those sublayers that have phases;
-        - "boundary": mean thickness of phase 0 over S, a length. It is the height of the phase boundary above the lower
-          face if the other phases lie above phase 0. For the bar of section 6.2 of the paper it is the position of
-          the phase boundary in Eq. (47), there called eps S.
+        - "boundary": mean thickness of phase 0 over S, a length. If the other phases lie above phase 0, it is the
+          height of the phase boundary above the lower face. For the bar of section 6.2 of the paper it is the position
+          of the phase boundary in Eq. (47), there called eps S.
     """
     model, layer, shares = state.model, state.model.layers[seam], dict[str, float]()
     eps = float(layer.thin_layer.eps) if layer.thin_layer else 0.0
@@ -129,7 +136,10 @@ def layer_shares(state: State, seam: str) -> dict[str, float]:
 
 
 def law_points(state: State) -> Iterator[LawPoints]:
-    """Yield the `LawPoints` of each law in a state, first of bodies, then of layers; not of contact. Collective."""
+    """Yield the `LawPoints` of each law in `state`, first of bodies, then of layers. Collective.
+
+    Contact laws, which have no quadrature points, are left out.
+    """
     model = state.model
     keys = {id(q.term): key for key, q in model.quadratures.items()}
     if model not in _QUADRATURES:
@@ -140,7 +150,10 @@ def law_points(state: State) -> Iterator[LawPoints]:
 
 
 def unpack_memory(law: BulkLaw, memory: Array) -> dict[str, Array]:
-    """Split a law's memory (points, values) into its internal variables (points, *shape) by name."""
+    """Split the `memory` (points, values) of `law` into its internal variables: name -> values (points, *shape).
+
+    A law that does not name its internal variables gets one entry with all values.
+    """
     stops = np.cumsum([VARIABLE_SIZES[shape] for shape in law.internal.values()], dtype=int)
     if stops.max(initial=0) != memory.shape[1]:
         return {UNNAMED_MEMORY: memory}

@@ -23,11 +23,11 @@ ARC_DEGREE = 8  # quadrature degree for the length of a curved facet
 class Line:
     """Values at n points along a line on S, the same on all ranks; d: number of dimensions.
 
-    The line has no branches, and ends at a tip, an end or a junction of its own seam. Where values jump, there are two
-    points with the same arc length.
+    The line has no branches. It ends where its seam ends, branches or crosses itself. Where the values jump, two
+    successive points have the same arc length.
 
     Attributes:
-        seam: name of the seam.
+        seam: name of the seam, the part of S between two bodies.
         s: (n,) arc length from the start of the line.
         x: (n, d) coordinates of the points.
         values: (n,) values, or (n, components) of a vector.
@@ -46,16 +46,19 @@ class Line:
         return float(self.s[-1])
 
     def crossings(self, level: float) -> Array:
-        """Coordinates (k, d) of the k points where scalar values cross a level, such as the end of a sliding zone."""
+        """Return the coordinates (k, d) of the k points where scalar values cross the number `level`.
+
+        Such a point may be the end of a sliding zone. Values are linear between the points of the line.
+        """
         difference = self.values - level
         k = np.flatnonzero(difference[:-1] * difference[1:] < 0)
         share = difference[k] / (difference[k] - difference[k + 1])
         return np.asarray(self.x[k] + share[:, None] * (self.x[k + 1] - self.x[k]))
 
     def table(self, name: str = "value") -> Table:
-        """Table with a row for each point, for `Table.write` to a csv file.
+        """Return a table with a row for each point, for `Table.write` to a csv file.
 
-        Its columns are s, x, y, in 3D z, and `name`, or for vectors "name x", "name y", ...
+        Its columns are s, x, y, in 3D z, and `name`. The values of a vector have the columns "name x", "name y", ...
         """
         values = self.values.reshape(len(self.s), -1)
         names = [name] if values.shape[1] == 1 else [f"{name} {axis}" for axis in "xyz"[: values.shape[1]]]
@@ -65,7 +68,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Segments:
-    """m segments of lines with values at their ends; d: number of dimensions.
+    """Line segments, m of them, with values at both ends of each; d: number of dimensions.
 
     Attributes:
         keys: (m, 2) numbers of the ends; segments with the same number at an end are joined there.
@@ -82,8 +85,9 @@ class Segments:
     def lines(self, seam: str, size: float) -> list[Line]:
         """Join the segments to lines, ordered by the coordinates of their start points, then of their end points.
 
-        A line starts at the lower of its ends: the end with the smaller first coordinate or, if these are equal, the
-        smaller next one. A closed line starts at its lowest point, towards the lower of its neighbours.
+        A line starts at its lower end: the one with the smaller first coordinate or, if these are equal, the smaller
+        next one. A closed line starts at its lowest point in this sense. It goes on to the lower neighbour of that
+        point.
 
         Args:
             seam: name of the seam.
@@ -100,13 +104,13 @@ class Segments:
         return [lines[k] for k in by_place(end_places, size)]
 
     def _line(self, seam: str, segments: IntArray, ends: IntArray, x: Array, size: float) -> Line:
-        """Join the segments of one line, in order.
+        """Join some segments, which form one line without branches, in their order along it.
 
         Args:
             seam: name of the seam.
-            segments: positions of the segments of the line.
-            ends: (m, 2) positions in x of the ends of all segments.
-            x: (n, d) coordinates of the distinct ends.
+            segments: positions, among all m segments, of the segments of the line.
+            ends: (m, 2) rows of `x` with the coordinates of the ends of all m segments.
+            x: (n, d) coordinates of the n distinct ends.
             size: size of the structure, for rounding errors of coordinates.
         """
         points, ends = np.unique(ends[segments], return_inverse=True)
@@ -128,17 +132,17 @@ class Segments:
 
 
 def lines_on(joint: Joint, seam: str, rows: IntArray, values: Array, plane: Plane | None) -> list[Line]:
-    """Values along the pieces of a seam in 2D, or along its cuts by a plane in 3D.
+    """Return the values along the pieces of a seam in 2D, or along the lines in which a plane cuts it in 3D.
 
     Args:
-        joint: the joint.
+        joint: the joint, the undistributed mesh of the bodies.
         seam: name of the seam.
         rows: (n,) positions of the seam's facets in `joint.surface`.
         values: values (n, k), or (n, k, components) of a vector, at the k corners of each facet.
         plane: in 3D the plane that cuts S, as a point and a normal, ((x, y, z), (n_x, n_y, n_z)); None in 2D.
 
     Raises:
-        InputError: a plane in 2D; in 3D no plane, or an invalid plane.
+        InputError: a plane is given in 2D. Or in 3D no plane is given, or an invalid one.
     """
     hint = "in 2D S is a line" if joint.dim == 2 else "in 3D lines on S are cuts by a plane: plane=(point, normal)"
     require((plane is None) == (joint.dim == 2), "plane", plane, hint)
@@ -155,11 +159,12 @@ def lines_on(joint: Joint, seam: str, rows: IntArray, values: Array, plane: Plan
 
 
 def cut_segments(joint: Joint, nodes: IntArray, values: Array, plane: Plane) -> Segments:
-    """Segments, with interpolated values at their ends, in which a plane cuts facets in 3D.
+    """Return the line segments in which a plane cuts facets in 3D, with interpolated values at their ends.
 
     Args:
-        joint: the joint.
-        nodes: (n, a) nodes of the facets in the joint, corners first; curved facets are taken as straight.
+        joint: the joint, the undistributed mesh of the bodies.
+        nodes: (n, a) numbers, in the joint, of the a nodes of each of n facets, corners first. Curved facets are taken
+            as straight.
         values: (n, k, components) values at the k corners of each facet.
         plane: a point and a normal of the plane, ((x, y, z), (n_x, n_y, n_z)).
 

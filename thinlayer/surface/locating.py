@@ -23,13 +23,15 @@ MAX_NEWTON_STEPS = 30  # limit of Newton iterations for reference coordinates in
 
 @dataclass(frozen=True)
 class LocatedPoints:
-    """Pairs of a point and a cell or facet ("entity") that contains it; a point on a boundary is in several pairs.
+    """Points, and the cells or facets that contain them, as m pairs of a point and a cell or facet ("entity").
+
+    A point on the boundary between entities is in several pairs, a point outside all entities in none.
 
     Attributes:
         x: (n, d) coordinates of the n points; d: number of dimensions.
-        point: (m,) number of the point in each of the m pairs, ascending.
+        point: (m,) number of the point in each pair, ascending.
         entity: (m,) number of the cell or facet in each pair.
-        X: (m, k) coordinates of the point in the reference cell or facet of dimension k.
+        X: (m, k) coordinates of the point in the reference cell or facet, which has k dimensions.
     """
 
     x: Array
@@ -43,7 +45,7 @@ class LocatedPoints:
 
         Args:
             kind: type of the cells or facets, such as "triangle".
-            nodes: (entities, a, d) coordinates of their nodes.
+            nodes: (entities, a, d) coordinates of the a nodes of each cell or facet, in d dimensions.
             x: coordinates (n, d) of points, or (d,) of one point.
 
         Raises:
@@ -68,11 +70,11 @@ class LocatedPoints:
 
     @classmethod
     def in_cells(cls, joint: Joint, x: npt.ArrayLike) -> LocatedPoints:
-        """Find all cells of a joint that contain points; the joint may have S opened to the layer's thickness.
+        """Find all cells of a joint that contain points.
 
         Args:
-            joint: the joint.
-            x: coordinates (n, d) of points, or (d,) of one point.
+            joint: the joint, in which S may already be opened to the layer's thickness.
+            x: coordinates (n, d) of points in d dimensions, or (d,) of one point.
 
         Raises:
             InputError: x is no array of finite numbers with such a shape, or a point is in no cell.
@@ -87,19 +89,28 @@ class LocatedPoints:
 
     @property
     def missing(self) -> BoolArray:
-        """Mask (n,) of the points that are in no cell or facet."""
+        """Mask (n,), True for the points that are in no cell or facet."""
         return ~np.isin(np.arange(len(self.x)), self.point)
 
     def mean(self, values: Array) -> Array:
-        """Means (n, ...) for each point of values (m, ...) in the cells or facets that contain it."""
+        """Return, for each point, the mean (n, ...) of `values` (m, ...) over the m pairs in which the point is.
+
+        The values belong to the cells or facets of the pairs.
+        """
         counts = np.bincount(self.point, minlength=len(self.x))
         return np.asarray(sum_by_number(self.point, values, len(self.x)) / counts.reshape(-1, *[1] * (values.ndim - 1)))
 
 
 def _reference_points(kind: str, degree: int, nodes: Array, x: Array) -> Array:
-    """Reference coordinates (n, k) of points x (n, d), each in one cell or facet with nodes (n, a, d).
+    """Return the reference coordinates (n, k) of n points, each in its cell or facet of dimension k.
 
-    A point outside its cell or facet gets coordinates outside the reference one.
+    A point outside its cell or facet gets coordinates outside the reference cell or facet.
+
+    Args:
+        kind: type of the cells or facets, such as "triangle".
+        degree: polynomial degree of their geometry.
+        nodes: (n, a, d) coordinates of the a nodes of the cell or facet of each point, in d dimensions.
+        x: (n, d) coordinates of the points.
     """
     element = lagrange(kind, degree)
     X = np.tile(basix.geometry(basix.CellType[kind]).mean(axis=0), (len(x), 1))

@@ -1,4 +1,4 @@
-"""Stiffness of layers, and the errors of interface laws that let no material of a soft layer flow along S."""
+"""Stiffness of layers, and errors of those interface laws that let no material of a soft layer flow along S."""
 
 from __future__ import annotations
 
@@ -29,14 +29,15 @@ MODULUS_TOLERANCE = 1e-3  # relative change of lmbda/mu in time that counts as z
 
 @dataclass(frozen=True)
 class RestingSublayer:
-    """Moduli of a layer, or of one sublayer of a `Stack`, at rest or after loads of some duration.
+    """Moduli of a layer, or of one sublayer of a `Stack`, before loading or after loads of some duration.
 
     Attributes:
         fraction: fraction of the layer's thickness that the sublayer has; 1 for a whole layer.
-        lmbda, mu: Lame moduli at rest or, if lmbda/mu changes in time, after the duration; stresses.
-        E_plane: modulus of the sublayer as a sheet in the plane of S with free faces, for isotropic laws E/(1 - nu^2); a
-            stress.
-        when: words of a warning with the duration, such as " under loads that last 5"; "" at rest.
+        lmbda, mu: Lame moduli, stresses. They are effective moduli after the duration if the law's response depends on
+            it, otherwise those before loading.
+        E_plane: modulus, a stress, of the sublayer as a sheet along S with free faces; for isotropic laws E/(1 - nu^2).
+        when: words with the duration for a warning, such as " under loads that last 5"; "" if lmbda/mu is as before
+            loading.
     """
 
     fraction: float
@@ -47,22 +48,28 @@ class RestingSublayer:
 
     @property
     def rubbery(self) -> bool:
-        """Whether the sublayer is nearly incompressible: `length` is more than half of its relative thickness."""
+        """Whether the sublayer is nearly incompressible: its `length` is more than half of its `fraction`."""
         return self.length > NEARLY_INCOMPRESSIBLE_LENGTH * self.fraction
 
     @property
     def length(self) -> float:
-        """Decay length of the pressure at a free end, relative to the layer's thickness; may be infinite."""
+        """Length over which the sublayer's pressure decays at a free end, divided by the whole layer's thickness.
+
+        It is infinite if the sublayer is incompressible.
+        """
         return self.fraction * math.sqrt(max(self.lmbda, 0.0) / (12 * self.mu))
 
     @property
     def compliance(self) -> float:
-        """Normal jump per normal traction and per layer thickness, without strain along S; 1 over a stress."""
+        """Part of the normal jump that the sublayer contributes per unit normal traction and layer thickness.
+
+        It is 1 over a stress; strains along S are zero.
+        """
         return self.fraction / (self.lmbda + 2 * self.mu)
 
     @classmethod
     def of(cls, fraction: float, law: BulkLaw, C: FloatArray, n: FloatArray) -> RestingSublayer | None:
-        """Moduli of a sublayer from the tangent of its law; None if the law does not resist shear.
+        """Return the moduli of a sublayer from the tangent of its law; None if the law does not resist shear.
 
         Args:
             fraction: fraction of the layer's thickness that the sublayer has.
@@ -78,11 +85,13 @@ class RestingSublayer:
 
 
 def resting_sublayers(layer: SeamLayer, dt: float = 0.0) -> list[RestingSublayer]:
-    """Moduli of the sublayers of a layer, after loads that last dt; [] if a tangent is unknown.
+    """Return the moduli of each sublayer of a layer, after loads of some duration; [] if a tangent is unknown.
+
+    Sublayers that do not resist shear are left out.
 
     Args:
         layer: the layer.
-        dt: duration of the loads; 0: at rest.
+        dt: duration of the loads; 0: the moduli before loading.
     """
     n, sublayers = layer.initial_tangents.n, layer.initial_tangents.sublayers
     later = layer.initial_tangents.tangents_after(dt) if dt > 0 else [None] * len(sublayers)
@@ -98,14 +107,18 @@ def resting_sublayers(layer: SeamLayer, dt: float = 0.0) -> list[RestingSublayer
 
 
 def acts_as_springs(sublayers: list[RestingSublayer]) -> bool:
-    """Whether strains along S cause no stress in the layer, which then acts as separate springs between its faces."""
+    """Tell whether the layer acts as separate springs between its faces, as strains along S cause no stress in it.
+
+    `sublayers` are the moduli of its sublayers.
+    """
     return bool(sublayers) and all(sublayer.E_plane <= NEGLIGIBLE_MODULUS_RATIO * sublayer.mu for sublayer in sublayers)
 
 
 def jump_stiffness(layer: SeamLayer) -> tuple[float, float]:
-    """Normal and least tangential stiffness of a layer at rest, traction per jump; (0, 0) if tangents are unknown.
+    """Return the normal and the least tangential stiffness of a layer before loading, traction per jump.
 
-    Without shear stiffness the second number is 0, and the first one is not the stiffness of the layer.
+    Both are 0 if a tangent of the law is unknown. Without shear stiffness the second number is 0, and the first one is
+    not the stiffness of the layer.
     """
     n, compliances = layer.initial_tangents.n, np.zeros(2)
     for fraction, _, C in layer.initial_tangents.sublayers:
@@ -132,13 +145,14 @@ MIN_STIFFNESS_ERROR = 0.1  # relative error of a layer's stiffness above which t
 
 @dataclass(frozen=True)
 class FaceDisplacements:
-    """Displacements of a layer's faces in a state, at the k corners of the n facets of its seam. Collective.
+    """Displacements of the lower and upper face of a layer in a state of an interface model. Collective.
 
-    d is the number of dimensions, q the number of quadrature points on each facet.
+    They are given at the k corners of each of the n facets of the layer's seam. d is the number of dimensions, q the
+    number of quadrature points on each facet.
 
     Attributes:
         surface: the mesh of the seam.
-        state: state of an interface model.
+        state: the state.
         layer: the layer.
     """
 
@@ -148,7 +162,7 @@ class FaceDisplacements:
 
     @classmethod
     def of(cls, state: State, layer: SeamLayer) -> FaceDisplacements:
-        """Face displacements of a layer, on its whole seam."""
+        """Return the displacements of the faces of `layer` in `state`, on the whole seam of the layer."""
         return cls(surface_of(state.model, layer.name), state, layer)
 
     @cached_property
@@ -163,29 +177,29 @@ class FaceDisplacements:
 
     @property
     def opening(self) -> FloatArray:
-        """Normal jumps [u_N], (n, k), at the k corners of n facets."""
+        """Normal jumps [u_N], (n, k), at the k corners of n facets; positive if the faces move apart."""
         return np.asarray(((self.sides[1] - self.sides[0]) * self.surface.corner_points.n).sum(axis=0))
 
     @property
     def slip_squared(self) -> FloatArray:
-        """Squared tangential jumps, plus the squared rounding error of jumps, (n, k), at the k corners of n facets."""
+        """Squares of the tangential jumps, (n, k), at the k corners of n facets, plus the square of `jump_rounding`."""
         slip = self.sides[1] - self.sides[0] - self.opening * self.surface.corner_points.n
         return np.asarray((slip**2).sum(axis=0) + self.jump_rounding**2)
 
     @property
     def closing(self) -> FloatArray:
-        """Approach -[u_N] of the faces over the layer's thickness, (n, k), at the k corners of n facets."""
+        """Approach -[u_N] of the faces, divided by the layer's thickness, (n, k), at the k corners of n facets."""
         return -self.opening / self.surface.thickness(self.layer, self.surface.corners)
 
     @property
     def mean_closing(self) -> float:
-        """Mean over the seam of the relative approach `closing`; openings count as zero."""
+        """Mean of `closing` over the seam, where openings count as zero."""
         surface = self.surface
         return float(surface.integral(surface.between(np.maximum(self.closing, 0))) / surface.integral(1.0))
 
     @property
     def stretching(self) -> FloatArray:
-        """Surface divergence of the mean displacement of both faces, (n, q), at the q quadrature points of n facets.
+        """Surface divergence, (n, q), of the mean displacement of both faces, at the q quadrature points of n facets.
 
         The displacements are taken as linear between the corners.
         """
@@ -197,10 +211,10 @@ class FaceDisplacements:
 
 @dataclass(frozen=True)
 class PressureExcess:
-    """Relative errors of an interface law that lets no material flow along S, due to its too large pressure.
+    """Relative errors of an interface law whose pressure is too large, as the law lets no material flow along S.
 
-    Let p_0 be the pressure of the law, and p that of the layer. wb = [u_N] + eps div_S <u> is the layer's change of
-    volume per area of S.
+    Let p_0 be the pressure of the law, and p that of the layer. The layer's change of volume per area of S is wb =
+    [u_N] + eps div_S <u>. <u> is the mean displacement of the faces, w_T the tangential jump.
 
     Attributes:
         opening: int (p_0 - p) wb/int p wb: the law is 1 + opening times too stiff against openings.
@@ -214,14 +228,21 @@ class PressureExcess:
 
     @property
     def reported(self) -> float:
-        """The error that warnings report: `opening` or, if `traction` is at most 0.1, `work`."""
+        """Error that warnings report: `opening` if `traction` exceeds 0.1, otherwise `work`."""
         return self.opening if self.traction > MIN_STIFFNESS_ERROR else self.work
 
 
 def times_too_stiff(state: State, layer: SeamLayer) -> float | None:
-    """Factor by which an interface law overestimates the layer's stiffness against the openings of a state. Collective.
+    """Return the factor by which an interface law overestimates the layer's stiffness against openings. Collective.
 
-    It is 1 if the law lets material flow along S. None: the conditions of the comparison do not hold.
+    It is 1 if the law lets material flow along S.
+
+    Args:
+        state: state of an interface model; its openings are those for which the stiffness is compared.
+        layer: the layer.
+
+    Returns:
+        The factor. None: it cannot be computed; `Applicability.why_not("excess of pressure")` says why.
     """
     if state.model.applicability[layer.name].why_not("excess of pressure"):
         return None
@@ -231,22 +252,23 @@ def times_too_stiff(state: State, layer: SeamLayer) -> float | None:
 
 
 def pressure_excess(faces: FaceDisplacements, layer: RestingSublayer) -> PressureExcess:
-    """Relative errors of an interface law by comparing its pressure with that of the layer, with equal displacements.
+    """Return the relative errors of an interface law, from its pressure and that of the layer itself. Collective.
 
-    Collective. Let wb = [u_N] + eps div_S <u>. The pressure of the law is p_0 = lmbda wb/eps. The pressure p of the
-    layer is continuous, of degree 1, and solves
+    The displacements of the faces are the same in both. <u> is the mean displacement of the faces, and wb = [u_N] + eps
+    div_S <u> the layer's change of volume per area of S. The pressure of the law is p_0 = lmbda wb/eps. The pressure p
+    of the layer is continuous, of degree 1, and solves
 
         (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = wb, p = 0 at free ends, no flow through other ends.
 
     Free ends whose loss of stiffness the law contains (edges="free") count as other ends.
 
-    Cells of size h may be longer than the length delta over which p falls to zero. There functions of degree 1 have an
-    outflow that is sqrt(1 + h^2/(12 delta^2)) times too large. A resistance at the free ends corrects this, so that the
-    excess does not depend on h.
+    Cells of size h may be longer than the length delta over which p falls to zero. Functions of degree 1 then have an
+    outflow at free ends that is sqrt(1 + h^2/(12 delta^2)) times too large. A resistance at the free ends corrects
+    this, so that the errors do not depend on h.
 
     On straight facets of a curved S, slip opens the layer at one end of a facet and closes it at the other. The law
-    resists this too. `work` includes this resistance; for `opening` and `traction`, p_0 is continuous like p. Openings
-    as small as the rounding error of displacements count as zero.
+    resists this too. `work` includes this resistance. For `opening` and `traction`, p_0 is made continuous like p,
+    which excludes it. Openings as small as the rounding error of displacements count as zero.
 
     Args:
         faces: displacements of the layer's faces in a state of an interface model.
@@ -288,16 +310,19 @@ def pressure_excess(faces: FaceDisplacements, layer: RestingSublayer) -> Pressur
 
 # ---------------------------------------------------------------- warnings
 def free_end_remark(model: Model, seam_layer: SeamLayer, layers: Sequence[list[RestingSublayer]]) -> Iterator[Remark]:
-    """Yield a warning if the pressure of a nearly incompressible layer falls to zero at free ends over a long distance.
+    """Yield a warning if a nearly incompressible layer loses much stiffness at its free ends.
 
-    The distance is the decay length delta that `pressure_length` computes. Interface laws do not contain this effect.
-    Between rigid faces a strip of half-width l carries only the fraction 1 - tanh(l/delta) delta/l of the load that the
-    law predicts. The warning states the inverse of the smallest such fraction.
+    Its pressure falls to zero there over the decay length delta that `pressure_length` computes. Interface laws do not
+    contain this effect. Between rigid faces a strip of half-width l carries only the fraction 1 - tanh(l/delta) delta/l
+    of the load that the law predicts. The warning states the inverse of the smallest such fraction.
 
     Args:
         model: the interface model.
         seam_layer: the layer.
         layers: for each of several durations of the loads, the moduli of the layer's sublayers.
+
+    Yields:
+        Key of the warning, and its message; at most one such pair.
     """
     layers, rim = [s for s in layers if any(k.rubbery for k in s)], model.applicability[seam_layer.name].neglected
     if not layers or not len(rim.vertices):
@@ -321,17 +346,19 @@ def free_end_remark(model: Model, seam_layer: SeamLayer, layers: Sequence[list[R
 
 
 def pressure_length(sublayers: list[RestingSublayer], width: float) -> float:
-    """Decay length delta of the pressure at a free end of S, relative to the thickness of the layer.
+    """Return the length over which the pressure decays at a free end of S, divided by the layer's thickness.
 
-    All sublayers have the same normal traction t, a function of the position along S. The normal jump is
-    w = c t - B t'', so that disturbances of t decay over the length delta = sqrt(B/c). c is the sum of the sublayers'
-    compliances. B t'' is the contribution of material that flows along S: a slope t' drives nearly incompressible
-    sublayers. These shear and stretch the other sublayers, which resist. B follows from the displacements along S that
-    minimise the energy, as polynomials of degree 2 through each sublayer. For a single sublayer delta is its `length`.
+    All sublayers have the same normal traction t, a function of the position along S. The normal jump is w = c t - B
+    t''. So disturbances of t decay over the length delta = sqrt(B/c).
+
+    c is the sum of the sublayers' compliances. B t'' is the contribution of material that flows along S. A slope t'
+    drives nearly incompressible sublayers; these shear and stretch the other sublayers, which resist. B follows from
+    the displacements along S that minimise the energy, as polynomials of degree 2 through each sublayer. For a single
+    sublayer delta is its `length`.
 
     Args:
         sublayers: moduli of the sublayers, from the lower to the upper face.
-        width: distance along S over which the material flows, relative to the thickness of the layer.
+        width: distance along S over which the material flows, divided by the layer's thickness.
     """
     count = 2 * len(sublayers) + 1
     A, b = np.zeros((count, count)), np.zeros(count)
@@ -348,15 +375,19 @@ def pressure_length(sublayers: list[RestingSublayer], width: float) -> float:
 
 
 def stiffness_remark(seam_layer: SeamLayer, states: Sequence[State], start: float | None) -> Iterator[Remark]:
-    """Yield a warning if an interface law is too stiff for the openings of states, as it lets no material flow along S.
+    """Yield a warning if an interface law is much too stiff for the openings in states.
 
-    Two states are tested: the state with the largest opening, and the last state with at least half of it. The second
-    test is needed because laws that creep or relax become nearly incompressible with time.
+    Interface laws of nearly incompressible layers are too stiff if they let no material flow along S. Two states are
+    tested: the one with the largest opening, and the last one with at least half that opening. The second is tested
+    because laws that creep or relax become nearly incompressible with time.
 
     Args:
         seam_layer: the layer.
         states: states of an interface model, in the order of their times.
-        start: time at which the loads begin to act; None: the layer's moduli at rest are used.
+        start: time at which the loads begin to act; None: the layer's moduli before loading are used.
+
+    Yields:
+        Key of the warning, and its message; at most one such pair.
     """
     has_column = not states[0].model.applicability[seam_layer.name].why_not("excess of pressure")
     if not (has_column or seam_layer.law.traits.compiled or any(k.rubbery for k in resting_sublayers(seam_layer))):

@@ -1,4 +1,4 @@
-"""S as a separate mesh, with fields on S as arrays: integrals, projections, lines, values on both sides of S."""
+"""S as a separate mesh, with fields on S as arrays: integrals, projections, lines, values on both sides."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SIDE_NAMES = ("lower", "upper")
 
 
 class FacetPoints:
-    """q points on each of n facets of a `SurfaceMesh`, with shape functions, normals and weights there.
+    """Points on facets of a `SurfaceMesh`, q on each of n facets, with shape functions, normals and weights there.
 
     d is the number of dimensions, k the number of corners of a facet.
 
@@ -41,11 +41,11 @@ class FacetPoints:
         surface: the surface.
         rows: (n,) positions of the facets among those of the surface.
         points: coordinates in the reference facet, (q, d - 1) for all facets or (n, q, d - 1).
-        weights: (q,) quadrature weights in the reference facet; 1 for points of no quadrature rule.
+        weights: (q,) quadrature weights in the reference facet; 1 if the points are no quadrature rule.
 
     Attributes:
         rows, points: the arguments.
-        shapes: (n, q, k) values of the shape functions of degree 1 of the corners.
+        shapes: (n, q, k) values, at the points, of the degree-1 shape functions of the facets' corners.
         x, n: (d, n, q) coordinates, and unit normals from the lower to the upper side.
         weights: (n, q) weights of integrals over S; in axisymmetry over the whole revolution.
     """
@@ -66,15 +66,15 @@ class FacetPoints:
 
     @cached_property
     def slopes(self) -> Array:
-        """Gradients (n, q, k, d) along S, at q points of n facets, of the k corners' shape functions of degree 1."""
+        """Gradients (n, q, k, d) along S of the degree-1 shape functions of the k corners, at q points of n facets."""
         to_x = np.linalg.pinv(np.moveaxis(self._derivatives, 0, -1))
         return np.asarray(np.einsum("jfqa,fqjd->fqad", self._reference_slopes, to_x))
 
 
 def tabulated(element: basix.finite_element.FiniteElement, points: Array, count: int, derivatives: int = 0) -> Array:
-    """Values (1, n, q, a) of the a basis functions of an element at q points in each of n cells or facets.
+    """Return the values (1, n, q, a) of an element's a basis functions at q points in each of n cells or facets.
 
-    With one derivative the result is (1 + t, n, q, a): values, then derivatives by the t reference coordinates.
+    With one derivative the result is (1 + t, n, q, a): the values, then the derivatives by the t reference coordinates.
 
     Args:
         element: the element.
@@ -88,12 +88,13 @@ def tabulated(element: basix.finite_element.FiniteElement, points: Array, count:
 
 
 class SurfaceMesh:
-    """The interface S of a joint, or one of its seams, as a separate mesh, whole on every rank.
+    """The interface S of a joint, or one of its seams, as a separate mesh that is whole on every rank.
 
-    A field is an array with a value at each of q quadrature points of each of n facets: (n, q), for vectors (d, n, q)
-    in d dimensions. A field that is constant on facets is (n, 1). Values (m,) at the m nodes represent the scalar field
-    that is linear between them. A constant vector v must be given as `np.reshape(v, (-1, 1, 1))`, as numpy broadcasts
-    an array (d,) along the points.
+    A seam is a named part of S with its own layer. A scalar field is an array (n, q), with a value at each of q
+    quadrature points of each of n facets. A vector field is (d, n, q) in d dimensions. A field that is constant on each
+    facet may be (n, 1). An array (m,) of values at the m nodes represents the scalar field that is linear between them.
+    A constant vector v must be given as `np.reshape(v, (-1, 1, 1))`, since numpy would spread an array (d,) along the
+    points.
 
     Args:
         model: a model of the joint.
@@ -109,10 +110,10 @@ class SurfaceMesh:
         faces: (2, n, a, d) coordinates of the a nodes of each facet, in the cells below, then in the cells above.
         seams: (n,) name of each facet's seam.
         points: (q, d - 1) quadrature points in the reference facet.
-        shapes: (q, k) values at these points of the shape functions of degree 1 of the corners.
+        shapes: (q, k) values at these points of the degree-1 shape functions of the corners.
 
     Raises:
-        InputError: not a model, or an unknown seam.
+        InputError: `model` is no model, or the seam is unknown.
     """
 
     def __init__(self, model: Model, seam: str = S) -> None:
@@ -138,30 +139,31 @@ class SurfaceMesh:
         return f"{type(self).__name__}({self.model!r}, {self.seam!r})"
 
     def rule(self, degree: int) -> FacetPoints:
-        """Points of the quadrature rule of some polynomial degree on all facets."""
+        """Return the points on all facets of the quadrature rule that is exact for polynomials of degree `degree`."""
         if degree not in self._rules:
             self._rules[degree] = self.on_facets(*basix.make_quadrature(basix.CellType[self.kind], degree))
         return self._rules[degree]
 
     def on_facets(self, points: Array, weights: Array | float = 1.0) -> FacetPoints:
-        """Points given in the reference facet, on all facets.
+        """Map points of the reference facet to all facets.
 
         Args:
-            points: (q, d - 1) coordinates in the reference facet.
-            weights: (q,) quadrature weights there; 1 for points of no quadrature rule.
+            points: (q, d - 1) coordinates in the reference facet; d: number of dimensions.
+            weights: (q,) quadrature weights there; 1 if the points are no quadrature rule.
         """
         return FacetPoints(self, np.arange(len(self.rows)), points, weights)
 
     @cached_property
     def corner_points(self) -> FacetPoints:
-        """The corners of all facets."""
+        """The corners of all facets, as points that are no quadrature rule."""
         return self.on_facets(np.asarray(basix.geometry(basix.CellType[self.kind])))
 
     # ---------------------------------------------------------------- places
     def at(self, x: npt.ArrayLike) -> tuple[LocatedPoints, FacetPoints]:
-        """Find the facets on which points lie, and the points' positions there; at edges a point has several facets.
+        """Find the facets on which points lie, and the points' positions on them.
 
-        The rows of both results are pairs of a point and a facet, in the same order.
+        A point on an edge lies on several facets. The rows of both results are pairs of a point and a facet, in the
+        same order.
 
         Args:
             x: coordinates (n, d) of points in d dimensions, or (d,) of one point.
@@ -174,12 +176,12 @@ class SurfaceMesh:
         return located, FacetPoints(self, located.entity, located.X[:, None])
 
     def on_side(self, located: LocatedPoints, side: str) -> LocatedPoints:
-        """Leave out, for points that lie on the surface, the cells that are not on a given side of it.
+        """Keep, for points that lie on the surface, only the cells on the given side of it.
 
-        Points off the surface keep all their cells.
+        Points that do not lie on the surface keep all their cells.
 
         Args:
-            located: points in cells of the joint.
+            located: points, and the cells of the joint that contain them.
             side: "lower" or "upper".
 
         Raises:
@@ -197,7 +199,7 @@ class SurfaceMesh:
         return located[np.isin(located.point * count + located.entity, wanted) | ~np.isin(located.point, points)]
 
     def in_layer(self, x: npt.ArrayLike, height: npt.ArrayLike) -> Array:
-        """Coordinates (n, d) of points in the meshed layer of a full model, at positions on S and across the layer.
+        """Return the coordinates (n, d) of points in the meshed layer of a full model, from positions on S and heights.
 
         Args:
             x: (n, d) coordinates of points on S.
@@ -223,18 +225,21 @@ class SurfaceMesh:
 
     # ---------------------------------------------------------------- states, and functions of models
     def displacements(self, state: State) -> Array:
-        """Displacements (2, d, n, q) of the lower, then of the upper side at the q quadrature points of n facets.
+        """Return the displacements (2, d, n, q) of the lower, then of the upper side of S in `state`. Collective.
 
-        They are zero on a rigid base. Collective.
+        They are values at the q quadrature points of n facets in d dimensions, and zero on a rigid base.
 
         Raises:
-            InputError: not a state, or a state of another joint.
+            InputError: `state` is no state, or its model has another joint.
         """
         self._require_same_joint(state)
         return self.sides(state.u, state.model, self.quadrature)
 
     def jump(self, state: State) -> Array:
-        """Jump [u] = u(upper) - u(lower) of displacements, (d, n, q), at the q points of n facets. Collective."""
+        """Return the jumps [u] = u(upper) - u(lower), (d, n, q), at the q quadrature points of n facets. Collective.
+
+        `state` has the displacements u.
+        """
         lower, upper = self.displacements(state)
         return np.asarray(upper - lower)
 
@@ -245,14 +250,14 @@ class SurfaceMesh:
             raise InputError("this state's model has another joint than the surface; build both from the same one")
 
     def sides(self, f: fem.Function, model: Model, at: FacetPoints) -> Array:
-        """Values (2, c, n, q) of a function on the lower, then on the upper side at given points of S. Collective.
+        """Return the values (2, c, n, q) of a function on the lower, then on the upper side of S. Collective.
 
         On a rigid base they are zero.
 
         Args:
             f: function with c components on the model's mesh.
             model: the model of f.
-            at: the points, q on each of n facets.
+            at: the points on S, q on each of n facets.
         """
         element = f.function_space.ufl_element().basix_element
         values = cell_values(f, model, self.cells[at.rows].clip(0))  # not used below S on a rigid base
@@ -270,14 +275,17 @@ class SurfaceMesh:
 
     @cached_property
     def distance_to_ends(self) -> Array:
-        """Distances (n, q), from the ends of S or of this seam, of q points on n facets; infinite without ends."""
+        """Distances (n, q) of the quadrature points from the ends of S or, for the surface of one seam, of the seam.
+
+        They are infinite if there are no ends, as on a closed surface.
+        """
         x = np.moveaxis(self.x, 0, -1)
         rim = Sheet(self.joint, self.seam).rim
         return rim.distance(self.joint.points, x.reshape(-1, len(self.x))).reshape(x.shape[:-1])
 
     # ---------------------------------------------------------------- integrals
     def _field(self, f: object) -> Array:
-        """Convert a number, a field or nodal values f to a field (..., n, q) at q points of n facets.
+        """Convert `f`, a number, a field or nodal values, to a field (..., n, q) at the quadrature points.
 
         Raises:
             InputError: f has another shape, or is no array of numbers.
@@ -296,10 +304,13 @@ class SurfaceMesh:
             raise InputError(message) from None
 
     def where(self, part: Where | float) -> Array:
-        """Factors (n, q), 1 inside a part of S and 0 outside, at q points of n facets, which select it in integrals.
+        """Return factors (n, q) at the quadrature points, which select a part of S in integrals.
+
+        They are 1 inside the part and 0 outside.
 
         Args:
-            part: a field, or a numpy function of the coordinates x (d, n, q) that returns one.
+            part: the factors as a field. Or a numpy function of the coordinates x (d, n, q) that returns them, such as
+                `lambda x: x[0] > 1`.
 
         Raises:
             InputError: `part` is neither.
@@ -311,24 +322,25 @@ class SurfaceMesh:
             raise InputError(f"where is not a numpy function of coordinates such as {example}: {error}") from error
 
     def integral(self, f: npt.ArrayLike) -> Any:
-        """Integral of a field over S: a number, or an array (d,) for a vector field."""
+        """Return the integral of the field `f` over S: a number, or an array (d,) for a vector field."""
         total = (self._field(f) * self.weights).sum(axis=(-2, -1))
         return total if total.ndim else float(total)
 
     def norm(self, f: npt.ArrayLike, where: Where | float = 1.0) -> float:
-        """L2 norm of a field over S, or over a part of S.
+        """Return the L2 norm of a field over S, or over a part of S.
 
         Args:
             f: a scalar or a vector field.
-            where: factors that select the part, a field or a numpy function of the coordinates x (d, n, q).
+            where: factors, 1 inside the part and 0 outside: a field or a numpy function of the coordinates x (d, n, q).
         """
         return float(np.sqrt((self._field(f) ** 2 * self.where(where) * self.weights).sum()))
 
     def frame(self, f: npt.ArrayLike) -> Array:
-        """Components (d, n, q) of a vector field (d, n, q) along the tangents of S, then along its normal.
+        """Return the components (d, n, q) of a vector field along the tangents of S, then along its normal.
 
-        In 2D the tangent is (n_2, -n_1). In 3D the smallest rotation that takes the second coordinate axis to n takes
-        the first and the third axis to the tangents (`forms.tensors.layer_frame`).
+        `f` is the field (d, n, q), with components along the coordinate axes. In 2D the tangent is (n_2, -n_1). In 3D
+        consider the smallest rotation that takes the second coordinate axis to n. It takes the first and the third axis
+        to the tangents (`forms.tensors.layer_frame`).
         """
         values, n = self._field(f), self.n
         if values.shape != n.shape:
@@ -339,7 +351,7 @@ class SurfaceMesh:
     # ---------------------------------------------------------------- nodes
     @cached_property
     def _node_numbering(self) -> tuple[IntArray, IntArray, IntArray]:
-        """Values of the properties `numbers`, `vertices` and `nodes`, computed once."""
+        """The arrays `numbers`, `vertices` and `nodes`, which the properties of these names return."""
         table_vertices = self.joint.table.vertices[self.joint.surface_rows[self.rows]]
         positions = (table_vertices[:, None] == self.corners[..., None]).argmax(axis=2)
         codes = np.take_along_axis(self.joint.pairs[self.rows], positions, axis=1)
@@ -351,39 +363,49 @@ class SurfaceMesh:
 
     @property
     def numbers(self) -> IntArray:
-        """Numbers (m,) that identify the nodes: a node is a vertex of S with a seam and the two bodies joined there.
+        """Numbers (m,) that identify the m nodes of S.
 
-        So a vertex where seams or bodies meet has several nodes. The numbers are those of `Joint.pairs`. In 2D nodes
-        are ordered along S, piece after piece; in 3D by coordinates.
+        A node is a vertex of S together with a seam and the two bodies that it joins. So a vertex where seams or bodies
+        meet has several nodes. The numbers are those of `Joint.pairs`. In 2D nodes are ordered along S, piece after
+        piece; in 3D by coordinates.
         """
         return self._node_numbering[0]
 
     @property
     def places(self) -> Array:
-        """Coordinates (m, d) of the m nodes in d dimensions."""
+        """Coordinates (m, d) of the m nodes of S in d dimensions."""
         return self.joint.points[self.vertices]
 
     @property
     def vertices(self) -> IntArray:
-        """Numbers (m,) of the m nodes' vertices in the joint; where periodic sides identify several, of the first."""
+        """Numbers (m,) in the joint of the vertices at which the m nodes lie.
+
+        Where periodic sides identify several vertices, it is the number of the first of them.
+        """
         return self._node_numbering[1]
 
     @property
     def nodes(self) -> IntArray:
-        """Positions (n, k) in `numbers` of the nodes at the k corners of each of n facets."""
+        """Positions (n, k), in the array `numbers`, of the nodes at the k corners of each of n facets."""
         return self._node_numbering[2]
 
     def find(self, numbers: IntArray) -> IntArray:
-        """Positions, in the property `numbers`, of nodes with given numbers."""
+        """Return the positions of the nodes with the given `numbers` in the property `numbers`."""
         order = np.argsort(self.numbers)
         return order[np.searchsorted(self.numbers[order], numbers)]
 
     def mass(self, f: npt.ArrayLike = 1.0) -> scipy.sparse.csc_matrix:
-        """Mass matrix (m, m) of the functions of degree 1 at the m nodes, weighted with a scalar field f."""
+        """Return the mass matrix (m, m) of the degree-1 shape functions of the m nodes, weighted with the field `f`.
+
+        `f` is a scalar field.
+        """
         return self._matrix(np.einsum("fq,qa,qb->fab", self._field(f) * self.weights, self.shapes, self.shapes))
 
     def stiffness(self, f: npt.ArrayLike = 1.0) -> scipy.sparse.csc_matrix:
-        """Matrix (m, m) of int_S f grad_S p . grad_S q for functions of degree 1 at m nodes and a scalar field f."""
+        """Return the matrix (m, m) of int_S f grad_S p . grad_S q for the degree-1 shape functions p, q of the m nodes.
+
+        `f` is a scalar field.
+        """
         slopes = self.quadrature.slopes
         return self._matrix(np.einsum("fq,fqad,fqbd->fab", self._field(f) * self.weights, slopes, slopes))
 
@@ -393,31 +415,38 @@ class SurfaceMesh:
         return scipy.sparse.csc_matrix((of_facets.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
 
     def sums(self, of_corners: Array) -> Array:
-        """Sums (m, ...), at each of m nodes, of values (n, k, ...) at the k corners of n facets."""
+        """Return, at each of m nodes, the sum (m, ...) of the values of all facets that meet there.
+
+        `of_corners` (n, k, ...) has the values at the k corners of n facets.
+        """
         return sum_by_number(self.nodes, of_corners, len(self.numbers))
 
     def moments(self, f: npt.ArrayLike) -> Array:
-        """Integrals, over each facet, of a field times the function of degree 1 of each of its corners.
+        """Return the integrals over each facet of the field `f` times the degree-1 shape function of each corner.
 
         They are (n, k) for n facets with k corners, for vector fields (n, k, d).
         """
         return np.asarray(np.einsum("fq,qa,...fq->fa...", self.weights, self.shapes, self._field(f)))
 
     def projected(self, moments: Array) -> Array:
-        """Nodal values (m, ...) of the L2 projection of a field to degree 1, from its `moments` (n, k, ...)."""
+        """Return the nodal values (m, ...) of the L2 projection of a field on functions of degree 1.
+
+        `moments` (n, k, ...) are those that the method `moments` returns for the field.
+        """
         total = self.sums(moments)
         return np.asarray(self._solver(total.reshape(len(total), -1))).reshape(total.shape)
 
     def lumped(self, moments: Array) -> Array:
-        """Nodal values (m, ...) of a field from its `moments` (n, k, ...), by a lumped mass matrix.
+        """Return nodal values (m, ...) of a field: its integral with each node's shape function over the node's area.
 
-        Contact laws define tractions at nodes in this way.
+        This is a projection with a lumped mass matrix. Contact laws define tractions at nodes in this way. `moments`
+        (n, k, ...) are those that the method `moments` returns for the field.
         """
         return np.asarray((self.sums(moments).T / self.areas).T)
 
     @cached_property
     def areas(self) -> Array:
-        """Areas (m,) of S that belong to the m nodes: integrals of their functions of degree 1."""
+        """Areas (m,) of S that belong to the m nodes: integrals of their degree-1 shape functions."""
         return self.sums(self.moments(1.0))
 
     @cached_property
@@ -425,40 +454,52 @@ class SurfaceMesh:
         return scipy.sparse.linalg.splu(self.mass()).solve
 
     def nodal(self, f: npt.ArrayLike) -> Array:
-        """L2 projection of a field to degree 1, as values (m,), for vectors (m, d), at the m nodes `places`."""
+        """Return the L2 projection of the field `f` on functions of degree 1, by its nodal values.
+
+        They are (m,), or (m, d) for vectors, at the m nodes with the coordinates `places`.
+        """
         return self.projected(self.moments(f))
 
     def at_points(self, nodal: Array) -> Array:
-        """Field (n, q), for vectors (d, n, q), at q points of n facets, from values (m,) or (m, d) at m nodes."""
+        """Interpolate nodal values linearly to the q quadrature points of n facets.
+
+        The result is (n, q) for values `nodal` (m,) at m nodes, and (d, n, q) for vectors (m, d).
+        """
         return np.asarray(np.einsum("qa,fa...->...fq", self.shapes, nodal[self.nodes]))
 
     def between(self, of_corners: Array) -> Array:
-        """Field (..., n, q) at q points of n facets, linear between values (..., n, k) at their k corners."""
+        """Interpolate values at the corners of facets linearly to their quadrature points.
+
+        `of_corners` (..., n, k) has the values at the k corners of n facets. The result is (..., n, q) at q points of
+        each.
+        """
         return np.asarray(of_corners @ self.shapes.T)
 
     def profile(self, f: npt.ArrayLike) -> tuple[Array, Array]:
-        """Coordinates (m, d) of the m nodes, and nodal values of a field that is L2-projected to degree 1.
+        """Return the coordinates (m, d) of the m nodes, and nodal values of the L2 projection of the field `f`.
 
-        The values are (m,), for vector fields (m, d).
+        The projection has degree 1. The values are (m,), for vector fields (m, d).
         """
         return self.places, self.nodal(f)
 
     def along(self, f: npt.ArrayLike, *, plane: Plane | None = None) -> list[Line]:
-        """Values of a field along the lines of S, by arc length.
+        """Return the values of a field along the lines of S, by arc length.
 
-        A field that is constant on facets gives steps. Other fields are projected to degree 1. In 2D a line is a piece
-        of a seam: it ends where the seam ends, branches or crosses itself. In 3D it is the cut of a seam by a plane.
-        Lines are ordered by seam, then by their start points. A line starts at the end with the smaller first
-        coordinate or, if these are equal, the smaller next one. A closed line starts at its lowest point in this sense,
-        towards the lower of its neighbours. Where values jump, as at a junction with another seam, a line has two
-        points with the same arc length.
+        A field that is constant on each facet gives steps. Other fields are L2-projected on functions that are linear
+        between nodes. Where values jump, as at a junction with another seam, a line has two points with the same arc
+        length.
+
+        In 2D a line is a piece of a seam: it ends where the seam ends, branches or crosses itself. In 3D it is the cut
+        of a seam by a plane. Lines are ordered by seam, then by their start points. A line starts at its lower end: the
+        one with the smaller first coordinate or, if these are equal, the smaller next one. A closed line starts at its
+        lowest point in this sense, and goes on to the lower neighbour of that point.
 
         Args:
             f: a scalar or a vector field.
             plane: in 3D a point of the plane and its normal, ((x, y, z), (n_x, n_y, n_z)); None in 2D.
 
         Raises:
-            InputError: f is not a field; a plane in 2D; in 3D no plane, or a plane that does not cut S.
+            InputError: f is not a field, or a plane is given in 2D. Or in 3D no plane is given, or it does not cut S.
         """
         values, lines = self.at_corners(f), list[Line]()
         for name in dict.fromkeys(self.seams.tolist()):
@@ -469,9 +510,9 @@ class SurfaceMesh:
         return lines
 
     def at_corners(self, f: npt.ArrayLike) -> Array:
-        """Values (n, k), for vector fields (n, k, d), of a field at the k corners of n facets.
+        """Return the values (n, k), for vector fields (n, k, d), of the field `f` at the k corners of n facets.
 
-        Fields that are not constant on facets are L2-projected to degree 1.
+        A field that is not constant on each facet is L2-projected on functions of degree 1.
         """
         values = self._field(f)
         if np.shape(f) == (len(self.numbers),):
@@ -482,7 +523,7 @@ class SurfaceMesh:
 
     # ---------------------------------------------------------------- layers
     def thickness(self, layer: SeamLayer, vertices: IntArray) -> Array:
-        """Thickness of a layer at vertices of the joint, in an array of the shape of `vertices`.
+        """Return the thickness of a layer at vertices, in an array of the shape of `vertices`.
 
         Args:
             layer: a layer with a law of strains.
@@ -492,12 +533,15 @@ class SurfaceMesh:
         return np.asarray(layer.eps * relative[vertices])
 
     def lengths(self, rim: Rim) -> Array:
-        """Lengths (n,) of n ridges at ends of S; in plane models 1, in axisymmetry the circumference."""
+        """Return the lengths (n,) of the n ridges (edges in 3D, vertices in 2D) in `rim`, which bound S at its ends.
+
+        In plane models they are 1, in axisymmetry the circumference.
+        """
         return np.asarray(rim.length * self.model.kinematics.factor_at(self.joint.points[rim.vertices].mean(axis=1)))
 
 
 def surface_of(model: Model, seam: str) -> SurfaceMesh:
-    """`SurfaceMesh` of a seam of a model, which is made once and then taken from the model."""
+    """Return the `SurfaceMesh` of the seam `seam` of `model`; it is made once and then taken from the model."""
     surfaces: dict[str, SurfaceMesh] = vars(model).setdefault("surfaces", {})
     if seam not in surfaces:
         surfaces[seam] = SurfaceMesh(model, seam)
