@@ -70,7 +70,7 @@ def prescribed_strains(points: CompiledTerm) -> Callable[[float], Array]:
 
 
 class CompiledPart(Part):
-    """Forces, tangent, energies and memory of one compiled law in a body or a layer.
+    """Forces, tangent, energies and memory (internal variables) of one compiled law in a body or a layer.
 
     Args:
         key: name of the part in states and files.
@@ -151,11 +151,13 @@ class CompiledPart(Part):
         self.points.spread(np.einsum("pm,pm->p", self._response.stress, self.points.strain(z.x.petsc_vec)), out)
 
     def tangents(self, relative_residual: float) -> list[Block]:
-        """Return the tangent matrices of the last evaluation, all in the block of forces by displacements.
+        """Return the tangent matrices at the displacements of the last call of `evaluate`.
+
+        They are derivatives of nodal forces by displacements.
 
         Args:
             relative_residual: norm of the last residual over the reference force. If the tangent may be singular, a
-                multiple of the tangent at rest is added, which grows with this number.
+                multiple of the tangent before loading is added, which grows with this number.
 
         Raises:
             InputError: the tangent is not symmetric, but solvers assume it and read only half of the matrix.
@@ -167,7 +169,7 @@ class CompiledPart(Part):
 
     # ---------------------------------------------------------------- an accepted step
     def commit(self) -> StepOutcome:
-        """Return energies over the accepted step, and memory and stresses at its end, for the last evaluation.
+        """Return energies over the accepted step, and memory and stresses at its end, for the last call of `evaluate`.
 
         The law computes the remainder of the energy balance. If parameters vary in place or time, the remainder is
         instead the work, minus the growth of stored energy, minus the dissipated energy.

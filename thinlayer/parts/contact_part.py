@@ -70,7 +70,7 @@ class ContactPart(Part):
         return 0.0
 
     def tangents(self, relative_residual: float) -> list[Block]:
-        """Return the tangent matrix of the last evaluation, in a list with one block.
+        """Return the tangent matrix at the displacements of the last call of `evaluate`, in a list with one block.
 
         While all jumps are zero, the law has no unique tangent. The matrix is then that of springs between the sides of
         S, which resist opening and slip.

@@ -34,8 +34,8 @@ from thinlayer.system.ranks import communicator, destroy
 class FormPart(Part):
     """Nodal forces K u + F(u) + g of UFL forms at the displacements u.
 
-    K u is linear in u, F(u) is non-linear and g does not depend on u. In a time step, u is u_old + theta (u_new -
-    u_old), the displacements at which forces balance.
+    K u is linear in u, F(u) is non-linear and g does not depend on u. In a time step u are the displacements at which
+    forces balance, u_old + theta (u_new - u_old).
 
     Args:
         key: name of the part in states and files.
@@ -247,11 +247,11 @@ class LawFormPart(FormPart):
         return max(super().add_forces(out), self._strain_force_scale())
 
     def _strain_force_scale(self) -> float:
-        """Return a reference force of the non-linear bodies with prescribed strains e: a mean stress times V^(1 - 1/d).
+        """Return a reference force, with which residuals are compared, of non-linear bodies with prescribed strains e.
 
-        V is the volume of these bodies, d the number of dimensions. The mean stress is |int stress : e|/sqrt(V int e :
-        e); it is 0 if e is zero. Residuals are compared with the reference force. It cannot follow from nodal forces,
-        which cancel if stresses are uniform, nor from K, where non-linear bodies have no stiffness.
+        It is a mean stress times V^(1 - 1/d), with the volume V of these bodies and the number d of dimensions. The
+        mean stress is |int stress : e|/sqrt(V int e : e), or 0 if e is zero. Nodal forces give no reference force, as
+        they cancel if stresses are uniform. K gives none either, as it contains no stiffness of non-linear bodies.
         """
         if not self._scale_forms:
             return 0.0

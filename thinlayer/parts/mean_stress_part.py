@@ -26,9 +26,8 @@ from thinlayer.system.ranks import destroy
 class MeanStressPart(FieldPart):
     """Mean strain E of a periodic cell as unknowns, with the equation that the mean stress has its prescribed value.
 
-    The unknowns are the components of E times the size of the cell, which are lengths; a shear component is 2 E_12. The
-    rows of the equation are forces: the difference of the mean stress and its prescribed value, times the cell's
-    volume, divided by its size.
+    The unknowns are the components of E times the size L of the cell, which are lengths; a shear component is 2 E_12.
+    The rows of the equation are forces: the mean stress minus its prescribed value, times the cell's volume over L.
 
     Args:
         V: space of the displacements.

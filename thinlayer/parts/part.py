@@ -31,7 +31,8 @@ MISSPELT_SIMILARITY = 0.9  # ratio of two names (difflib) from which on one coun
 class TimeStep:
     """Time step from the configuration `old`, at time old.t, to the time t = old.t + dt.
 
-    Forces balance at the time old.t + theta dt. For theta = 1 that is the end of the step.
+    The configuration has the displacements, the memory and all other unknowns at its time. Forces balance at the time
+    old.t + theta dt. For theta = 1 that is the end of the step.
     """
 
     old: Configuration
@@ -261,7 +262,10 @@ class Part(ABC):
         """Set the part's parameters to their values at time `t`; raise InputError if one is out of range."""
 
     def parameters(self) -> list[Array]:
-        """This rank's arrays of parameters that vary in time, at the time of the last `at_time`; by default none."""
+        """Return this rank's values of parameters that vary in time, as a list of arrays; by default [].
+
+        They are the values at the time of the last call of `at_time`.
+        """
         return []
 
     def set_homotopy(self, parameter: float) -> None:
@@ -287,7 +291,7 @@ class Part(ABC):
 
     @abstractmethod
     def add_forces(self, out: PETSc.Vec) -> float:
-        """Add the nodal forces of the last evaluation to `out`, and return a norm of them.
+        """Add the nodal forces of the last call of `evaluate` to `out`, and return a norm of them.
 
         Solvers compare residuals with a reference force, to which this norm contributes. A part whose forces should not
         contribute to it returns 0.
@@ -313,7 +317,7 @@ class Part(ABC):
 
     @abstractmethod
     def tangents(self, relative_residual: float) -> list[Block]:
-        """Return the blocks of the tangent for the last evaluation.
+        """Return the blocks of the tangent for the last call of `evaluate`.
 
         They are the derivatives of the nodal forces, and of the part's own equations, by the unknowns at the end of the
         step.
@@ -337,10 +341,10 @@ class Part(ABC):
 
     @abstractmethod
     def commit(self) -> StepOutcome:
-        """Return energies over the accepted step, and memory at its end, for the last evaluation."""
+        """Return energies over the accepted step, and memory at its end, for the last call of `evaluate`."""
 
     def undeclared_softening(self) -> Softening | None:
-        """Find a law whose stress falls in the last evaluation although the law lacks the trait `softens`.
+        """Find a law whose stress falls in the last call of `evaluate` although the law lacks the trait `softens`.
 
         Returns:
             Name of the law, and a text that says where its stress falls. None: there is no such law.
@@ -460,10 +464,16 @@ class FieldPart(Part):
 
     @abstractmethod
     def own_residual(self) -> Array:
-        """Return the residual of the part's own equations for the last evaluation, (own_size,), on this rank."""
+        """Return this rank's residual (own_size,) of the part's own equations, one entry for each of its own unknowns.
+
+        It is that of the last call of `evaluate`.
+        """
 
     def load_at(self, t: float) -> Array:
-        """Return the forces (own_size,) that are prescribed in the part's own equations at time `t`; by default 0."""
+        """Return the forces (own_size,) that are prescribed in the part's own equations at time `t`; by default 0.
+
+        There is one for each of the part's own unknowns on this rank.
+        """
         return np.zeros(self.own_size)
 
     def at_time(self, t: float) -> None:

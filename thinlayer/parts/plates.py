@@ -124,8 +124,8 @@ class RigidPlate(PartDefinition):
     def _motion_matrix(self, model: HostModel, about: Array, size: float) -> scipy.sparse.csr_matrix:
         """Return the matrix (n, k) from the plate's k motions to this rank's n displacement components. Collective.
 
-        In an interface model of order 1 the lever arms of rotations include the layer's thickness. They are measured
-        with the bodies moved apart by it, as for a meshed layer.
+        In an interface model of order 1, lever arms of rotations are measured as if the bodies had moved apart by the
+        layer's thickness. The plate then rotates as on a meshed layer.
 
         Args:
             model: the model.

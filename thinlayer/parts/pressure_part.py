@@ -143,7 +143,7 @@ class PressurePart(FieldPart):
     def _end_p(self) -> Array:
         """Return this rank's pressures (own_size,) at the end of the step, divided by `unit`.
 
-        They belong to the last evaluation.
+        They belong to the last call of `evaluate`.
         """
         theta, p = self.interval.theta, self._p.x.array[: self.own_size]
         return np.asarray(p if theta == 1 else (p - (1 - theta) * self.own_start(self.interval.old)) / theta)

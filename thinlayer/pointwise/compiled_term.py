@@ -175,8 +175,8 @@ class CompiledTerm(Quadrature):
         """Return the number of this rank's points where stresses fall, in a step, as the layer opens or slips.
 
         Stresses fall where the tangent is negative for the strain sym(v (x) n) of some jump v. For a law with constant
-        parameters and no internal variables there is a second test. Stresses also fall where the change of stress does
-        negative work on the change of strain.
+        parameters and no internal variables they also fall under a second condition. It is that the change of stress
+        does negative work on the change of strain.
 
         Args:
             e, e_old: (points, m) strains at the end and at the beginning of the step, as m Mandel components.
@@ -249,9 +249,9 @@ class CompiledTerm(Quadrature):
         return self._forces
 
     def spread(self, density: Array, out: PETSc.Vec) -> None:
-        """Add the integral of `density` (points,) to the vector `out`, distributed by shape functions. Collective.
+        """Add the integral of `density` (points,), given at the points, to the nodes of the vector `out`. Collective.
 
-        A node's contribution is added to the first component at the node.
+        Shape functions distribute the integral. Each node gets its contribution in its first component.
         """
         weighted = self.region.side(self.region_function(density)) * self.term.weight
         add_distributed(weighted, self._V, self.measure, out, self.region.maps)
@@ -303,9 +303,9 @@ class Projection:
 
     Args:
         points: the quadrature points.
-        bases: two arrays for all groups with the same number q of points. The first has the numbers (groups, q) of the
-            points in each group. The second has the values (groups, q, k) there of the k functions, which may be
-            linearly dependent.
+        bases: for each number q of points that groups have, two arrays. The first has the numbers (groups, q) of the
+            points in each group. The second has the values (groups, q, k) there of k functions, which may be linearly
+            dependent.
         part: (c, c) symmetric matrix P with P P = P for the first c Mandel components. Of a strain e, P e is projected
             and e - P e is unchanged.
     """

@@ -99,7 +99,7 @@ def share_columns(law: Law) -> tuple[str, ...]:
 
 
 def layer_shares(state: State, seam: str) -> dict[str, float]:
-    """Return the volume fractions of a layer's material in other phases, or broken, in a state. Collective.
+    """Return which volume fractions of a layer's material are in phases 1 and -1, or are broken. Collective.
 
     A point's phase is a number in [-1, 1]: -1, 0 and 1 are pure phases. Any other value is a mixture with phase 0. Its
     absolute value is then the volume fraction of phase 1 (or -1).

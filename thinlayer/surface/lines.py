@@ -27,7 +27,7 @@ class Line:
     successive points have the same arc length.
 
     Attributes:
-        seam: name of the seam, the part of S between two bodies.
+        seam: name of the seam, the part of S on which the line lies.
         s: (n,) arc length from the start of the line.
         x: (n, d) coordinates of the points.
         values: (n,) values, or (n, components) of a vector.

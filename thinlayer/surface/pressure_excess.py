@@ -61,9 +61,10 @@ class RestingSublayer:
 
     @property
     def compliance(self) -> float:
-        """Part of the normal jump that the sublayer contributes per unit normal traction and layer thickness.
+        """Thickness of the sublayer per thickness of the layer, divided by its modulus lmbda + 2 mu.
 
-        It is 1 over a stress; strains along S are zero.
+        With strains along S zero, it is the sublayer's contribution to the normal jump, per normal traction and
+        thickness of the layer.
         """
         return self.fraction / (self.lmbda + 2 * self.mu)
 
@@ -107,9 +108,9 @@ def resting_sublayers(layer: SeamLayer, dt: float = 0.0) -> list[RestingSublayer
 
 
 def acts_as_springs(sublayers: list[RestingSublayer]) -> bool:
-    """Tell whether the layer acts as separate springs between its faces, as strains along S cause no stress in it.
+    """Tell whether a layer acts as separate springs between its faces: strains along S cause no stress in it.
 
-    `sublayers` are the moduli of its sublayers.
+    `sublayers` are the moduli of the layer's sublayers; the result is False for an empty list.
     """
     return bool(sublayers) and all(sublayer.E_plane <= NEGLIGIBLE_MODULUS_RATIO * sublayer.mu for sublayer in sublayers)
 
@@ -213,8 +214,8 @@ class FaceDisplacements:
 class PressureExcess:
     """Relative errors of an interface law whose pressure is too large, as the law lets no material flow along S.
 
-    Let p_0 be the pressure of the law, and p that of the layer. The layer's change of volume per area of S is wb =
-    [u_N] + eps div_S <u>. <u> is the mean displacement of the faces, w_T the tangential jump.
+    p_0 is the pressure of the law, p that of the layer, and w_T the tangential jump. The layer's change of volume per
+    area of S is wb = [u_N] + eps div_S <u>, with the mean displacement <u> of the faces.
 
     Attributes:
         opening: int (p_0 - p) wb/int p wb: the law is 1 + opening times too stiff against openings.
@@ -254,9 +255,9 @@ def times_too_stiff(state: State, layer: SeamLayer) -> float | None:
 def pressure_excess(faces: FaceDisplacements, layer: RestingSublayer) -> PressureExcess:
     """Return the relative errors of an interface law, from its pressure and that of the layer itself. Collective.
 
-    The displacements of the faces are the same in both. <u> is the mean displacement of the faces, and wb = [u_N] + eps
-    div_S <u> the layer's change of volume per area of S. The pressure of the law is p_0 = lmbda wb/eps. The pressure p
-    of the layer is continuous, of degree 1, and solves
+    The displacements of the faces are the same in both, with the mean <u>. The layer's change of volume per area of S
+    is wb = [u_N] + eps div_S <u>. The pressure of the law is p_0 = lmbda wb/eps. The pressure p of the layer is
+    continuous, of degree 1, and solves
 
         (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = wb, p = 0 at free ends, no flow through other ends.
 
@@ -348,8 +349,8 @@ def free_end_remark(model: Model, seam_layer: SeamLayer, layers: Sequence[list[R
 def pressure_length(sublayers: list[RestingSublayer], width: float) -> float:
     """Return the length over which the pressure decays at a free end of S, divided by the layer's thickness.
 
-    All sublayers have the same normal traction t, a function of the position along S. The normal jump is w = c t - B
-    t''. So disturbances of t decay over the length delta = sqrt(B/c).
+    All sublayers have the same normal traction t, a function of the position along S. With derivatives along S, the
+    normal jump is w = c t - B t''. So disturbances of t decay over the length delta = sqrt(B/c).
 
     c is the sum of the sublayers' compliances. B t'' is the contribution of material that flows along S. A slope t'
     drives nearly incompressible sublayers; these shear and stretch the other sublayers, which resist. B follows from

@@ -72,9 +72,10 @@ class FacetPoints:
 
 
 def tabulated(element: basix.finite_element.FiniteElement, points: Array, count: int, derivatives: int = 0) -> Array:
-    """Return the values (1, n, q, a) of an element's a basis functions at q points in each of n cells or facets.
+    """Return the values (1, n, q, a) of the basis functions of an element at q points in each of n cells or facets.
 
-    With one derivative the result is (1 + t, n, q, a): the values, then the derivatives by the t reference coordinates.
+    a is the number of basis functions. With one derivative the result is (1 + t, n, q, a): the values, then the
+    derivatives by the t reference coordinates.
 
     Args:
         element: the element.
@@ -304,7 +305,7 @@ class SurfaceMesh:
             raise InputError(message) from None
 
     def where(self, part: Where | float) -> Array:
-        """Return factors (n, q) at the quadrature points, which select a part of S in integrals.
+        """Return factors (n, q) at the q quadrature points of n facets, which select a part of S in integrals.
 
         They are 1 inside the part and 0 outside.
 
@@ -331,7 +332,8 @@ class SurfaceMesh:
 
         Args:
             f: a scalar or a vector field.
-            where: factors, 1 inside the part and 0 outside: a field or a numpy function of the coordinates x (d, n, q).
+            where: factors, 1 inside the part and 0 outside: a field (n, q) or a numpy function of the coordinates x (d,
+                n, q).
         """
         return float(np.sqrt((self._field(f) ** 2 * self.where(where) * self.weights).sum()))
 
@@ -365,9 +367,9 @@ class SurfaceMesh:
     def numbers(self) -> IntArray:
         """Numbers (m,) that identify the m nodes of S.
 
-        A node is a vertex of S together with a seam and the two bodies that it joins. So a vertex where seams or bodies
-        meet has several nodes. The numbers are those of `Joint.pairs`. In 2D nodes are ordered along S, piece after
-        piece; in 3D by coordinates.
+        A node is a vertex of S together with a seam and the two bodies that the seam joins there. So a vertex where
+        seams or bodies meet has several nodes. The numbers are those of `Joint.pairs`. In 2D nodes are ordered along S,
+        piece after piece; in 3D by coordinates.
         """
         return self._node_numbering[0]
 
@@ -390,7 +392,11 @@ class SurfaceMesh:
         return self._node_numbering[2]
 
     def find(self, numbers: IntArray) -> IntArray:
-        """Return the positions of the nodes with the given `numbers` in the property `numbers`."""
+        """Return the positions, in this mesh's array `numbers`, of the given node numbers.
+
+        Args:
+            numbers: node numbers, all of which the array contains, in any shape; the result has the same shape.
+        """
         order = np.argsort(self.numbers)
         return order[np.searchsorted(self.numbers[order], numbers)]
 
@@ -485,9 +491,8 @@ class SurfaceMesh:
     def along(self, f: npt.ArrayLike, *, plane: Plane | None = None) -> list[Line]:
         """Return the values of a field along the lines of S, by arc length.
 
-        A field that is constant on each facet gives steps. Other fields are L2-projected on functions that are linear
-        between nodes. Where values jump, as at a junction with another seam, a line has two points with the same arc
-        length.
+        A field that is constant on each facet gives steps. Other fields are L2-projected on functions of degree 1.
+        Where values jump, as at a junction with another seam, a line has two points with the same arc length.
 
         In 2D a line is a piece of a seam: it ends where the seam ends, branches or crosses itself. In 3D it is the cut
         of a seam by a plane. Lines are ordered by seam, then by their start points. A line starts at its lower end: the
