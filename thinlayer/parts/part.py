@@ -118,6 +118,8 @@ class Block:
 class StepOutcome:
     """Energies of a part over an accepted step, and its memory at the end; NaN for energies that a law lacks.
 
+    The memory are the internal variables, or other values that the part keeps from step to step.
+
     Attributes:
         before, after: energy stored at the beginning and at the end of the step.
         dissipated: energy dissipated in the step.
@@ -341,7 +343,10 @@ class Part(ABC):
 
     @abstractmethod
     def commit(self) -> StepOutcome:
-        """Return energies over the accepted step, and memory at its end, for the last call of `evaluate`."""
+        """Return energies over the accepted step, and memory (internal variables) at its end.
+
+        They belong to the last call of `evaluate`.
+        """
 
     def undeclared_softening(self) -> Softening | None:
         """Find a law whose stress falls in the last call of `evaluate` although the law lacks the trait `softens`.
@@ -352,7 +357,7 @@ class Part(ABC):
         return None
 
     def rest(self) -> Memory | None:
-        """Return the memory before the first step; None: the part has no memory.
+        """Return the memory (internal variables) before the first step; None: the part has no memory.
 
         It is an array (n, values) with a row for each quadrature point or node, written to files in the order
         `file_order`. Or it maps names to functions on the model's mesh, such as velocities, which are written cell by
@@ -362,7 +367,10 @@ class Part(ABC):
 
     @property
     def file_order(self) -> FileOrder | None:
-        """Order in which the rows of the memory, if it is an array, are written to files; None: no such order."""
+        """Order in which the rows of the memory (internal variables) are written to files.
+
+        None: the memory is not an array of values at points, or the part has no memory.
+        """
         return None
 
     def named(self) -> dict[str, PartTraits]:
@@ -406,7 +414,7 @@ class Part(ABC):
 class SwitchesPhases(Protocol):
     """Methods of a part of a layer whose columns have phases: branches of a non-monotone law, which may switch.
 
-    A column consists of the cells above each other through the layer's thickness.
+    A column is a facet of S or, in a meshed layer, the cells above each other through the thickness.
     """
 
     def excess(self) -> float:

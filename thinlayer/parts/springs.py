@@ -88,10 +88,10 @@ class Springs(PartDefinition):
         return [model.coordinates.coefficient(k, text + name, (), of_place=True) for name, k in values.items()]
 
     def work(self, model: HostModel, u: Expr, v: Expr) -> ufl.Form:
-        """Return the virtual work k_N u_N v_N + k_T u_T . v_T of the springs, a UFL form.
+        """Return, as a UFL form, the virtual work of the springs: the integral of k_N u_N v_N + k_T u_T . v_T.
 
         Args:
-            model: the model.
+            model: the model, over whose part of the facet set the integral is taken.
             u: displacements.
             v: virtual displacements.
         """

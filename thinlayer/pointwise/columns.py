@@ -30,16 +30,19 @@ class Columns:
         self._total = self.sum_of(weights)
 
     def sum_of(self, values: Array) -> Array:
-        """Return the sum (count,) over each column of `values` (points,), the same on all ranks."""
+        """Return the sum of `values` (points,) over the points of each column, as an array (count,).
+
+        The result is the same on all ranks.
+        """
         # np.bincount gives integers if there are no points
         sums: Array = np.bincount(self.column_of, values, self.count).astype(float)
         self.comm.Allreduce(MPI.IN_PLACE, sums)
         return sums
 
     def mean(self, values: Array) -> Array:
-        """Return the mean (count,) over each column of `values` (points,), the same on all ranks.
+        """Return the mean of `values` (points,) over the points of each column, as an array (count,).
 
-        Points have the weights of the quadrature rule.
+        Points have the weights of the quadrature rule. The result is the same on all ranks.
         """
         return self.sum_of(self._weights * values) / self._total
 
@@ -56,9 +59,9 @@ class SwitchingLaw(Protocol):
     """
 
     def excess(self, phase: Array, drive: Array, bound: Array) -> Array:
-        """Return (n,) the energy of the present phase minus the least energy of the other phases, over `bound`.
+        """Return, for each of n columns, the energy of its phase minus the least energy of other phases, over `bound`.
 
-        A column switches if the number is positive.
+        The result is (n,), without unit. A column switches if its number is positive.
         """
 
     def switched(self, phase: Array, drive: Array, bound: Array) -> Array:

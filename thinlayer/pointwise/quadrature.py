@@ -340,7 +340,10 @@ def set_owned_values(f: fem.Function, values: Array) -> fem.Function:
 
 
 def assemble_values(form: fem.Form | None, count: int) -> Array:
-    """Assemble the linear `form`, and return its values (count,) at the dofs that this rank owns; zeros for None."""
+    """Assemble the linear `form`, and return its values (count,) at the dofs that this rank owns.
+
+    They are zeros if `form` is None.
+    """
     if form is None:
         return np.zeros(count)
     b = assemble_forces(form)

@@ -45,7 +45,7 @@ class LawPoints:
 
     @cached_property
     def entities(self) -> IntArray:
-        """Numbers, in the joint, of this rank's cells or facets that contain the points.
+        """Numbers of this rank's cells or facets that contain the points, in the joint (the undistributed mesh).
 
         The number of a facet is its row in `Joint.table`.
         """

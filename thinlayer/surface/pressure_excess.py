@@ -61,10 +61,10 @@ class RestingSublayer:
 
     @property
     def compliance(self) -> float:
-        """Thickness of the sublayer per thickness of the layer, divided by its modulus lmbda + 2 mu.
+        """Compliance against normal tractions, per thickness of the layer: `fraction` over lmbda + 2 mu.
 
-        With strains along S zero, it is the sublayer's contribution to the normal jump, per normal traction and
-        thickness of the layer.
+        It is the sublayer's part of the normal jump for a unit traction and a layer of unit thickness, if strains along
+        S are zero.
         """
         return self.fraction / (self.lmbda + 2 * self.mu)
 

@@ -286,7 +286,11 @@ class SurfaceMesh:
 
     # ---------------------------------------------------------------- integrals
     def _field(self, f: object) -> Array:
-        """Convert `f`, a number, a field or nodal values, to a field (..., n, q) at the quadrature points.
+        """Convert a number, a field or nodal values to a field (..., n, q) at the q quadrature points of n facets.
+
+        Args:
+            f: a number, a field (..., n, q), a field (..., n, 1) that is constant on each facet, or values (m,) at m
+                nodes.
 
         Raises:
             InputError: f has another shape, or is no array of numbers.
@@ -323,7 +327,11 @@ class SurfaceMesh:
             raise InputError(f"where is not a numpy function of coordinates such as {example}: {error}") from error
 
     def integral(self, f: npt.ArrayLike) -> Any:
-        """Return the integral of the field `f` over S: a number, or an array (d,) for a vector field."""
+        """Return the integral of a field over S: a number, or an array (d,) for a vector field.
+
+        Args:
+            f: a number, or values at the q quadrature points of n facets: (n, q), for vectors (d, n, q).
+        """
         total = (self._field(f) * self.weights).sum(axis=(-2, -1))
         return total if total.ndim else float(total)
 
@@ -331,7 +339,7 @@ class SurfaceMesh:
         """Return the L2 norm of a field over S, or over a part of S.
 
         Args:
-            f: a scalar or a vector field.
+            f: values at the q quadrature points of n facets: (n, q), for vectors (d, n, q).
             where: factors, 1 inside the part and 0 outside: a field (n, q) or a numpy function of the coordinates x (d,
                 n, q).
         """
@@ -401,16 +409,18 @@ class SurfaceMesh:
         return order[np.searchsorted(self.numbers[order], numbers)]
 
     def mass(self, f: npt.ArrayLike = 1.0) -> scipy.sparse.csc_matrix:
-        """Return the mass matrix (m, m) of the degree-1 shape functions of the m nodes, weighted with the field `f`.
+        """Return the mass matrix (m, m) of the degree-1 shape functions of the m nodes, with a weight.
 
-        `f` is a scalar field.
+        Args:
+            f: the weight: a number, or values (n, q) at the q quadrature points of n facets.
         """
         return self._matrix(np.einsum("fq,qa,qb->fab", self._field(f) * self.weights, self.shapes, self.shapes))
 
     def stiffness(self, f: npt.ArrayLike = 1.0) -> scipy.sparse.csc_matrix:
         """Return the matrix (m, m) of int_S f grad_S p . grad_S q for the degree-1 shape functions p, q of the m nodes.
 
-        `f` is a scalar field.
+        Args:
+            f: a number, or values (n, q) at the q quadrature points of n facets.
         """
         slopes = self.quadrature.slopes
         return self._matrix(np.einsum("fq,fqad,fqbd->fab", self._field(f) * self.weights, slopes, slopes))
@@ -421,16 +431,23 @@ class SurfaceMesh:
         return scipy.sparse.csc_matrix((of_facets.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
 
     def sums(self, of_corners: Array) -> Array:
-        """Return, at each of m nodes, the sum (m, ...) of the values of all facets that meet there.
+        """Sum values at corners of facets over all corners that are the same node.
 
-        `of_corners` (n, k, ...) has the values at the k corners of n facets.
+        Args:
+            of_corners: (n, k, ...) values at the k corners of n facets.
+
+        Returns:
+            The sum (m, ...) at each of the m nodes.
         """
         return sum_by_number(self.nodes, of_corners, len(self.numbers))
 
     def moments(self, f: npt.ArrayLike) -> Array:
-        """Return the integrals over each facet of the field `f` times the degree-1 shape function of each corner.
+        """Return the integrals over each facet of a field times the degree-1 shape function of each corner.
 
         They are (n, k) for n facets with k corners, for vector fields (n, k, d).
+
+        Args:
+            f: a number, or values at the q quadrature points of the facets: (n, q), for vectors (d, n, q).
         """
         return np.asarray(np.einsum("fq,qa,...fq->fa...", self.weights, self.shapes, self._field(f)))
 
@@ -460,9 +477,12 @@ class SurfaceMesh:
         return scipy.sparse.linalg.splu(self.mass()).solve
 
     def nodal(self, f: npt.ArrayLike) -> Array:
-        """Return the L2 projection of the field `f` on functions of degree 1, by its nodal values.
+        """Return the L2 projection of a field on functions of degree 1, by its nodal values.
 
         They are (m,), or (m, d) for vectors, at the m nodes with the coordinates `places`.
+
+        Args:
+            f: values at the q quadrature points of n facets: (n, q), for vectors (d, n, q).
         """
         return self.projected(self.moments(f))
 
@@ -482,9 +502,12 @@ class SurfaceMesh:
         return np.asarray(of_corners @ self.shapes.T)
 
     def profile(self, f: npt.ArrayLike) -> tuple[Array, Array]:
-        """Return the coordinates (m, d) of the m nodes, and nodal values of the L2 projection of the field `f`.
+        """Return the coordinates (m, d) of the m nodes of S, and nodal values of a field there.
 
-        The projection has degree 1. The values are (m,), for vector fields (m, d).
+        They are those of the L2 projection of degree 1: (m,), for vector fields (m, d).
+
+        Args:
+            f: values at the q quadrature points of n facets: (n, q), for vectors (d, n, q).
         """
         return self.places, self.nodal(f)
 
@@ -500,7 +523,7 @@ class SurfaceMesh:
         lowest point in this sense, and goes on to the lower neighbour of that point.
 
         Args:
-            f: a scalar or a vector field.
+            f: values at the q quadrature points of n facets: (n, q), for vectors (d, n, q); or values (m,) at m nodes.
             plane: in 3D a point of the plane and its normal, ((x, y, z), (n_x, n_y, n_z)); None in 2D.
 
         Raises:
@@ -515,9 +538,13 @@ class SurfaceMesh:
         return lines
 
     def at_corners(self, f: npt.ArrayLike) -> Array:
-        """Return the values (n, k), for vector fields (n, k, d), of the field `f` at the k corners of n facets.
+        """Return the values (n, k), for vector fields (n, k, d), of a field at the k corners of n facets.
 
         A field that is not constant on each facet is L2-projected on functions of degree 1.
+
+        Args:
+            f: values at the q quadrature points of the facets: (n, q), for vectors (d, n, q); or values (m,) at m
+                nodes.
         """
         values = self._field(f)
         if np.shape(f) == (len(self.numbers),):
