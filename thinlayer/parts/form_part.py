@@ -142,7 +142,8 @@ class FormPart(Part):
     def _supplied_work(self) -> float:
         """Return the work of the stresses in the strains prescribed during the step; 0 if no strains are prescribed.
 
-        The stresses are those of the last evaluation, the strains the increments of prescribed strains over the step.
+        The stresses are those of the last call of `evaluate`. The strains are the increments of prescribed strains over
+        the step.
         """
         return 0.0
 
@@ -229,7 +230,8 @@ class LawFormPart(FormPart):
     def _supplied_form(self) -> fem.Form:
         """Compiled form of the work of the stresses in the strains prescribed during the step.
 
-        The stresses are those of the last evaluation, the strains the increments of prescribed strains over the step.
+        The stresses are those of the last call of `evaluate`. The strains are the increments of prescribed strains over
+        the step.
         """
         strains, grown = self._step_strain, [p for p in self._terms if p.prescribed_strain is not None]
         pairs = zip([stress(p, self._u) for p in _with_strains(grown, strains.balanced)], grown, strict=True)

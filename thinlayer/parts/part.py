@@ -288,7 +288,7 @@ class Part(ABC):
         """
 
     def failure(self) -> str:
-        """Return a message about the first point where the last evaluation failed; "" if it failed nowhere."""
+        """Return a message about the first point where the last call of `evaluate` failed; "" if it failed nowhere."""
         return ""
 
     @abstractmethod
@@ -300,9 +300,10 @@ class Part(ABC):
         """
 
     def add_work_in(self, z: fem.Function, out: PETSc.Vec) -> None:
-        """Add to `out` the work of the last evaluation's stresses in the displacements `z`, distributed to the nodes.
+        """Add to `out` the work of the present stresses in the displacements `z`, distributed to the nodes.
 
-        By default an entry of `out` grows by the product of a component of the nodal forces and that of `z`.
+        The stresses are those of the last call of `evaluate`. By default each entry of `out` grows by a component of
+        the nodal forces times that of `z`.
         """
         forces = out.duplicate()
         forces.set(0.0)
@@ -418,14 +419,17 @@ class SwitchesPhases(Protocol):
     """
 
     def excess(self) -> float:
-        """Return the largest energy that a column would lose by a change of phase, over that of the transformation.
+        """Return the largest energy that a column would lose by a change of phase, as a number without unit.
 
-        It is a number without unit: the energy of the transformation is a parameter of the law. If it is positive, a
-        column must change its phase.
+        The energy is divided by that of the transformation, a parameter of the law. If the number is positive, a column
+        must change its phase.
         """
 
     def switch(self) -> bool:
-        """Change each column to its phase of lowest energy in the last evaluation; return whether a column changed."""
+        """Change each column to its phase of lowest energy, and return whether a column changed.
+
+        Energies are those of the last call of `evaluate`.
+        """
 
 
 @runtime_checkable
@@ -439,7 +443,10 @@ class MeasuresError(Protocol):
         """
 
     def unit_jump_measure(self) -> float:
-        """Estimate the sum of squares of `error_measure`, over all ranks, for a jump of 1 across the layer."""
+        """Estimate the sum of squares of `error_measure`, over all ranks, for a jump of 1 across the layer.
+
+        The result shows how large `error_measure` is for jumps of a given size.
+        """
 
 
 def _public_names(kind: type) -> set[str]:

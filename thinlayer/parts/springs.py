@@ -90,8 +90,11 @@ class Springs(PartDefinition):
     def work(self, model: HostModel, u: Expr, v: Expr) -> ufl.Form:
         """Return, as a UFL form, the virtual work of the springs: the integral of k_N u_N v_N + k_T u_T . v_T.
 
+        The integral is over the facet set. The indices N and T denote components along the normal and tangential to the
+        boundary.
+
         Args:
-            model: the model, over whose part of the facet set the integral is taken.
+            model: the model to which the springs belong.
             u: displacements.
             v: virtual displacements.
         """

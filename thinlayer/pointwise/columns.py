@@ -93,9 +93,10 @@ class Switching:
         return [np.rint(phase), drive, bound]  # a mean of equal numbers has rounding errors
 
     def excess(self, memory: Array) -> float:
-        """Return the largest energy that a column would lose by a change of phase, over that of the transformation.
+        """Return the largest energy that a column would lose by a change of phase, as a number without unit. Collective.
 
-        It is a number without unit, the same on all ranks. If it is positive, a column must switch. Collective.
+        The energy is divided by that of the transformation, a parameter of the law. If the number is positive, a column
+        must switch. It is the same on all ranks.
 
         Args:
             memory: (points, values) internal variables.
