@@ -93,10 +93,10 @@ class Switching:
         return [np.rint(phase), drive, bound]  # a mean of equal numbers has rounding errors
 
     def excess(self, memory: Array) -> float:
-        """Return the largest energy that a column would lose by a change of phase, as a number without unit. Collective.
+        """Return the largest energy that a column would lose by a change of phase, as a number without unit.
 
         The energy is divided by that of the transformation, a parameter of the law. If the number is positive, a column
-        must switch. It is the same on all ranks.
+        must switch. It is the same on all ranks. Collective.
 
         Args:
             memory: (points, values) internal variables.

@@ -38,8 +38,8 @@ class Response:
         stress: (points, m) those m components of `whole` for which strains are computed.
         tangent: (points, m, m) derivative of `stress` by the strains at the end of the step.
         memory: (points, values) internal variables at the end of the step.
-        energies: (3,) energies integrated over this rank's points: stored at the end, dissipated in the step, and
-            remainder of the energy balance (error of the time scheme). NaN if the law declares no energy.
+        energies: (3,) stored energy at the end, energy dissipated in the step, and remainder of the energy balance
+            (error of the time scheme). They are integrated over this rank's points; NaN if the law declares no energy.
         failed: number of points of this rank where the law failed.
     """
 
