@@ -1,4 +1,4 @@
-"""Adjoint: linear responses of a model at an equilibrium, and adjoint solutions of goals, with the tangent there."""
+"""The class `Adjoint`: linear responses of a model to forces, and adjoint solutions of goals, at an equilibrium."""
 
 from __future__ import annotations
 
@@ -32,22 +32,26 @@ LOAD_DIFFERENCE_TOLERANCE = 1e-12  # relative difference of two loads that count
 
 
 class Adjoint(AbstractContextManager["Adjoint"]):
-    """Linear responses of an interface model at an equilibrium, to forces and to goals. Use it in a `with` statement.
+    """Linear responses of an interface model at an equilibrium: to nodal forces, and adjoint solutions of goals.
 
-    K is the tangent at the equilibrium, K^t its transpose. A goal is Q(u) = q . u - g . r(u), with nodal weights q, the
-    reactions r at constrained dofs, and motions g there. Its adjoint solution, the weights z, satisfies K^t z = q, and
-    z = g at constrained dofs.
+    Use it in a `with` statement. K is the tangent stiffness at the equilibrium, K^t its transpose.
+
+    A goal is a number Q = q . u - g . r, which depends on the nodal displacements u and the reactions r of the
+    supports. Its weights q are nodal forces, with q . u as their work. Its weights g are prescribed displacements at
+    the constrained dofs ("motions"). The adjoint solution z satisfies K^t z = q at all other dofs, and z = g at
+    constrained dofs.
 
     Args:
         state: the equilibrium.
-        old: the configuration from which one step led to it; None: rest, before a sudden load at its time.
-        options: {name of a PETSc option without prefix: value} for the linear solver. With the options of the solve
-            that led to the state, its factor is used again if the model is linear.
+        old: the configuration at the start of the time step that ended at `state`. None: the model at rest, loaded
+            suddenly at the time of `state`.
+        options: {name of a PETSc option without prefix: value} for the linear solver. If the model is linear, and these
+            are the options with which `state` was computed, the factor of that solve is used again.
 
     Attributes:
         state, model, equations: the equilibrium, its model, and the balance of forces of this model.
-        interval: the step from `old` to the state.
-        transposed: whether `displacements` solves with K^t instead of K, as adjoint solutions need it.
+        interval: the time step from `old` to `state`.
+        transposed: whether the method `displacements` solves with K^t instead of K. It is False at first.
     """
 
     def __init__(self, state: State, old: Configuration | None = None, options: Options | None = None) -> None:
@@ -83,17 +87,19 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     # ---------------------------------------------------------------- goals, as vectors of unknowns
     def zero_vector(self) -> PETSc.Vec:
-        """New zero vector of unknowns."""
+        """Return a new vector of unknowns, filled with zeros."""
         return self.equations.vector()
 
     def form_weights(self, form: Expr) -> PETSc.Vec:
-        """Weights q of a UFL form that is linear in a test function of the model's displacements."""
+        """Assemble the weights q of a goal from `form`, which is linear in a test function of the displacements."""
         return self.equations.on_unknowns(assemble_forces(compiled(form)))
 
     def nodal_weights(self, dofs: IntArray, values: Array) -> PETSc.Vec:
-        """Weights q with `values` (n,) at the dofs `dofs` (n,); only one rank gives the value of a dof.
+        """Return the weights q of the goal that sums `values` times the displacements at `dofs`.
 
-        `dofs` are local numbers of displacements, which may be ghosts.
+        Args:
+            dofs: (n,) local numbers of displacement dofs on this rank, ghosts included.
+            values: (n,) weights at `dofs`. Weights that several ranks give for the same dof are added.
         """
         f, forces = fem.Function(self.model.V), self.equations.u.x.petsc_vec.duplicate()
         np.add.at(f.x.array, dofs, values)
@@ -102,7 +108,10 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return self.equations.on_unknowns(forces)
 
     def load_weights(self) -> PETSc.Vec:
-        """Weights q equal to the nodal loads, with those on rigid plates, without those on layers (`layer_loads`)."""
+        """Return the weights q of the goal that is the work of the loads: the nodal forces of the loads.
+
+        Loads on rigid plates are included. Loads on the layers are not, see `layer_loads`.
+        """
         loads = self.equations.loads.copy()
         loads.array[:] -= self.layer_loads
         return self.equations.on_unknowns(loads, [part.load for part in self.equations.with_own])
@@ -113,15 +122,17 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return np.asarray(self.model.forces.nodal_at(self.model.V, self.state.t, layers=True).array_r.copy())
 
     def prescribed_motions(self) -> PETSc.Vec:
-        """Motions g equal to the prescribed displacements at constrained dofs."""
+        """Return the weights g that equal the prescribed displacements at the constrained dofs."""
         g = self.zero_vector()
         g.array[self.equations.bc_dofs] = self.equations.prescribed
         return g
 
     def reaction_motions(self, place: Place, direction: Array) -> PETSc.Vec:
-        """Motions g for which -g . r is the component along `direction` (d,) of the reaction of a place.
+        """Return the weights g of the goal that is a component of the reaction of a support or a rigid plate.
 
-        d is the number of dimensions. The reaction is that of supports and plates.
+        Args:
+            place: name of the support's facet set, or coordinates of its point.
+            direction: (d,) vector along which the component is taken, in d dimensions.
         """
         g, constraints = self.zero_vector(), self.model.constraints
         dual = constraints.dual_to_resultant(self.model.holder_rows(place), direction)
@@ -131,14 +142,20 @@ class Adjoint(AbstractContextManager["Adjoint"]):
     def require_dual(
         self, name: str, value: Callable[[State, InterfaceModel], float], q: PETSc.Vec, g: PETSc.Vec, *, layers: bool
     ) -> None:
-        """Raise InputError unless a linear goal of a linear model changes by q . d - g . r along a random motion d.
+        """Check, by a random change d of the displacements, that the weights of a goal are its derivative.
+
+        The goal and the model must be linear. The change of the goal's value must equal q . d minus g times the change
+        of the reactions.
 
         Args:
-            name: name of the goal.
+            name: name of the goal, for the message of the error.
             value: function of a state and the model that returns the goal's value.
-            q: nodal weights of the goal.
-            g: motions of the goal at constrained dofs.
-            layers: whether the goal also weighs the loads on the layers, which act on S in this model and are not in q.
+            q: weights of the goal on the displacements.
+            g: weights of the goal on the reactions, at constrained dofs.
+            layers: whether the goal also contains the work of the loads on the layers, which q leaves out.
+
+        Raises:
+            InputError: the change of the value differs from what the weights say.
         """
         equations, bc_dofs = self.equations, self.equations.bc_dofs
         d, residuals, values = equations.vector(), [], []
@@ -167,11 +184,13 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     # ---------------------------------------------------------------- displacements and weights
     def displacements(self, dofs: IntArray, forces: Array) -> Array:
-        """Displacements (m,) of this rank that nodal forces cause, to first order; zero at constrained dofs.
+        """Return the displacements (m,) that small nodal forces cause, at the m displacement dofs that this rank owns.
+
+        They are zero at constrained dofs. If `transposed` is set, K^t takes the place of K.
 
         Args:
-            dofs: (n,) local numbers of displacements, which may be ghosts.
-            forces: (n,) nodal forces at `dofs`; only one rank gives the force at a dof.
+            dofs: (n,) local numbers of displacement dofs on this rank, ghosts included.
+            forces: (n,) nodal forces at `dofs`. Forces that several ranks give at the same dof are added.
         """
         q, x = self.nodal_weights(dofs, forces), self.equations.vector()
         q.array[self.equations.bc_dofs] = 0.0
@@ -179,11 +198,11 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return np.asarray(self.equations.configuration(x).u.x.array[: self.equations.n_displacements])
 
     def weights(self, q: PETSc.Vec, g: PETSc.Vec) -> Configuration:
-        """Adjoint solution z of a goal, as a configuration: displacements and the layers' own fields.
+        """Return the adjoint solution z of a goal, as displacements and the own unknowns of layers, such as pressures.
 
         Args:
-            q: nodal weights of the goal; overwritten.
-            g: motions of the goal at constrained dofs; overwritten.
+            q: weights of the goal on the displacements; overwritten.
+            g: weights of the goal on the reactions, at constrained dofs; overwritten.
         """
         equations, bc_dofs = self.equations, self.equations.bc_dofs
         if self._one_factor and self._match_state(q, g):
@@ -206,7 +225,10 @@ class Adjoint(AbstractContextManager["Adjoint"]):
                 solve_linear(self.equations.factor.ksp, q, x)
 
     def _match_state(self, q: PETSc.Vec, g: PETSc.Vec) -> bool:
-        """Whether q is the loads, and g the prescribed displacements; then the state itself is the adjoint solution."""
+        """Whether `q` equals the loads, and `g` the prescribed displacements.
+
+        The equilibrium itself is then the adjoint solution, if the model is linear and symmetric.
+        """
         bc_dofs, r = self.equations.bc_dofs, self._r
         self.equations.residual(self.equations.vector(), r)  # minus the loads
         r.array[bc_dofs] = 0.0
@@ -216,9 +238,9 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return bool(r.norm() <= LOAD_DIFFERENCE_TOLERANCE * size)
 
     def _transposed_product(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
-        """Write K^t x into `out`, without Dirichlet conditions; for a symmetric K it is a difference of residuals.
+        """Write the product K^t `x` into `out`, with K as it is before Dirichlet conditions.
 
-        The factor's matrix cannot serve, as it contains Dirichlet conditions.
+        If K was not stored, it is symmetric. K `x` is then the residual at `x` minus the residual at zero.
         """
         if self._tangent is not None:
             self._tangent.multTranspose(x, out)
@@ -230,9 +252,10 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     # ---------------------------------------------------------------- parts of the balance
     def tangent_of(self, parts: PartSum) -> PETSc.Mat:
-        """Tangent of a sum of parts at their last evaluation, which is the state unless they were evaluated since.
+        """Return the tangent stiffness of a sum of parts, at the displacements of their last evaluation.
 
-        Do not change the matrix: it may be the parts' own.
+        This is the tangent at the equilibrium, unless the parts were evaluated elsewhere since. Do not change the
+        matrix: it may belong to the parts.
         """
         first, *others = blocks = parts.blocks()
         if first.kept and first.factor == 1.0 and not (others or parts.traits.nonlinear):
@@ -240,13 +263,13 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return TangentMatrix(self.model.comm, {DISPLACEMENT_KEY: self.equations.n_displacements}).fill(blocks)
 
     def forces(self, parts: Sequence[Part], state: Configuration, u: fem.Function, interval: TimeStep) -> Array:
-        """Nodal forces (m,) of parts on the m displacements of this rank.
+        """Return the nodal forces (m,) that some parts exert, at the m displacement dofs that this rank owns.
 
         Args:
             parts: the parts.
-            state: configuration whose own fields, such as pressures, the parts take.
-            u: displacements at the end of the step.
-            interval: the time step.
+            state: configuration from which parts take their own unknowns, such as pressures.
+            u: displacements at which the forces are computed.
+            interval: the time step at whose end the forces are computed.
         """
         out = fem.Function(self.model.V)
         if parts:
@@ -258,7 +281,10 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return np.asarray(out.x.petsc_vec.array_r.copy())
 
     def work(self, parts: Sequence[Part], z: Configuration) -> Array:
-        """Work (m,) of the stresses at the parts' last evaluation in displacements z, distributed over the nodes."""
+        """Return the work (m,) of stresses in the displacements of `z`, as shares of this rank's m displacement dofs.
+
+        The stresses are those of the last evaluation of the parts. The sum of the shares is the work.
+        """
         out = fem.Function(self.model.V)
         for part in parts:
             part.add_work_in(z.u, out.x.petsc_vec)

@@ -1,7 +1,8 @@
-"""Contact condensed to the nodes of S: Newton's method with Gauss-Seidel sweeps for their displacements. On one rank.
+"""Solver of contact problems condensed to the displacements of the nodes on S, on one rank.
 
-The unknowns are displacements, not jumps. Around a junction jumps depend on each other, so that their condensed
-stiffness is singular.
+The condensed problem is solved by Newton's method, with Gauss-Seidel sweeps before each step. Its unknowns are the
+displacements of both sides of S, not the jumps. Jumps at a junction depend on each other, so a stiffness condensed to
+jumps would be singular.
 """
 
 from __future__ import annotations
@@ -44,9 +45,10 @@ WORK_RATIO = 0.1  # work along a step at its end, relative to that at its beginn
 
 
 class CondensedContact(ContactSolver):
-    """Contact solver with static condensation of the bodies, for one seam or any number of seams, which may meet.
+    """Contact solver that first condenses the bodies to the displacements of the nodes in contact.
 
-    The bodies are condensed to the displacements of all nodes in contact, body by body, once. A small system is left.
+    The condensation is done once. In each step only the small condensed system is solved. There may be several seams,
+    which may meet.
     """
 
     def __init__(self, equations: Equations, like: State | None) -> None:
@@ -55,7 +57,10 @@ class CondensedContact(ContactSolver):
 
     @cached_property
     def _condensation(self) -> Condensation:
-        """The bodies, condensed to the displacements of nodes in contact; constrained displacements are decoupled."""
+        """Static condensation of the bodies to the displacements of the nodes in contact.
+
+        Constrained displacements are decoupled from all others.
+        """
         pairs, K, model = self.pairs, self.equations.K, self.equations.model
         x, bodies = model.V.tabulate_dof_coordinates()[:, : pairs.d], int(model.split_mesh.pieces.max()) + 1
         normal = pairs.weights @ pairs.frames[:, -1]
@@ -70,11 +75,14 @@ class CondensedContact(ContactSolver):
         return CondensedSystem(self._condensation.stiffness, self.pairs, x, lines)
 
     def solve(self, has_guess: bool) -> tuple[int, float]:
-        """Solve for x in place; return the number of Newton steps and the residual relative to the reference forces.
+        """Solve for the displacements `x`, in place.
 
         Args:
-            has_guess: whether the jumps of x are an initial guess; otherwise Newton's method starts from a coarser
-                system or from bonded nodes.
+            has_guess: whether `x` already contains a guess of the jumps. If not, Newton's method starts from the
+                solution on a coarser set of nodes, or of a problem with bonded nodes.
+
+        Returns:
+            Number of Newton steps, and norm of the residual relative to the reference forces.
 
         Raises:
             SolveError: no convergence.
@@ -99,12 +107,12 @@ class CondensedContact(ContactSolver):
         return len(residuals) - 1, relative
 
     def _relative(self, r: Array, forces: Array, u: Array) -> float:
-        """Largest ratio, over the blocks of unknowns (see `ForceScale`), of a residual's norm to the reference force.
+        """Return the largest ratio of a residual's norm to the reference force, over the blocks of `ForceScale`.
 
         Args:
-            r: (n d,) residual at the nodes in contact.
+            r: (n d,) residual at the n nodes in contact.
             forces: (n d,) contact forces at these nodes.
-            u: (n d,) displacements of these nodes, not used.
+            u: (n d,) displacements of these nodes. They are not used.
         """
         block, count, scale = self.equations.block_of[self.pairs.dofs], self.equations.n_blocks, self.equations.scale
         pair_norms, r_norms = (np.sqrt(np.bincount(block, v * v, count)) for v in (forces, r))
@@ -119,17 +127,20 @@ class CondensedContact(ContactSolver):
 
 
 class CondensedSystem:
-    """Solver of K u + f(u) = g, with the contact forces f of the pairs, by Newton's method.
+    """Condensed contact problem K u + f(u) = g at n nodes in d dimensions, and its solver by Newton's method.
 
-    Newton's method starts from the solution of a system with half as many nodes. Gauss-Seidel sweeps, node by node with
-    all pairs of a node, precede each Newton step. Their number grows with the number of steps. Later steps are
-    shortened if the residual does positive work at their end. In the first steps residuals may grow.
+    u are the displacements of the nodes, f the nodal forces of the contact laws, and g the condensed loads.
+
+    Newton's method starts from the solution on about half of the nodes. Before each Newton step, Gauss-Seidel sweeps
+    solve for one node after another. Their number grows in later steps. In the first steps the residual may grow. Later
+    steps are shortened if they go too far, see `_step_length`.
 
     Args:
         K: (n d, n d) condensed stiffness of the bodies.
-        pairs: the pairs, and their n nodes.
-        x: (pairs, d) places of the pairs.
-        lines: (m, 2) numbers of two pairs that are neighbours along S; if m is small there is no coarser system.
+        pairs: the contact pairs of upper and lower nodes, and the n nodes.
+        x: (pairs, d) coordinates of the pairs.
+        lines: (m, 2) numbers of two pairs that are neighbours along S, for each of m lines. If m is small, no coarser
+            system is used.
     """
 
     def __init__(self, K: Array | scipy.sparse.csr_matrix, pairs: ContactPairs, x: Array, lines: IntArray) -> None:
@@ -137,7 +148,7 @@ class CondensedSystem:
 
     @cached_property
     def _blocks(self) -> scipy.sparse.bsr_matrix:
-        """The stiffness in blocks, as the sweeps read it."""
+        """The stiffness K as a sparse matrix of blocks (d, d), one for each two nodes, for the sweeps."""
         A, d, n = self._stiffness, self.pairs.d, len(self.pairs.nodes)
         if not isinstance(A, np.ndarray):
             return A.tobsr((d, d))
@@ -146,14 +157,17 @@ class CondensedSystem:
 
     @cached_property
     def _rounding(self) -> float:
-        """Norm of the rounding errors of the forces for displacements of size 1."""
+        """Norm of the rounding errors of the nodal forces, per unit of displacement."""
         springs = self.pairs.bonded()[0]
         largest = max(float(matrix.diagonal().max(initial=0.0)) for matrix in (self._stiffness, springs))
         return MACHINE_EPSILON * SUMMATION_FACTOR * math.sqrt(len(self.pairs.nodes)) * largest
 
     @cached_property
     def _coarse_system(self) -> tuple[CondensedSystem, scipy.sparse.csr_matrix] | None:
-        """System of every second pair along S, and the matrix that interpolates from it; None: there is none."""
+        """Contact problem on every second pair along S, and the matrix that interpolates displacements from it.
+
+        None: S has too few nodes for a coarser problem, or too few of them could be left out.
+        """
         if len(self._lines) <= MAX_COARSEST_LINES:
             return None
         chosen, shares, lines = every_second(self._x, self._lines)
@@ -169,9 +183,10 @@ class CondensedSystem:
         return CondensedSystem(P.T @ self._stiffness @ P, coarse_pairs, self._x[chosen], lines), P
 
     def start(self, g: Array) -> Array:
-        """Initial displacements (n d,) of Newton's method, under forces g (n d,).
+        """Return displacements (n d,) from which Newton's method starts under the loads `g` (n d,).
 
-        They are interpolated from the coarser system. Without it, or if it fails, pairs are bonded by springs.
+        They are interpolated from the solution of the coarser problem. If there is none, they are those of pairs bonded
+        by springs.
         """
         if self._coarse_system is not None:
             system, P = self._coarse_system
@@ -181,11 +196,14 @@ class CondensedSystem:
         return self._linear_solve(springs, g - forces)
 
     def _residual(self, u: Array, g: Array) -> Array:
-        """Residual (n d,) at displacements u: forces of bodies and pairs, minus g; zero where u is constrained."""
+        """Return the residual (n d,) K u + f(u) - g at displacements `u` (n d,), for loads `g` (n d,)."""
         return np.asarray(self._stiffness @ u + self.pairs.forces(self.pairs.separation(u)) - g)
 
     def _linear_solve(self, springs: scipy.sparse.csr_matrix, b: Array) -> Array:
-        """Solve (K + more) x = b with another matrix `springs`; x is not finite if the sum is singular."""
+        """Solve (K + springs) x = b for x (n d,), where `springs` (n d, n d) is the stiffness of the pairs.
+
+        If K + springs is singular, x contains NaN or infinity.
+        """
         A = self._stiffness
         if isinstance(A, np.ndarray):
             try:
@@ -212,15 +230,17 @@ class CondensedSystem:
     def newton(
         self, u: Array, g: Array, relative: Callable[[Array, Array, Array], float], tolerance: float = NEWTON_TOLERANCE
     ) -> tuple[Array, tuple[float, ...]]:
-        """Solve from u by Newton's method; return displacements (n d,), and the history of relative residuals.
-
-        The history has the residuals before each step and after the last one.
+        """Solve the contact problem by Newton's method.
 
         Args:
-            u: (n d,) initial displacements.
-            g: (n d,) forces.
-            relative: function of the residual, the forces of the pairs and u that returns the relative residual.
+            u: (n d,) displacements from which the method starts.
+            g: (n d,) condensed loads.
+            relative: function that returns the norm of a residual relative to the reference forces. Its arguments are
+                the residual, the contact forces and the displacements, each (n d,).
             tolerance: relative residual at which the method stops.
+
+        Returns:
+            Displacements (n d,) at the solution, and the relative residuals before each step and after the last one.
 
         Raises:
             SolveError: no convergence.
@@ -242,12 +262,12 @@ class CondensedSystem:
             u = u + (self._step_length(u, step, g) if len(residuals) > DOUBLING_STEPS else 1.0) * step
 
     def _stalls(self, residuals: list[float], u: Array, forces: Array) -> bool:
-        """Whether the last of the relative residuals hardly fell, and is as small as rounding allows.
+        """Whether the last Newton step hardly reduced the residual, which is already as small as rounding errors allow.
 
         Args:
-            residuals: relative residuals of all steps.
-            u: (n d,) displacements now.
-            forces: (n d,) contact forces now, for the size of rounding.
+            residuals: relative residuals before each step and after the last one.
+            u: (n d,) displacements after the last step.
+            forces: (n d,) contact forces at `u`, to which the rounding errors are compared.
         """
         if len(residuals) < 3 or residuals[-1] <= residuals[-2] / 2:
             return False
@@ -255,9 +275,15 @@ class CondensedSystem:
         return residuals[-1] <= max(STALLED_TOLERANCE, min(share, STATE_TOLERANCE))
 
     def _step_length(self, u: Array, step: Array, g: Array) -> float:
-        """Length, at most 1, of a Newton step from u under forces g at which the residual does no work along it.
+        """Return the factor, at most 1, by which a Newton step is shortened.
 
-        It is found by regula falsi.
+        The work of the residual along the step is negative at its start. If it is clearly positive at its end, a factor
+        is sought by regula falsi at which this work almost vanishes. Else the factor is 1.
+
+        Args:
+            u: (n d,) displacements before the step.
+            step: (n d,) increment of the displacements.
+            g: (n d,) condensed loads.
         """
 
         def work(length: float) -> float:
@@ -285,15 +311,17 @@ def _force_ratio(r: Array, forces: Array, u: Array) -> float:
 
 
 def every_second(x: Array, lines: IntArray) -> tuple[IntArray, scipy.sparse.csr_matrix, IntArray]:
-    """Choose every second place along the curves that lines between places form, with all ends and branches.
+    """Choose every second point along curves that are given as lines between points.
+
+    Ends and branching points of the curves are always chosen.
 
     Args:
-        x: (n, d) coordinates of the places.
-        lines: (m, 2) numbers of the two places of each line.
+        x: (n, d) coordinates of the points.
+        lines: (m, 2) numbers of the two points that each of m lines joins.
 
     Returns:
-        Numbers (k,) of the chosen places, ascending; weights (n, k) that interpolate from them to all places; lines
-            between them (.., 2), numbered from 0 to k - 1.
+        Three results: numbers (k,) of the chosen points, ascending; a matrix (n, k) that interpolates values from the
+            chosen points to all points; lines (.., 2) between chosen points, which are numbered from 0 to k - 1.
     """
     chosen = np.bincount(lines.ravel(), minlength=len(x)) != 2
     chosen[along(x, lines, float(np.ptp(x)))[::2]] = True

@@ -1,4 +1,4 @@
-"""Common base of all solvers under contact laws."""
+"""Common base of the solvers "condensed", "multigrid" and "relaxation" under contact laws."""
 
 from __future__ import annotations
 
@@ -16,20 +16,22 @@ from thinlayer.system.ranks import destroy
 
 
 class ContactSolver(EquilibriumSolver):
-    """Base of the solvers of time steps with linear bodies in contact. Collective.
+    """Base of the solvers of time steps for linear bodies in contact. Collective.
 
-    A method solves A u + (nodal forces of the contact laws) = b, where A and b contain the Dirichlet conditions.
+    Subclasses solve A u + f(u) = b for the displacements u. A is the stiffness of the bodies, f the nodal forces of the
+    contact laws, and b the loads. A and b contain the Dirichlet conditions.
 
     Args:
-        equations: the equations of the model.
-        like: a state of a model of the same joint, from which the first step begins; None: the state before the step.
+        equations: the balance of forces of the model.
+        like: a state of a model of the same joint, whose displacements are the initial guess in the first step. None:
+            the guess is the state before the step.
 
     Attributes:
-        equations, comm: the equations and their communicator.
-        parts: the contact laws with their pairs of nodes.
-        is_fixed: (N,) mask of the constrained displacements of this rank.
-        x: displacements: initial values of a step, then its solution.
-        b: the right-hand side.
+        equations, comm: the balance of forces and its communicator.
+        parts: the contact laws with their pairs of nodes, one part for each seam in contact.
+        is_fixed: (N,) mask of the constrained displacements among the N that this rank owns.
+        x: vector of displacements: the initial guess of a step, then its solution.
+        b: vector of the right-hand side.
     """
 
     def __init__(self, equations: Equations, like: State | None) -> None:
@@ -42,7 +44,7 @@ class ContactSolver(EquilibriumSolver):
 
     @cached_property
     def A(self) -> PETSc.Mat:
-        """The bodies' stiffness with Dirichlet conditions."""
+        """Stiffness matrix of the bodies with Dirichlet conditions."""
         A = self.equations.K.copy()
         A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         self.equations.apply_bcs(A)
@@ -53,7 +55,8 @@ class ContactSolver(EquilibriumSolver):
         """Solve for the displacements at the end of the step.
 
         Args:
-            start: initial unknowns; None: those of the state `like` in the first step, else of the old state.
+            start: initial guess of the unknowns. None: the displacements of `like` in the first step, and in later
+                steps those before the step.
 
         Raises:
             SolveError: no convergence.
@@ -79,16 +82,23 @@ class ContactSolver(EquilibriumSolver):
 
     @abstractmethod
     def solve(self, has_guess: bool) -> tuple[int, float]:
-        """Solve for x in place; return the number of steps, and the residual relative to the reference forces.
+        """Solve for the displacements `x`, in place, starting from the values in `x`.
 
-        The initial values in x have the prescribed displacements. What a step is depends on the method.
+        These initial values already have the prescribed displacements at constrained dofs.
 
         Args:
-            has_guess: whether the jumps of x are an initial guess; otherwise they are zero.
+            has_guess: whether the initial values contain a guess of the jumps. If not, all jumps are zero.
+
+        Returns:
+            Number of iterations, and norm of the residual relative to the reference forces. Iterations are Newton steps
+                or, in a relaxation, sweeps.
         """
 
     def relative_residual(self) -> float:
-        """Norm of the residual of the whole problem at x, relative to the reference forces."""
+        """Return the norm of the residual at the displacements `x`, relative to the reference forces.
+
+        It is the residual of the full balance of forces, not of a condensed one.
+        """
         self.equations.residual(self.x, self._r)
         return self.equations.relative(self._r)
 

@@ -1,4 +1,4 @@
-"""Tangent of a contact problem: stiffness of the nodes of S, a multigrid hierarchy, and products in blocks."""
+"""Tangent matrix of a contact problem and its multigrid preconditioner, for Newton's method."""
 
 from __future__ import annotations
 
@@ -25,21 +25,22 @@ CHANGED_NODE_SHARE = 0.1
 
 
 class ContactTangent:
-    """Tangent of a contact problem and its preconditioner, as contexts of a PETSc matrix and a PETSc PC.
+    """Tangent matrix of a contact problem and its preconditioner, as Python contexts of a PETSc matrix and a PETSc PC.
 
-    The preconditioner is a cycle of a multigrid hierarchy, then a solve for the nodes of S. The hierarchy is that of
-    the bodies' stiffness with springs on S. Each rank factorises the rows of its own nodes of S, without data of other
-    ranks.
+    The preconditioner has two stages: a cycle of algebraic multigrid, then an exact solve for the nodes of S. The
+    multigrid hierarchy is built for the stiffness of the bodies plus symmetric springs between the sides of S. In the
+    second stage each rank factorises the tangent of its own nodes of S, without data of other ranks.
 
-    Tangent and preconditioner act on vectors that are zero at constrained dofs. Both multiply with the hierarchy's
-    matrix in blocks. The tangent adds the difference between the tangents of S and the springs of the hierarchy.
+    Vectors are zero at constrained dofs. The product with the tangent is that with the hierarchy's finest matrix, plus
+    a correction on S: contact tangents minus springs.
 
     Args:
         A: stiffness of the bodies with supports.
-        nodes: the n pairs whose upper node this rank owns.
-        pairs: the same pairs, with their contact laws and the nodes that this rank solves for.
-        equations: the equations of the model.
-        start: (n, d) expected jumps, which choose the springs of the hierarchy; None: pairs neither open nor slide.
+        nodes: the n pairs of upper and lower nodes whose upper node this rank owns.
+        pairs: the same pairs, with their contact laws and the nodes for which this rank solves.
+        equations: the balance of forces of the model.
+        start: (n, d) expected jumps of the pairs in d dimensions. The springs follow the tangents there. None: springs
+            for pairs that neither open nor slide.
     """
 
     def __init__(
@@ -59,7 +60,10 @@ class ContactTangent:
         self._build(equations)
 
     def _adjacent_stiffness(self) -> Array:
-        """Stiffness E/h (n,), modulus over size of cells, of the softer side of S at each pair of nodes. Collective."""
+        """Estimate the bodies' stiffness E/h (n,) at each pair of nodes: Young's modulus over cell size. Collective.
+
+        Of the two sides of S the softer one counts.
+        """
         nodes, diagonal = self.nodes, self._A.getDiagonal()
         above = diagonal.array_r.reshape(-1, nodes.dim)[nodes.upper].mean(axis=1)
         below = nodes.lower_side(diagonal).mean(axis=1)
@@ -68,12 +72,13 @@ class ContactTangent:
         return np.asarray(softer / (NODE_STIFFNESS * nodes.weights))
 
     def _clipped_tangents(self, start: Array | None) -> Array:
-        """Springs (n, d, d) of the hierarchy: tangents of S, without the coupling by friction, within bounds.
+        """Return the stiffness (n, d, d) of the hierarchy's springs at each pair, in the axes of S.
 
-        The bounds are proportional to the stiffness E/h of the bodies at S.
+        It is the diagonal of the contact tangent, limited to a range that is proportional to the stiffness E/h of the
+        bodies.
 
         Args:
-            start: (n, d) jumps at which tangents are taken; None: pairs neither open nor slide.
+            start: (n, d) jumps at which tangents are taken. None: pairs that neither open nor slide.
         """
         pairs, scale, d = self.pairs, self._scale, self.nodes.dim
         D = pairs.bonded_tangents() if start is None else pairs.tangents(start)
@@ -85,7 +90,7 @@ class ContactTangent:
         return out
 
     def _build(self, equations: Equations) -> None:
-        """Build the multigrid hierarchy from the bodies' stiffness and the springs."""
+        """Build the multigrid hierarchy of the bodies' stiffness plus springs, with the supports of `equations`."""
         springs, pattern = self.nodes.stiffness(self._springs), PETSc.Mat.Structure
         M, based = self._A.copy(), self.nodes.lower is None
         M.axpy(1.0, springs, pattern.SUBSET_NONZERO_PATTERN if based else pattern.DIFFERENT_NONZERO_PATTERN)
@@ -108,12 +113,12 @@ class ContactTangent:
                 convert_to_blocks(self._multigrid.getMGSmoother(level).getOperators()[0])
 
     def update_springs(self, jumps: Array | None) -> None:
-        """Update the springs of the hierarchy to the tangents at other jumps, if many springs change. Collective.
+        """Replace the springs of the hierarchy by those for other jumps, if many springs change. Collective.
 
-        With the springs of another contact status an iteration reduces the residual much less.
+        With springs of another contact status, iterations of the linear solver reduce the residual much less.
 
         Args:
-            jumps: (n, d) jumps; None: pairs neither open nor slide.
+            jumps: (n, d) jumps of the pairs. None: pairs that neither open nor slide.
         """
         new, comm = self._clipped_tangents(jumps), self.nodes.comm
         changed = (np.abs(new - self._springs) > self._springs / 2).any(axis=(1, 2))
@@ -132,19 +137,25 @@ class ContactTangent:
         self._springs = new
 
     def linearise(self, tangents: Array) -> None:
-        """Set the tangents (n, d, d) of the contact laws, and factorise the rows of this rank's nodes of S."""
+        """Set the tangents (n, d, d) of the contact laws at the pairs, for all later products and solves.
+
+        The stiffness of this rank's nodes of S is factorised with them.
+        """
         self._tangents = tangents
         if len(self.pairs.nodes):
             self._local = splu((self._local_K + self.pairs.stiffness(tangents)).tocsc(), **SUPERLU_OPTIONS)
 
     def mult(self, _: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Compute y = tangent times x."""
+        """Write the product of the tangent and `x` into `y`; PETSc calls it as the product of a Python matrix."""
         self._matrix.mult(x, y)
         self.nodes.add_forces(np.einsum("nij,nj->ni", self._tangents - self._springs, self.nodes.jump(x)), y)
         y.array[self.bc_dofs] = 0.0
 
     def apply(self, _: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
-        """Compute z from r by a multigrid cycle, then a solve for this rank's nodes of S, all others being fixed."""
+        """Apply the preconditioner to `r`, and write the result into `z`; PETSc calls it as that of a Python PC.
+
+        A multigrid cycle is followed by a solve for this rank's nodes of S, with all other displacements fixed.
+        """
         self._multigrid.apply(r, z)
         z.array[self.bc_dofs] = 0.0
         tractions = np.einsum("nij,nj->ni", self._tangents, self.nodes.jump(z))
@@ -154,13 +165,16 @@ class ContactTangent:
             z.array[self.pairs.dofs] += self._local.solve(residual)
 
     def sweep(self, u: PETSc.Vec, residual: PETSc.Vec, turned: Array) -> None:
-        """Run Gauss-Seidel sweeps in place over the nodes of S of this rank.
+        """Improve the displacements `u` in place by Gauss-Seidel sweeps over this rank's nodes of S.
+
+        Pairs whose slip has just reversed are made to stick before the sweeps. Their nodes stay where they are in the
+        sweeps.
 
         Args:
-            u: displacements.
-            residual: residual of the contact problem at u.
-            turned: (n, d) changes of the jumps of pairs that shall stick, zero for all other pairs; nodes of pairs that
-                shall stick are not swept.
+            u: displacements of all nodes.
+            residual: residual of the contact problem at `u`.
+            turned: (n, d) changes of the jumps that make these pairs stick, see `reversal_changes`. Zero for all
+                others.
         """
         pairs, w = self.pairs, self.nodes.separation(u)
         u_pairs = u.array_r[pairs.dofs].copy()

@@ -1,4 +1,4 @@
-"""Choice of the solver under contact laws for a model."""
+"""Choice of the method that solves a model with contact laws, and which methods suit a model."""
 
 from __future__ import annotations
 
@@ -17,11 +17,13 @@ MAX_CONDENSED = {2: 4000, 3: 1200}  # dimension -> number of displacements at S 
 
 
 def default_method(model: Model) -> str:
-    """Name of the default method for a model with contact laws: "condensed", "multigrid" or "newton".
+    """Return the name of the default method for a model with contact laws: "condensed", "multigrid" or "newton".
 
-    It is "newton" for bodies that are not linear, user-defined laws, inclined supports, rigid plates, periodic joints,
-    and if only some seams are in contact. Otherwise it is "condensed" on one rank, if S has few displacements, or in a
-    network of seams S on each body. In all other cases it is "multigrid".
+    "newton" is chosen in any of these cases: bodies that are not linear, user-defined contact laws, inclined supports,
+    rigid plates, periodic joints, or seams without contact.
+
+    Otherwise "condensed" is chosen on one rank if S has few displacements. If several seams share bodies, the
+    displacements on S are counted for each body alone. In all other cases "multigrid" is chosen.
     """
     joint = model.joint
     n_nodes = len(np.unique(joint.surface)) * (1 if joint.rigid_base else 2)
@@ -33,7 +35,7 @@ def default_method(model: Model) -> str:
 
 
 def _most_vertices(model: Model) -> int:
-    """Largest number of vertices on S of one body of a network."""
+    """Return the number of vertices on S of the body that has the most of them."""
     joint = model.joint
     cell, corner = np.nonzero(np.isin(joint.corners, joint.surface))
     pairs = np.unique(np.column_stack([model.split_mesh.pieces[cell], joint.corners[cell, corner]]), axis=0)
@@ -41,12 +43,15 @@ def _most_vertices(model: Model) -> int:
 
 
 def _is_network(model: Model) -> bool:
-    """Whether several layers meet, or share a body, so that a displacement may belong to several pairs of nodes."""
+    """Whether there are several seams, or S branches, so that one node may belong to several pairs of nodes."""
     return len(model.joint.seams) > 1 or model.joint.seams_meet
 
 
 def _is_linear(model: Model) -> bool:
-    """Whether, apart from contact, unknowns are displacements with a constant, symmetric stiffness from UFL forms."""
+    """Whether the model without its contact laws is linear.
+
+    The only unknowns must then be displacements, with a constant and symmetric stiffness from UFL forms.
+    """
     if model.constraints.T is not None or not all(term.proportional for term in model.terms):
         return False  # with T the unknowns are not the displacements
     traits = [term.law.traits for term in model.terms]
@@ -55,7 +60,15 @@ def _is_linear(model: Model) -> bool:
 
 
 def why_unsuited(model: Model, method: str) -> str:
-    """Reason why a method of SOLVER_OF_METHOD does not suit the model; "" if it does."""
+    """Say why a contact method does not suit the model; "" if it does.
+
+    Args:
+        model: the model.
+        method: name of a method in `SOLVER_OF_METHOD`.
+
+    Returns:
+        The reason as the rest of a sentence that begins with the method's name, such as "is for one rank, not 2; ...".
+    """
     user_laws = [type(law).__name__ for law in model.contacts.values() if law.numbers is None]
     if model.contact is None:
         return "is for contact laws; the model has none"

@@ -1,4 +1,4 @@
-"""Contact on a large S, in three dimensions and on several ranks: Newton's method with Krylov solver and multigrid."""
+"""Contact solver for large problems on any number of ranks: Newton's method, a Krylov solver and multigrid."""
 
 from __future__ import annotations
 
@@ -55,17 +55,21 @@ NEWTON_OPTIONS = OptionDict(
 
 
 class MultigridContact(ContactSolver):
-    """Contact solver by Newton's method (SNES), FGMRES and multigrid, for one seam or several. Collective.
+    """Contact solver by Newton's method (SNES), with FGMRES and multigrid for its linear systems. Collective.
 
-    The algebraic hierarchy is built for the bodies with symmetric springs on S, in the first solve, and kept until
-    `close`. The stiffness of the springs is limited to about that of the bodies, and changes with the contact status of
-    S. FGMRES uses the exact tangent, which is not symmetric where S slides. Its preconditioner is a cycle of multigrid,
-    then an exact solve for the nodes of S on each rank. If the status of a node has changed, Gauss-Seidel sweeps over
-    the nodes of S, on each rank alone, precede a Newton step. If Newton's method fails from the initial jumps, it
-    starts again from bonded nodes.
+    There may be several seams. FGMRES uses the exact tangent, which is not symmetric where S slides. Its preconditioner
+    is a cycle of algebraic multigrid, then an exact solve for the nodes of S on each rank.
 
-    PETSc options with the prefix of this package: snes_ and ksp_ for Newton's method, pc_ and mg_ for the hierarchy.
-    Tolerances of linear solves are chosen here unless ksp_rtol is set.
+    The multigrid hierarchy is built for the bodies with symmetric springs between the sides of S. It is built in the
+    first solve, and kept until `close`. The springs follow the contact status of S, but are hardly stiffer than the
+    bodies.
+
+    If the contact status of a node has changed, Gauss-Seidel sweeps over the nodes of S precede the next Newton step.
+    Each rank sweeps its own nodes alone. If Newton's method fails from the initial jumps, it starts again from bonded
+    nodes.
+
+    PETSc options begin with -thinlayer_: snes_ and ksp_ for Newton's method, pc_ and mg_ for the hierarchy. Tolerances
+    of linear solves are chosen here unless ksp_rtol is set.
     """
 
     def __init__(self, equations: Equations, like: State | None) -> None:
@@ -77,13 +81,17 @@ class MultigridContact(ContactSolver):
         self._forces = equations.vector()
 
     def solve(self, has_guess: bool) -> tuple[int, float]:
-        """Solve for x in place; return the number of Newton steps and the residual relative to the reference forces.
+        """Solve for the displacements `x`, in place.
 
         Args:
-            has_guess: whether the jumps of x are an initial guess; otherwise Newton's method starts from bonded nodes.
+            has_guess: whether `x` already contains a guess of the jumps. If not, Newton's method starts from bonded
+                nodes.
+
+        Returns:
+            Number of Newton steps, and norm of the residual relative to the reference forces.
 
         Raises:
-            SolveError: no convergence, for instance without an equilibrium.
+            SolveError: no convergence, for instance because there is no equilibrium.
         """
         history: list[float] = []
         nodes, old = self.nodes, self.equations.interval.old.u.x.petsc_vec
@@ -121,9 +129,10 @@ class MultigridContact(ContactSolver):
         raise SolveError(f"Newton's method for contact failed {text}", residuals=tuple(history), advice=advice)
 
     def residual(self, u: PETSc.Vec, out: PETSc.Vec) -> float:
-        """Write the residual at u, zero at constrained dofs, into `out`; return its norm over the reference forces.
+        """Write the residual at displacements `u` into `out`; return its norm relative to the reference forces.
 
-        The norm is scaled to be NEWTON_TOLERANCE where the rules of `ForceScale` let solvers stop.
+        The residual is set to zero at constrained dofs. The norm is scaled such that it is NEWTON_TOLERANCE where
+        `ForceScale` lets solvers stop.
         """
         equations = self.equations
         equations.residual(u, out)
@@ -142,15 +151,15 @@ class MultigridContact(ContactSolver):
 
 
 class _NewtonRun:
-    """One run of Newton's method (SNES) for a contact problem.
+    """One run of Newton's method (PETSc SNES) for a contact problem, from one start.
 
     Args:
         solver: the contact solver.
-        tangent: the tangent and its preconditioner.
-        reductions: factors by which the first and the later linear solves reduce the residual.
+        tangent: the tangent of the contact problem and its preconditioner.
+        reductions: factor by which the first linear solve reduces the residual, and the factor for later ones.
 
     Attributes:
-        residuals: residuals relative to the reference forces, before the first step and after each step.
+        residuals: norms of the residual relative to the reference forces, before the first step and after each step.
     """
 
     def __init__(self, solver: MultigridContact, tangent: ContactTangent, reductions: Reductions) -> None:
@@ -163,9 +172,15 @@ class _NewtonRun:
         self._set_rtol = not is_set("ksp_rtol", {})
 
     def run(self, u: PETSc.Vec, start: Array | None) -> int:
-        """Solve from u, in place; return PETSc's reason why it stopped.
+        """Run Newton's method from displacements `u`, which become the solution.
 
-        The first step uses the tangent at the jumps `start` (n, d); None: that of pairs that neither open nor slide.
+        Args:
+            u: initial displacements; overwritten.
+            start: (n, d) jumps of the n pairs of nodes at which the first step takes the contact tangents. None: the
+                first step treats the pairs as bonded.
+
+        Returns:
+            PETSc's number of the reason why the method stopped; positive after convergence.
         """
         solver, self._start = self.solver, start
         u.array[self.bc_dofs] = solver.equations.prescribed
@@ -209,9 +224,9 @@ class _NewtonRun:
         return Reason.CONVERGED_FNORM_ABS if self._relative <= NEWTON_TOLERANCE else False
 
     def _choose_sweeps(self, snes: PETSc.SNES, step: int) -> None:
-        """Choose sweeps before Newton step number `step` if the last step changed the contact status of a node.
+        """Decide whether Gauss-Seidel sweeps precede the Newton step of number `step`; SNES calls this before each step.
 
-        They are also chosen if the last step reduced the residual too little.
+        They do if the last step changed the contact status of a node, or reduced the residual too little.
         """
         self._swept = False
         if step:
@@ -223,16 +238,19 @@ class _NewtonRun:
             self._linear_ratio = snes.getKSP().getResidualNorm() / snes.getFunctionNorm()
 
     def _sweep(self, _: PETSc.SNES, u: PETSc.Vec, __: PETSc.Vec | None) -> None:
-        """Run Gauss-Seidel sweeps over the nodes of S, on each rank alone, if chosen; `_f` is the residual at u."""
+        """Improve displacements `u` by Gauss-Seidel sweeps over the nodes of S, if `_choose_sweeps` has decided so.
+
+        SNES calls this before each Newton step. Each rank sweeps its own nodes.
+        """
         self._is_repeated = not self._swept
         if self._swept:
             self.tangent.sweep(u, self._f, self._reversed)
 
     def _linearise(self, snes: PETSc.SNES, u: PETSc.Vec, _: PETSc.Mat, __: PETSc.Mat) -> None:
-        """Set up the linear system of a Newton step, as SNES asks for a new Jacobian.
+        """Set up the linear system of a Newton step at displacements `u`; SNES calls this for a new Jacobian.
 
-        The contact tangents at displacements u, the preconditioner's springs and the tolerance of the linear solve are
-        set. The matrices that PETSc passes are not used: their context is `tangent`.
+        This sets the contact tangents, the springs of the preconditioner and the tolerance of the linear solve. The
+        matrices that PETSc passes are not used, because the attribute `tangent` acts for them.
         """
         first = not snes.getIterationNumber()
         tangents = self._first_tangents(u, self._f) if first else self._next_tangents(u)
@@ -244,9 +262,13 @@ class _NewtonRun:
             snes.getKSP().setTolerances(rtol=rtol)
 
     def _first_tangents(self, u: PETSc.Vec, f: PETSc.Vec) -> Array:
-        """Tangents (n, d, d) of the first step, at the initial jumps or for bonded nodes.
+        """Return the contact tangents (n, d, d) of the n pairs of nodes for the first Newton step.
 
-        The residual f at displacements u is changed to that of a contact law linearised there.
+        They are taken at the jumps `start` of `run`, or are those of bonded nodes.
+
+        Args:
+            u: displacements before the step.
+            f: residual at `u`. It is changed to that of a contact law linearised at these jumps.
         """
         pairs, jumps, start = self.pairs, self.nodes.separation(u), self._start
         if start is None:
@@ -261,7 +283,10 @@ class _NewtonRun:
         return tangents
 
     def _next_tangents(self, u: PETSc.Vec) -> Array:
-        """Tangents (n, d, d) of a later step, at displacements u; sets the target of its linear solve."""
+        """Return the contact tangents (n, d, d) of the n pairs at displacements `u`, for a Newton step after the first.
+
+        Also choose the relative residual at which the linear solve of this step ends.
+        """
         relative = self._relative
         if self._swept:
             self._target = max(self.reductions[1] * min(relative, self._target), MIN_REDUCTION * min(relative, 1.0))
@@ -277,20 +302,29 @@ class _NewtonRun:
 
 # ---------------------------------------------------------------- nodes whose slip has reversed
 def sliding_state(pairs: ContactPairs, w: Array) -> SlidingState:
-    """Status (n,) of n pairs at jumps w (n, d), and their tangential jumps minus slip (n, d - 1)."""
+    """Return two arrays that describe how pairs slide: their contact status (n,), and their tangential jumps (n, d - 1).
+
+    The slip at the start of the time step is subtracted from these jumps.
+
+    Args:
+        pairs: n pairs of nodes in d dimensions.
+        w: (n, d) jumps of the pairs in the axes of S, initial gaps included.
+    """
     return pairs.status(w), pairs.offsets(w)[:, :-1]
 
 
 def reversal_changes(pairs: ContactPairs, w: Array, at: SlidingState | None) -> Array:
-    """Changes (n, d) of the jumps that make nodes stick whose slip direction has reversed since the last tangents.
+    """Return changes (n, d) of the jumps that make pairs stick if their slip direction has reversed.
+
+    The direction is compared with that at the last contact tangents. Changes of all other pairs are zero.
 
     A sliding node has no contact stiffness along its slip. If it should stick, Newton's method can move it back and
-    forth for ever, and sweeps do not stop that.
+    forth without end, and sweeps do not stop that.
 
     Args:
-        pairs: the pairs of nodes.
-        w: (n, d) jumps now.
-        at: result of `sliding_state` at the last tangents; None: not known, so that all changes are zero.
+        pairs: n pairs of nodes in d dimensions.
+        w: (n, d) present jumps of the pairs in the axes of S, initial gaps included.
+        at: result of `sliding_state` at the last contact tangents. None: it is unknown, so that all changes are zero.
     """
     out = np.zeros_like(w)
     if at is None:

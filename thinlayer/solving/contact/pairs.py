@@ -1,4 +1,4 @@
-"""Contact nodes of one rank and their pairs, on all seams: tractions, tangents and sweeps."""
+"""Pairs of contact nodes of one rank, on all seams: their tractions, tangents and Gauss-Seidel sweeps."""
 
 from __future__ import annotations
 
@@ -24,24 +24,25 @@ LawValues = Callable[[NodalLaw, Array, Array], npt.NDArray[Scalar]]  # of a law,
 
 
 class ContactPairs:
-    """Pairs of nodes in contact. A node may be the upper or the lower node of several pairs.
+    """Pairs of an upper and a lower node in contact, with their contact laws. A node may belong to several pairs.
 
     Args:
         parts: the contact laws, each with its pairs.
-        is_fixed: (N,) mask of the constrained displacements of this rank.
+        is_fixed: (N,) mask of the constrained displacements among the N of this rank.
         first: global number of this rank's first node.
-        shared: local numbers of nodes that are left out because pairs of other ranks have them too.
+        shared: local numbers of nodes that are left out because pairs of other ranks contain them too.
 
     Attributes:
-        nodes: (n,) local numbers of this rank's nodes that are in a pair, ascending; in a result of `subset` they are
-            indices of `nodes` of all pairs.
-        dofs: (n d,) local numbers of the nodes' displacements.
-        free: (n, d) mask of components that are not constrained.
-        pair_nodes: (pairs, 2) upper and lower node, as indices of `nodes`; -1: the rigid base, or a node that is left out.
+        nodes: (n,) local numbers of this rank's nodes that are in a pair, ascending. In a result of `subset` they are
+            positions in `nodes` of the original pairs.
+        dofs: (n d,) local numbers of the displacements of these nodes.
+        free: (n, d) mask of the displacement components of these nodes that are not constrained.
+        pair_nodes: (pairs, 2) positions in `nodes` of the upper and the lower node of each pair. -1 stands for a rigid
+            base, or for a node that is left out.
         d: number of dimensions.
-        frames: (pairs, d, d) axes of S at the pairs: tangents, then the normal, as rows.
-        weights: (pairs,) area of S (length in two dimensions) that belongs to each pair.
-        gaps: (pairs, d) initial gap along the normal, in these axes; tangential components are zero.
+        frames: (pairs, d, d) axes of S at the pairs, as rows: unit tangents, then the unit normal.
+        weights: (pairs,) area of S (length in two dimensions) around each pair.
+        gaps: (pairs, d) vector in these axes with the initial gap as its normal component, and zeros before it.
     """
 
     def __init__(
@@ -60,11 +61,11 @@ class ContactPairs:
         self._number_nodes(pairs, ~is_fixed.reshape(-1, self.d))
 
     def subset(self, chosen: IntArray, weights: Array) -> ContactPairs:
-        """Some of the pairs, with their nodes.
+        """Return some of the pairs, with their nodes.
 
         Args:
-            chosen: (k,) numbers of the pairs.
-            weights: (k,) area of S that belongs to each of them.
+            chosen: (k,) numbers of the chosen pairs.
+            weights: (k,) area of S (length in two dimensions) that each chosen pair has in the result.
         """
         pairs = copy(self)
         pairs.frames, pairs.gaps, pairs.weights = self.frames[chosen], self.gaps[chosen], weights
@@ -73,11 +74,11 @@ class ContactPairs:
         return pairs
 
     def _number_nodes(self, pairs: IntArray, free: BoolArray) -> None:
-        """Number the nodes of pairs, and set the matrices between nodes and pairs.
+        """Number the nodes that are in a pair, and build the matrices between their displacements and the jumps.
 
         Args:
-            pairs: (pairs, 2) upper and lower node, as indices of `free`; -1: no node.
-            free: (nodes, d) mask of the components that are not constrained.
+            pairs: (pairs, 2) upper and lower node of each pair, as row numbers of `free`; -1: no node.
+            free: (nodes, d) mask of the displacement components that are not constrained, for all candidate nodes.
         """
         self.nodes, place = np.unique(np.concatenate([[-1], pairs.ravel()]), return_inverse=True)
         self.nodes = self.nodes[1:]
@@ -97,51 +98,81 @@ class ContactPairs:
         self._by_node = [column.astype(np.int32) for column in (begins, *columns)]
 
     def _gather_values(self, values: LawValues[Scalar], w: Array) -> npt.NDArray[Scalar]:
-        """Values (pairs, ...) of the function `values` of each pair's law, jump and slip, at jumps w (pairs, d)."""
+        """Evaluate a function of a contact law, jumps and slip for all pairs, each with its own law and slip.
+
+        Args:
+            values: function of a law, the jumps (k, d) and the slip (k, d - 1) of its k pairs; it returns an array (k,
+                ...).
+            w: (pairs, d) jumps in the axes `frames`.
+
+        Returns:
+            Array (pairs, ...) of the function's values.
+        """
         parts = [(part, self._part == k) for k, part in enumerate(self._parts)]
         return np.concatenate([values(part.law_now, w[mask], part.slip[self._of_part[mask]]) for part, mask in parts])
 
     def separation(self, u: Array) -> Array:
-        """Jumps plus initial gaps along the normal (pairs, d), in the pairs' frames, at displacements u (n d,)."""
+        """Return the jumps plus initial gaps (pairs, d), in the axes `frames`, at displacements `u` (n d,) of the nodes."""
         return np.asarray((self.jump_matrix @ u).reshape(-1, self.d) + self.gaps)
 
     def forces(self, w: Array) -> Array:
-        """Nodal forces (n d,) of the pairs at jumps w (pairs, d); zero at constrained components.
+        """Return the nodal forces (n d,) of the contact laws; zero at constrained components.
 
-        They are to be added to the internal forces of the bodies.
+        In the balance of forces they are added to the internal forces of the bodies.
+
+        Args:
+            w: (pairs, d) jumps in the axes `frames`, initial gaps included.
         """
         return self.on_nodes(self.tractions(w))
 
     def on_nodes(self, t: Array) -> Array:
-        """Nodal forces (n d,) of tractions t (pairs, d); zero at constrained components."""
+        """Return the nodal forces (n d,) of tractions `t` (pairs, d), given in the axes `frames`; zero at constrained components."""
         return np.where(self.free.ravel(), self._to_nodes @ (t * self.weights[:, None]).ravel(), 0.0)
 
     def tractions(self, w: Array) -> Array:
-        """Tractions (pairs, d) of the laws at jumps w (pairs, d), initial gaps included."""
+        """Return the tractions (pairs, d) of the contact laws, in the axes `frames`.
+
+        Args:
+            w: (pairs, d) jumps in the same axes, initial gaps included.
+        """
         return self._gather_values(lambda law, w, slip: law.traction(w, slip), w)
 
     def tangents(self, w: Array) -> Array:
-        """Derivatives (pairs, d, d) of `tractions` by the jumps, at jumps w (pairs, d)."""
+        """Return the derivatives (pairs, d, d) of the tractions with respect to the jumps, in the axes `frames`.
+
+        Args:
+            w: (pairs, d) jumps in the same axes, initial gaps included.
+        """
         return self._gather_values(lambda law, w, slip: law.tangent(w, slip), w)
 
     def bonded_tangents(self) -> Array:
-        """Tangents (pairs, d, d) of pairs that neither open nor slide."""
+        """Return the stiffness (pairs, d, d), traction per jump, of pairs that are bonded: they neither open nor slide."""
         return self._gather_values(lambda law, w, _: law.bonded(*w.shape), self.gaps)
 
     def status(self, w: Array) -> npt.NDArray[np.int8]:
-        """`Status` (pairs,) at jumps w (pairs, d): separated, sticking or sliding."""
+        """Return the contact status (pairs,), an integer of `Status`: separated, sticking or sliding.
+
+        Args:
+            w: (pairs, d) jumps in the axes `frames`, initial gaps included.
+        """
         return self._gather_values(lambda law, w, slip: law.status(w, slip), w)
 
     def bonded(self) -> tuple[csr_matrix, Array]:
-        """Stiffness (n d, n d) of pairs as springs that neither open nor slide, and nodal forces (n d,) at rest.
+        """Return the stiffness (n d, n d) of bonded pairs, which neither open nor slide, and their nodal forces (n d,) at rest.
 
-        The forces at rest are due to slip and gaps.
+        The forces at rest, for zero displacements, are due to initial gaps and to the slip before the time step.
         """
         D = self.bonded_tangents()
         return self.stiffness(D), self.on_nodes(np.einsum("nij,nj->ni", D, self.offsets(self.gaps)))
 
     def stiffness(self, D: Array) -> csr_matrix:
-        """Stiffness (n d, n d) of springs D (pairs, d, d) of the pairs; zero for constrained displacements."""
+        """Return the stiffness matrix (n d, n d) of springs between the nodes of each pair.
+
+        Rows and columns of constrained displacements are zero.
+
+        Args:
+            D: (pairs, d, d) stiffness of the springs, as traction per jump in the axes `frames`.
+        """
         d, frames = self.d, self.frames
         ends = self.pair_nodes[:, [0, 1, 0, 1]], self.pair_nodes[:, [0, 1, 1, 0]]
         pair, entry = np.nonzero((ends[0] >= 0) & (ends[1] >= 0))
@@ -154,26 +185,32 @@ class ContactPairs:
         return csr_matrix((blocks.ravel(), indices), shape=(len(self.dofs),) * 2)
 
     def offsets(self, w: Array) -> Array:
-        """Jumps w (pairs, d) whose tangential components are reduced by the slip at the start of the step."""
+        """Return the jumps (pairs, d) minus the slip at the start of the time step in their tangential components.
+
+        Args:
+            w: (pairs, d) jumps in the axes `frames`.
+        """
         return self._gather_values(lambda law, w, slip: np.column_stack([w[:, :-1] - slip, w[:, -1]]), w)
 
     def sweep(
         self, K: bsr_matrix, g: Array, u: Array, sweeps: int, gaps: Array | None = None, moves: BoolArray | None = None
     ) -> int:
-        """Run Gauss-Seidel sweeps in place: each node moves to the balance of its forces while all others are fixed.
+        """Improve the displacements `u` in place by Gauss-Seidel sweeps over the nodes.
 
-        Constrained components are fixed too.
+        In a sweep one node after another moves until its forces balance, with all other nodes fixed. Constrained
+        components do not move.
 
         Args:
-            K: (n, n) blocks (d, d) of the bodies' stiffness.
-            g: (n d,) forces on the bodies.
-            u: (n d,) displacements.
+            K: (n d, n d) stiffness of the bodies, in blocks (d, d) of two nodes.
+            g: (n d,) nodal forces of the loads.
+            u: (n d,) displacements; overwritten.
             sweeps: number of sweeps.
-            gaps: (pairs, d) jumps where all u are zero; None: initial gaps.
-            moves: (n,) mask of nodes that move; None: all.
+            gaps: (pairs, d) jumps in the axes `frames` that belong to u = 0. None: the initial gaps.
+            moves: (n,) mask of the nodes that may move. None: all nodes.
 
         Returns:
-            Number of solves of a node that failed; the node then keeps the best u of this solve.
+            Number of times that the forces of a node could not be balanced. The node then keeps the best displacement
+                found.
         """
         gaps = self.gaps if gaps is None else gaps
         laws = self._gather_values(lambda law, w, _: np.tile(sweep_parameters(law), (len(w), 1)), gaps)
@@ -184,10 +221,11 @@ class ContactPairs:
 
 
 def sweep_parameters(law: NodalLaw) -> tuple[float, ...]:
-    """Parameters of a contact law for Gauss-Seidel sweeps: K_N, K_T, friction, cohesion, and the weight of springs.
+    """Return the five numbers that the Gauss-Seidel sweeps need of a contact law.
 
-    A homotopy law is a weighted mean of a contact law and of springs that neither open nor slide. The weight of the
-    springs is from 0 to 1; it is 0 for a contact law itself.
+    They are the stiffnesses K_N and K_T, the friction coefficient, the cohesion, and the weight of bonding springs. A
+    homotopy law is the mean of a contact law and of springs that neither open nor slide. In this mean the springs have
+    a weight between 0 and 1. For a contact law itself the weight is 0.
     """
     law, share = (law.law, law.share) if isinstance(law, ContactHomotopy) else (law, 0.0)
     assert law.numbers is not None

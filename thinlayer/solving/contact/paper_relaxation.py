@@ -1,4 +1,4 @@
-"""Relaxation of section 8 of the paper: over-relaxed Gauss-Seidel, component by component. On one rank."""
+"""The relaxation method of section 8 of the paper for contact: over-relaxed Gauss-Seidel sweeps, on one rank."""
 
 from __future__ import annotations
 
@@ -35,15 +35,18 @@ RELAXATION_OPTIONS = dict[str, tuple[float, float]](  # name -> default and uppe
 
 
 class SeamSystem(NamedTuple):
-    """Equations A u + (contact forces) = b, where the dofs of contact nodes are jumps in the axes of S.
+    """Equations A u + f(u) = b of a contact problem in d dimensions, with the contact forces f of n nodes on S.
+
+    Among the N unknowns u are the jumps at the contact nodes, in the axes of S.
 
     Attributes:
-        A: (N, N) stiffness; rows of constrained dofs have a diagonal entry only.
-        b: (N,) forces.
-        contact: (n, d) dofs of the contact nodes: tangential dofs, then the normal dof, positive if S opens.
-        weights: (n,) areas (lengths in two dimensions) of the nodes.
+        A: (N, N) stiffness. Rows of constrained unknowns have a diagonal entry only.
+        b: (N,) nodal forces of the loads.
+        contact: (n, d) numbers of the unknowns of each contact node: its tangential jumps, then its normal jump, which
+            is positive if S opens.
+        weights: (n,) area of S (length in two dimensions) around each node.
         law: the contact law.
-        slip: (n, d - 1) slip at the beginning of the step.
+        slip: (n, d - 1) slip at the beginning of the time step.
     """
 
     A: scipy.sparse.csr_matrix
@@ -55,11 +58,11 @@ class SeamSystem(NamedTuple):
 
 
 class Relaxation(NamedTuple):
-    """Result of `relax`: the last iterate and the convergence of the sweeps.
+    """Result of `relax`: the last iterate, and how the sweeps converged.
 
     Attributes:
         u: (N,) the last iterate.
-        converged: whether the increments met their tolerance.
+        converged: whether the change in the last sweep met the tolerance.
         increments: (sweeps,) Euclidean norm of the change of u in each sweep, relative to the norm of u.
     """
 
@@ -78,27 +81,32 @@ def relax(
     tolerance: float = 1e-8,
     max_sweeps: int = 100_000,
 ) -> Relaxation:
-    """Run the relaxation of section 8 of the paper: over-relaxed Gauss-Seidel, component by component over all N dofs.
+    """Solve a contact problem by the relaxation of section 8 of the paper: over-relaxed Gauss-Seidel sweeps.
 
-    A contact node has the area b and the threshold of friction rho. In the row of one of its components, a is the
-    diagonal entry of A. The right-hand side minus all other entries times u is r. The normal component becomes r / a
-    if that opens S, else r / (a + b K_N). The tangential component becomes r / (a + b K_T) if the node sticks, else
-    (r -+ b rho) / a. In three dimensions both tangential components are computed together: their traction lies in a
-    disc. Unlike in the paper thresholds follow the pressure within the sweeps, and contact nodes have a relaxation
-    factor of their own, by default 1. The same factor everywhere fails for many meshes and stiffnesses.
+    A sweep updates one unknown after another, in this way. Let a be the diagonal entry of A in the unknown's row. Let r
+    be the right-hand side minus all other entries of this row times u. An unknown away from S becomes r / a.
+
+    Let b be the area of a contact node, and rho its friction threshold. Its normal jump becomes r / a if that opens S,
+    else r / (a + b K_N). A tangential jump becomes r / (a + b K_T) if the node sticks, else (r -+ b rho) / a. In three
+    dimensions both tangential jumps are updated together, because their traction lies in a disc.
+
+    There are two differences from the paper. Friction thresholds follow the contact pressure within the sweeps. Contact
+    nodes have a relaxation factor of their own, by default 1, as one factor everywhere fails for many meshes and
+    stiffnesses.
 
     Args:
-        system: the equations.
-        u: (N,) first iterate, not changed; None: zero.
-        order: (N,) dofs in the order of a sweep. Both tangential dofs of a node are swept at the first of their places.
-            None: in the order of the numbers, except that contact nodes begin with the normal component.
-        omega: relaxation factor of all dofs that are not of contact nodes.
-        omega_contact: relaxation factor of the dofs of contact nodes.
+        system: the equations, for N unknowns u.
+        u: (N,) first iterate, which is not changed; None: zero.
+        order: (N,) numbers of the unknowns in the order of a sweep. Both tangential jumps of a node are updated where
+            the first of them occurs. None: ascending, but the normal jump of a node before its tangential jumps.
+        omega: relaxation factor of unknowns that do not belong to contact nodes.
+        omega_contact: relaxation factor of the unknowns of contact nodes.
         tolerance: the relaxation has converged if the change of u in a sweep, relative to u, is at most this.
         max_sweeps: largest number of sweeps.
 
     Returns:
-        The last iterate, also without convergence: if increments are not finite, grow or stagnate, or at `max_sweeps`.
+        The last iterate, even without convergence. Sweeps end without convergence at `max_sweeps`, or if the changes
+            stagnate, grow or are not finite.
     """
     c, A, n, d = own_library(C_SOURCE), system.A, len(system.b), system.contact.shape[1]
     u_now, steps = np.zeros(n) if u is None else u.copy(), _coded_steps(system.contact, order, n)
@@ -124,14 +132,15 @@ def relax(
 
 
 def _coded_steps(contact: Indices, order: Indices | None, count: int) -> Indices:
-    """Steps of a sweep in order, coded for sweeps.c: a dof, or -1 - 2 k and -2 - 2 k for contact node k.
+    """Return the updates of one sweep in their order, as the integer codes that sweeps.c reads.
 
-    -1 - 2 k is the node's normal component, -2 - 2 k its tangential components.
+    A code >= 0 is the number of an unknown away from S. The code -1 - 2 k stands for the normal jump of contact node k.
+    The code -2 - 2 k stands for its tangential jumps.
 
     Args:
-        contact: (n, d) dofs of the contact nodes: tangential dofs, then the normal dof.
-        order: (N,) dofs in the order of a sweep; None: in the order of their numbers.
-        count: number N of dofs.
+        contact: (n, d) numbers of the unknowns of each contact node: its tangential jumps, then its normal jump.
+        order: (N,) numbers of the unknowns in the order of a sweep; None: ascending.
+        count: number N of unknowns.
     """
     position = np.arange(count) if order is None else np.argsort(order)
     normal, tangential = position[contact[:, -1]].astype(float), position[contact[:, :-1]].min(axis=1).astype(float)
@@ -144,13 +153,14 @@ def _coded_steps(contact: Indices, order: Indices | None, count: int) -> Indices
 
 
 class ContactRelaxation(ContactSolver):
-    """Contact solver by the paper's relaxation over all displacements, for one seam; it begins at rest.
+    """Contact solver by the relaxation of section 8 of the paper, for one seam. It always starts from zero jumps.
 
-    At contact nodes the unknowns are the jumps in the axes of S, gaps included, instead of the upper side's
+    The unknowns at the upper nodes of S are jumps, initial gaps included, in the axes of S. All other unknowns are
     displacements.
 
-    PETSc options thinlayer_relaxation_NAME: omega (1.7), omega_contact (1), tolerance of the increments (1e-12),
-    max_sweeps (200000).
+    PETSc options, with their defaults: -thinlayer_relaxation_omega (1.7), -thinlayer_relaxation_omega_contact (1),
+    -thinlayer_relaxation_tolerance of the relative change of u in a sweep (1e-12), -thinlayer_relaxation_max_sweeps
+    (200000).
     """
 
     has_homotopy = False
@@ -169,9 +179,9 @@ class ContactRelaxation(ContactSolver):
         self._A = self._T.T @ self._K @ self._T
 
     def _order(self) -> Indices:
-        """Unknowns (N,) in the order of their nodes' coordinates, of which x varies fastest.
+        """Return the numbers of the unknowns (N,), sorted by the coordinates of their nodes, of which x varies fastest.
 
-        Convergence depends on the order of sweeps.
+        Sweeps in this order converge well; their convergence depends on the order.
         """
         nodes = self.part.nodes
         d, x = nodes.dim, nodes.surface.V.tabulate_dof_coordinates()
@@ -179,7 +189,10 @@ class ContactRelaxation(ContactSolver):
         return np.asarray((rows[:, None] * d + np.arange(d)).ravel(), np.int32)
 
     def _change_matrix(self) -> scipy.sparse.csr_matrix:
-        """Matrix from the unknowns (jumps and other displacements) to all displacements, for zero gaps."""
+        """Return the matrix (N, N) that computes all displacements from the unknowns, if initial gaps are zero.
+
+        The unknowns are jumps at the upper nodes of S, in the axes of S, and displacements elsewhere.
+        """
         nodes, n = self.part.nodes, len(self.is_fixed)
         upper, others = nodes.dofs, np.setdiff1d(np.arange(n), nodes.dofs)
         rows = [others, np.repeat(upper, nodes.dim, axis=1).ravel()]
@@ -193,16 +206,20 @@ class ContactRelaxation(ContactSolver):
         return scipy.sparse.csr_matrix((np.concatenate(values), places), shape=(n, n))
 
     def solve(self, has_guess: bool) -> tuple[int, float]:
-        """Solve for x in place; return the number of sweeps and the residual relative to the reference forces.
+        """Solve for the displacements `x`, in place.
 
-        The sweeps are counted until the increments first meet their tolerance. More follow with smaller tolerances if
-        the forces do not balance yet.
+        If the changes of u in a sweep meet their tolerance, but forces do not balance yet, sweeps go on with smaller
+        tolerances.
 
         Args:
-            has_guess: not used: the relaxation begins at rest.
+            has_guess: not used, as the relaxation always starts from zero.
+
+        Returns:
+            Number of sweeps until the tolerance was first met, and norm of the residual relative to the reference
+                forces.
 
         Raises:
-            SolveError: no convergence; its residuals are the increments of the sweeps.
+            SolveError: no convergence. Its attribute `residuals` has the relative changes of u in the sweeps.
         """
         equations, nodes, x = self.equations, self.part.nodes, self.x
         fixed, moving, tolerance = self._fixed, ~self._fixed_jumps.all(axis=1), _option("tolerance")
@@ -239,7 +256,7 @@ class ContactRelaxation(ContactSolver):
 
 
 def _option(name: str) -> float:
-    """Value of the relaxation's option `name` in PETSc's database. InputError: the value is out of range."""
+    """Read the relaxation's option `name` from PETSc's database, or return its default; InputError if it is out of range."""
     options, (default, bound) = PETSc.Options(PREFIX + "relaxation_"), RELAXATION_OPTIONS[name]
     value: float = (options.getInt if isinstance(default, int) else options.getReal)(name, default)
     if not 0 < value < bound:
@@ -248,7 +265,7 @@ def _option(name: str) -> float:
 
 
 def _fixed_components(frames: Array, is_fixed: BoolArray) -> BoolArray:
-    """Mask (n, d) of the components of jumps, in the axes of S, that supports constrain.
+    """Return a mask (n, d) of the jump components, in the axes of S, that supports constrain at n contact nodes.
 
     Args:
         frames: (n, d, d) axes of S at the contact nodes, as rows.
