@@ -1,4 +1,4 @@
-"""The balance of forces of a model over a time step, as PETSc vectors and matrices: the sum of its parts."""
+"""Balance of forces of a model in a time step, as PETSc vectors and matrices summed over its parts."""
 
 from __future__ import annotations
 
@@ -38,29 +38,31 @@ LINEARITY_TOLERANCE = 1e-9  # relative deviation from a straight line in time th
 
 
 class Equations(PartSum):
-    """Residual and tangent of a model's balance of forces over a time step. All methods are collective.
+    """Residual and tangent of a model's balance of forces in a time step. All methods are collective.
 
-    The unknowns are the displacements, then the own unknowns of parts, such as pressures. With inclined supports, rigid
-    plates or other multi-point constraints, other unknowns y take the places of the displacements u = T y, see
-    `Constraints`. The constructor is collective too.
+    The vector of unknowns has the displacements u first, then unknowns of single parts, such as pressures. Inclined
+    supports, rigid plates and other multi-point constraints prescribe u = T y, see `Constraints`. The vector then has y
+    in place of u. The constructor is collective too.
 
     Attributes:
-        parts: the parts whose forces are summed.
+        parts: the parts whose forces are summed, such as bodies, layers, contact and springs.
         traits: properties of all parts together: a flag is set if one part has it.
         with_own: the parts with unknowns of their own.
         depends_on_dt: whether the tangent depends on the length of the step.
-        failed: number of points where laws failed in the last residual.
+        failed: number of points where laws failed in the last evaluation of the residual.
         bodies, layers: the parts of the bodies, and of the layers.
-        u: displacements of the last residual.
-        loads: nodal forces of the loads in the balance of the present step.
-        external: `loads` minus the parts' forces that do not depend on the unknowns.
+        u: displacements at which the residual was last evaluated.
+        loads: nodal forces of the loads in the balance of the step. With the fraction theta of `TimeStep`, they are
+            theta times those at its end plus 1 - theta times those at its start.
+        external: `loads` minus those forces of parts that do not depend on the unknowns.
         bc_dofs: local numbers of the constrained unknowns of this rank.
-        prescribed: prescribed values of `bc_dofs` at the end of the step.
+        prescribed: values of the unknowns `bc_dofs` at the end of the step.
         constraints: the constraints u = T y of the displacements.
-        mean_stiffness: mean size of the diagonal entries of K and of the tangents at rest of bodies that are not in K.
-        homotopy_parameter: continuation parameter of the parts' laws: 0 is the law itself, 1 an elastic law.
-        factor: linear solver with the factor of a tangent, of this model or of another model of its `ModelFamily`.
-        scale: the reference forces for residuals; it includes the norms that `Part.add_forces` returns.
+        mean_stiffness: mean diagonal entry of the bodies' stiffness at rest.
+        homotopy_parameter: parameter that chooses a law between the given law (0) and an elastic law (1).
+        factor: linear solver with the factor of the last tangent, which may be that of another model of the
+            `ModelFamily`.
+        scale: the reference forces with which residuals are compared.
     """
 
     def __init__(self, model: Model) -> None:
@@ -93,18 +95,18 @@ class Equations(PartSum):
 
     # ---------------------------------------------------------------- unknowns
     def vector(self) -> PETSc.Vec:
-        """New zero vector of unknowns."""
+        """Return a new vector of unknowns, filled with zeros."""
         return self._layout.vector()
 
     def put_state(self, state: Configuration, x: PETSc.Vec) -> None:
-        """Write into x the unknowns of a state, from which a step after this state starts."""
+        """Write the unknowns of `state` into the vector `x`; the next time step starts from them."""
         values = self._layout.split(x.array)
         values[DISPLACEMENT_KEY][:] = self.constraints.unknowns(state.u.x.array[: self.n_displacements])
         for part in self.with_own:
             values[part.key][:] = part.own_start(state)
 
     def _set_unknowns(self, x: PETSc.Vec) -> None:
-        """Copy unknowns x into the displacements u and the parts' own functions."""
+        """Copy the vector of unknowns `x` into the displacements `u` and the fields of parts with own unknowns."""
         self._layout.put(x)
         if self._T is not None:
             owned = self.u.x.array[: self.n_displacements]
@@ -112,7 +114,10 @@ class Equations(PartSum):
             self.u.x.scatter_forward()
 
     def _prescribed(self, t: float | None) -> tuple[IntArray, Array]:
-        """Local numbers of the constrained unknowns, increasing, and their values at time t (zeros if t is None)."""
+        """Return the local numbers, ascending, of the constrained unknowns, and their values at time `t`.
+
+        If `t` is None, the values are zeros.
+        """
         bc_dofs = self.constraints.bc_dofs.astype(np.int64)
         values = np.zeros(len(bc_dofs)) if t is None else self.constraints.values(t)
         first = self.n_displacements
@@ -124,25 +129,30 @@ class Equations(PartSum):
 
     @property
     def bc_rows(self) -> PetscIndices:
-        """Global numbers of the constrained unknowns."""
+        """Global numbers of this rank's constrained unknowns."""
         return self._layout.rows(self.bc_dofs)
 
     @cached_property
     def K(self) -> PETSc.Mat:
-        """Matrix of the forces that are linear in the displacements."""
+        """Stiffness matrix of those forces of parts that are linear in the displacements."""
         blocks = [Block(part.K, kept=True) for part in self.parts if part.K is not None]
         return TangentMatrix(self.comm, {DISPLACEMENT_KEY: self.n_displacements}).fill(blocks)
 
     def apply_bcs(self, A: PETSc.Mat, x: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
-        """Replace rows and columns of constrained unknowns in A by a mean stiffness times the identity.
+        """Apply the Dirichlet conditions to a matrix, and optionally to a right-hand side.
 
-        With x, its values at these unknowns enter the right-hand side b, so that the solution has these values.
+        Rows and columns of constrained unknowns become those of the identity, times the mean stiffness.
+
+        Args:
+            A: the matrix; changed in place.
+            x: vector with the prescribed values at constrained unknowns.
+            b: right-hand side. It is changed such that the solution has the values of `x` at constrained unknowns.
         """
         A.zeroRowsColumns(self.bc_rows, self.mean_stiffness or 1.0, x, b)
 
     @cached_property
     def near_null(self) -> list[PETSc.Vec]:
-        """Orthonormal vectors of unknowns that are rigid motions of the whole structure."""
+        """Orthonormal vectors of unknowns that are the rigid motions of the whole structure."""
         motions = model_motions(self.model).values()
         vectors = [self.vector() for _ in motions]
         for x, motion in zip(vectors, motions, strict=True):
@@ -150,11 +160,14 @@ class Equations(PartSum):
         return orthonormal(vectors)
 
     def set_preconditioner_data(self, ksp: PETSc.KSP, A: PETSc.Mat) -> None:
-        """Pass rigid motions, or the blocks of displacements and pressures, to the preconditioner of a linear solver.
+        """Pass to a linear solver the data that its preconditioner needs besides the matrix.
+
+        Algebraic multigrid gets the rigid motions. PCFIELDSPLIT gets the blocks of displacements and of pressures.
+        Others need nothing.
 
         Args:
-            ksp: the linear solver. Algebraic multigrid gets the rigid motions; PCFIELDSPLIT gets the blocks.
-            A: its matrix: a tangent with Dirichlet conditions applied.
+            ksp: the linear solver.
+            A: matrix of the linear solver: a tangent with Dirichlet conditions applied.
         """
         kind = ksp.getPC().getType()
         if kind in MULTIGRID_TYPES:
@@ -166,9 +179,15 @@ class Equations(PartSum):
     def require_unique(self, r: PETSc.Vec | None = None) -> None:
         """Raise LooseBody if a connected piece of the bodies can move freely.
 
-        The test uses the tangents, at the last u, of the parts that resist rigid motions. It is skipped if a part may
-        resist less than its tangent does. A force at a node counts as resistance only if it exceeds the residual at
-        which solvers stop. If the residual r is given, it must also exceed the norm of r on the block of the node.
+        A piece moves freely if the tangents of the parts do not resist one of its rigid motions. The tangents are those
+        at the displacements of the last residual. If some part may resist less than its tangent says, nothing is
+        tested.
+
+        Resistance at a node counts only if its force exceeds the residual at which solvers stop. With `r` it must also
+        exceed the norm of this residual in the node's block, see `ForceScale`.
+
+        Args:
+            r: residual at the last displacements; None: it is not considered.
         """
         if not self.traits.weakens:
             block_forces, rounding = self.scale.target(self._largest(self.u.x.array)), self.u.x.petsc_vec.duplicate()
@@ -179,18 +198,20 @@ class Equations(PartSum):
 
     # ---------------------------------------------------------------- a step
     def rest(self, t: float) -> State:
-        """State at rest at time t, before the first step: displacements and stresses are zero."""
+        """Return the state at rest at time `t`, before the first step: displacements are zero, and stresses too."""
         model, report = self.model, Report("rest", 0, 0.0, 0.0)
         dissipated, u = dict.fromkeys(model.by_place({}), 0.0), fem.Function(model.V)
         memory, stresses = self.memory_at_rest, self.stresses_at_rest
         return State(u, t, memory, stresses=stresses, at_rest=True, model=model, report=report, dissipated=dissipated)
 
     def begin(self, interval: TimeStep) -> None:
-        """Begin the time step `interval`: set its loads and prescribed displacements, and begin it in all parts.
+        """Begin a time step: compute its loads and prescribed displacements, and call `begin` of all parts.
+
+        Args:
+            interval: the time step.
 
         Raises:
-            InputError: loads, prescribed displacements or prescribed strains that are not finite at the times of the
-                step.
+            InputError: loads, prescribed displacements or prescribed strains are not finite at the times of the step.
         """
         self.interval, old = interval, interval.old
         self.loads.set(0.0)
@@ -215,13 +236,13 @@ class Equations(PartSum):
         self.external.aypx(-1.0, self.loads)
 
     def loads_at(self, t: float) -> PETSc.Vec:
-        """New vector of the nodal forces of the loads at time t.
+        """Return a new vector of the nodal forces of the loads at time `t`.
 
-        Forces and moments prescribed for multi-point constraints, such as rigid plates, are included, as nodal forces
-        with these resultants.
+        It includes forces and moments that act on rigid plates or other multi-point constraints, as equivalent nodal
+        forces.
 
         Raises:
-            InputError: loads that are not finite, or that nothing balances in a periodic joint.
+            InputError: loads are not finite, or nothing balances them in a periodic joint.
         """
         b = self.model.forces.nodal_at(self.model.V, t)
         self.model.supports.require_balance(b, t)
@@ -229,25 +250,28 @@ class Equations(PartSum):
         return b
 
     def prescribed_forces(self) -> PETSc.Vec:
-        """New vector of forces on the unknowns in this step: `external`, and the parts' loads on their own unknowns."""
+        """Return a new vector of forces on the unknowns in this time step, which do not depend on the unknowns.
+
+        They are the forces `external` on the displacements, and the loads of parts on their own unknowns.
+        """
         return self.on_unknowns(self.external, [part.load for part in self.with_own])
 
     def configuration(self, x: PETSc.Vec) -> Configuration:
-        """Configuration at the end of the present step, with the displacements and own fields of unknowns x."""
+        """Return the configuration at the end of the time step: the displacements and fields of the unknowns `x`."""
         self._set_unknowns(x)
         fields = {part.key: part.own_result() for part in self.with_own}
         return Configuration(self.u.copy(), self.interval.t, fields=fields)
 
     def prescribed_forces_at(self, t: float) -> PETSc.Vec:
-        """New vector of forces on the unknowns at time t: the loads, and the parts' loads on their own unknowns."""
+        """Return a new vector of forces on the unknowns at time `t`: loads, and parts' loads on their own unknowns."""
         return self.on_unknowns(self.loads_at(t), [part.load_at(t) for part in self.with_own])
 
     def on_unknowns(self, forces: PETSc.Vec, part_loads: Sequence[Array] = ()) -> PETSc.Vec:
-        """New vector of forces on the unknowns, from nodal forces, and from loads on the parts' own unknowns.
+        """Return a new vector of forces on the unknowns, which includes the effect of constraints u = T y.
 
         Args:
-            forces: nodal forces.
-            part_loads: for each part with own unknowns an array of loads on them; (): no loads.
+            forces: nodal forces on the displacements u.
+            part_loads: arrays of loads on the own unknowns of parts, in the order of `with_own`. (): no loads.
         """
         out = self.vector()
         self._put_forces(forces.array_r, part_loads, out)
@@ -260,20 +284,21 @@ class Equations(PartSum):
             fields[part.key][:] = values
 
     def start(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
-        """Write the residual at the initial unknowns x of the step into `out`, and pass its norms to the force scale.
+        """Write the residual at unknowns `x`, from which the step starts, into `out`.
 
-        In a periodic cell under a mean strain the norms are not passed: stiff bodies alone would follow the strain,
-        with large forces however soft the layer. Nor are they passed for homotopy laws (between an elastic law and the
-        given law), in which a layer that has slipped far is elastic.
+        Its norms also enter the reference forces of the step, with two exceptions. In a periodic cell under a mean
+        strain, stiff bodies would follow the strain, with large forces however soft the layer. With an elastic law in
+        place of the layer's law, a layer that has slipped far has large forces too.
         """
         self.residual(x, out)
         if self.model.strain is None and not self.homotopy_parameter:
             self.scale.start(self.residual_norms(out))
 
     def residual(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
-        """Write the residual at x into `out`: internal forces minus loads, then the parts' own residuals.
+        """Write the residual at unknowns `x` into `out`.
 
-        All forces are NaN if a part failed.
+        It consists of internal forces minus loads, then of the residuals of parts' own equations. Internal forces are
+        NaN if a law failed.
         """
         self._set_unknowns(x)
         theta, mid = self.interval.theta, self._mid.x.petsc_vec
@@ -292,7 +317,9 @@ class Equations(PartSum):
         self._relative_residual = self.relative(out) if self.traits.singular else 0.0
 
     def tangent(self) -> PETSc.Mat:
-        """Tangent at the unknowns of the last residual, without Dirichlet conditions. Each call fills the same matrix.
+        """Return the tangent at the unknowns of the last residual, without Dirichlet conditions.
+
+        It is the derivative of the residual with respect to the unknowns. Each call overwrites the same matrix.
 
         Raises:
             InputError: a law declares a symmetric tangent, but its tangent is not symmetric.
@@ -308,13 +335,13 @@ class Equations(PartSum):
     def with_supports(
         self, x: PETSc.Vec | None = None, b: PETSc.Vec | None = None, *, lend: bool = False
     ) -> Iterator[PETSc.Mat]:
-        """Within a `with` block, the tangent at the unknowns of the last residual, with Dirichlet conditions applied.
+        """Within a `with` block, return the tangent at the last residual's unknowns, with Dirichlet conditions.
 
         Args:
-            x: vector whose values at constrained unknowns the solution shall have; None: zero.
-            b: right-hand side, to which the forces of these values are added; None with x = None.
-            lend: whether the bodies' matrix may be changed in place to serve as the tangent, if x is None. Nothing but
-                a factorisation may then use the bodies' matrix within the block.
+            x: vector whose values at constrained unknowns the solution shall have; None: zero values.
+            b: right-hand side, to which the forces due to these values are added; None if `x` is None.
+            lend: whether the matrix of the bodies may be changed in place within the block, instead of being copied.
+                Within the block it may then serve only for a factorisation. This needs `x` = None.
         """
         only_u = x is None and self._T is None and not self.with_own
         first, *others = self.blocks(self._relative_residual) if lend and only_u else [Block(None)]
@@ -327,17 +354,21 @@ class Equations(PartSum):
             yield A
 
     def set_homotopy(self, parameter: float) -> None:
-        """Set the continuation parameter of the laws: 0 is the given law, 1 an elastic law."""
+        """Choose the laws of all parts between the given law (`parameter` 0) and an elastic law (1)."""
         self.homotopy_parameter = parameter
         for part in self.parts:
             part.set_homotopy(parameter)
 
     def accept(self, x: PETSc.Vec, report: Report) -> State:
-        """Return the state at the end of the step, for its solution x and the solver's report.
+        """Return the state at the end of the time step, with its energies and reactions.
+
+        Args:
+            x: unknowns that the solver has found.
+            report: the solver's report on its effort and accuracy.
 
         Raises:
-            SolveError: x is not an equilibrium, even if the solver converged. LooseBody: a law that can release a body,
-                such as contact, has done so.
+            SolveError: `x` is not an equilibrium, even if the solver converged.
+            LooseBody: a law that can release a body, such as contact, has done so.
         """
         out, x0 = self.vector(), self.vector()
         self.residual(x, out)
@@ -360,17 +391,18 @@ class Equations(PartSum):
         return replace(state, sudden=self.interval.dt == 0 and self.interval.old.at_rest, dissipated=dissipated)
 
     def reactions(self) -> Array:
-        """Reactions (n, k) at the end of the step, for the last residual: k components of force and moment.
+        """Return the reactions (n, k) at the end of the time step: k components of force and moment at n places.
 
-        The n rows are the places `Model.holders`: supports, plates and rigid bases. Moments are about `Model.centre`.
+        The places are those of `Model.holders`: supports, rigid plates and rigid bases. Moments are about
+        `Model.centre`. The reactions belong to the last evaluation of the residual.
         """
         return self._reactions.at_end(self._forces, self.interval, self.loads_at)
 
     def _require_bounded_jumps(self) -> None:
-        """Raise SolveError if the jumps of a layer with bounded stresses, or in contact, exceed the size of the model.
+        """Raise SolveError if the jumps of a layer exceed the size of the model.
 
-        Beyond a limit load displacements grow without bound. The rounding of forces then grows until it hides the
-        residual.
+        Only layers with bounded stresses or in contact are tested. Beyond a limit load their displacements grow without
+        bound, until the rounding errors of forces hide the residual.
         """
         size = self.model.joint.size
         for part in self.layers:
@@ -383,12 +415,15 @@ class Equations(PartSum):
 
     # ---------------------------------------------------------------- time
     def check_times(self, times: list[float]) -> None:
-        """Raise InputError if loads, prescribed displacements or parameters of laws are out of range at these times."""
+        """Raise InputError if loads, prescribed displacements or parameters are out of range at one of `times`."""
         for t in times:
             self._data_at(t)
 
     def linear_in_time(self, start: float, end: float) -> bool:
-        """Whether loads, supports and parameters of laws are linear from time `start` to `end`, by a few samples."""
+        """Whether loads, prescribed values and parameters of laws are linear in time from `start` to `end`.
+
+        Only a few times between `start` and `end` are compared.
+        """
         start_data, end_data = self._data_at(start), self._data_at(end)
         for share in SAMPLE_FRACTIONS:
             data = self._data_at(start + share * (end - start))
@@ -399,11 +434,14 @@ class Equations(PartSum):
         return True
 
     def _largest(self, values: Array) -> float:
-        """Largest absolute value of numbers on all ranks; 0 if there are none."""
+        """Return the largest absolute value of all ranks' `values`; 0 if there are none."""
         return float(self.comm.allreduce(float(np.abs(values).max(initial=0.0)), max))
 
     def _data_at(self, t: float) -> list[Array]:
-        """Loads, prescribed displacements, prescribed strains and varying parameters at time t, on this rank."""
+        """Return arrays of this rank with all data that vary in time, at time `t`.
+
+        They are the loads, the prescribed displacements, integrals of prescribed strains, and parameters of laws.
+        """
         for part in self.parts:
             part.at_time(t)
         varying = [values for part in self.parts for values in part.parameters()]
@@ -416,6 +454,6 @@ class Equations(PartSum):
 
     # ---------------------------------------------------------------- end
     def destroy(self) -> None:
-        """Free the matrices, except those that other models of the `ModelFamily` may use."""
+        """Free the matrices of this model, and leave shared ones to the next model of its `ModelFamily`."""
         destroy(*self._own_parts)
         self._shared.release(self.model)

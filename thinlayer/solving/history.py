@@ -1,4 +1,4 @@
-"""History: the accepted steps of a march, and the columns of their table."""
+"""The accepted steps of a march, their table, and its columns."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ ENERGY_COLUMNS = ("supplied", "stored", "dissipated", "remainder", "imbalance")
 
 @dataclass(frozen=True)
 class Snap:
-    """A sudden change of a layer and its bodies to another equilibrium at the same loads.
+    """A sudden change of a layer and its bodies to another equilibrium, while time and loads stay the same.
 
     Attributes:
         t: time of the snap.
-        row: number of the table row of the state after the snap. The previous row is the state just before it, which is
-            stored if `keep` of the march is "all".
+        row: number of the row in the march's table that has the state after the snap. The previous row has the state
+            just before it. That state is stored if the march was called with `keep` = "all".
         lost: energy lost in the snap.
-        seams: names of the seams in whose layers the snap changes volume fractions, of phases or of broken material.
+        seams: names of the seams in whose layers volume fractions change: those of phases, or of broken material.
     """
 
     t: float
@@ -40,17 +40,18 @@ class Snap:
 
 @dataclass(repr=False)
 class History:
-    """The accepted steps of a march.
+    """The accepted steps of a march: their table, and those states that are kept.
 
     Attributes:
         model: the model.
-        table: a row for each accepted state: t, dt, iterations, residual, energy balance (`Audit`), observed values.
+        table: a row for each accepted state, with columns t, dt, iterations, residual, energies of the balance
+            (`Audit`) and observed values.
         states: number of a table row -> state, for the states that are kept.
         theta: fraction of each time step after which forces balance.
-        step_errors: "displacements", "jumps", "forces" -> estimated relative error of the last state due to the length
-            of the planned time steps. It is 0 if nothing was dissipated, and NaN if unknown. It is empty for laws that
-            are linear or have no history, for adaptive time steps and for arc-length continuation.
-        begun: whether the march began at a given state, its first state. False: it began at rest.
+        step_errors: "displacements", "jumps" or "forces" -> relative error of the last state, estimated, that is due to
+            the length of the time steps. It is 0 if no energy was dissipated, and NaN if it is unknown. The dictionary
+            is empty for laws that are linear or have no history, for adaptive steps and for arc-length continuation.
+        begun: True: the march began at a given state, which is its first one. False: it began at rest.
     """
 
     model: Model
@@ -65,7 +66,7 @@ class History:
         return f"History({self.model!r}, {len(self)} steps{span}, {len(self.states)} states)"
 
     def identity(self) -> dict[str, Any]:
-        """Data that identify the history: those of its model (`Model.identity`), and its times."""
+        """Return data that identify the history: those of its model (`Model.identity`), and the times of its states."""
         return {"history of": self.model.identity(), "t": self.t.tolist()}
 
     def __len__(self) -> int:
@@ -76,21 +77,21 @@ class History:
 
     @property
     def last(self) -> State:
-        """State of the last accepted step. Raises InputError if no step was accepted."""
+        """State at the end of the last accepted step. InputError if no step was accepted."""
         if not self.states:
             raise InputError("the march has no accepted state: its first one failed")
         return self.states[max(self.states)]
 
     @property
     def t(self) -> Array:
-        """Times of all accepted states."""
+        """Times of all accepted states, (rows,)."""
         return self.table["t"] if self.table.rows else np.empty(0)
 
     @property
     def snaps(self) -> list[Snap]:
         """Snaps of layers with phases, in order of time: one for each table row with dt = 0, except the first row.
 
-        Changes of phase under a sudden load at the start are not snaps; the first row is the state after them.
+        The first row may contain changes of phase under a sudden load at the start, which are not snaps.
         """
         if not self.table.rows:
             return []
@@ -99,17 +100,17 @@ class History:
         return [Snap(float(t[k]), k, float(lost[k]), self._changed(k)) for k in rows]
 
     def _changed(self, row: int) -> tuple[str, ...]:
-        """Names of the seams in whose layers volume fractions differ between a table row and the row before it."""
+        """Return the names of the seams whose layers' volume fractions differ between table row `row` and the one before."""
         before, after = (self.table.rows[k] for k in (row - 1, row))
         changed_columns = {column for column in after if after[column] != before[column]}
         seams = seams_with_shares(self.model)
         return tuple(seam for seam in seams if changed_columns & {*columns_of_shares(self.model, seam).values()})
 
     def at(self, t: float) -> State:
-        """State at a time, the last one if there are several.
+        """Return the state at time `t`; the last one, if several have this time.
 
         Raises:
-            InputError: t is not finite; no step ended there, or its state was not kept.
+            InputError: `t` is not finite, no step ended at this time, or its state was not kept.
         """
         require(is_finite(t), "t", t, "it must be a finite number")
         tolerance = TIME_TOLERANCE * max(abs(t), float(np.ptp(self.t)))
@@ -125,12 +126,14 @@ Solution = State | History
 
 # ---------------------------------------------------------------- columns
 def columns(model: Model) -> dict[str, Callable[[State], float]]:
-    """Functions of a state that return the values of a march's table, by column; without dt and observed values.
+    """Return the columns of a march's table: name of a column -> function that returns its value in a state.
 
-    If there are several seams, each layer with internal variables has a column for the energy that it dissipates in a
-    step. Bodies with internal variables have such a column too. The energy lost in a snap, by layers and bodies
-    together, is in the column "dissipated" alone. The column "elastic share" exists for laws with an
-    `elastic_fraction`: the fraction of the load in the springs parallel to them.
+    Columns "dt" and observed values are missing here. The column "dissipated" has the energy that all layers and bodies
+    dissipate in a step. It includes the energy lost in a snap.
+
+    With several seams, each layer with internal variables has a column for its own dissipated energy. So have the
+    bodies, if they have internal variables. These columns do not contain the energy lost in a snap. If a law has an
+    `elastic_fraction`, the column "elastic share" has the fraction of the load in the springs parallel to it.
     """
     names = ("t", "report.iterations", "report.residual", *(f"audit.{name}" for name in ENERGY_COLUMNS))
     getters: dict[str, Callable[[State], float]] = {name.rpartition(".")[2]: attrgetter(name) for name in names}
@@ -147,9 +150,11 @@ def columns(model: Model) -> dict[str, Callable[[State], float]]:
 
 
 def columns_of_shares(model: Model, seam: str) -> dict[str, str]:
-    """Columns of a layer's volume fractions: name of a number in `layer_shares` -> name of its column.
+    """Return the columns of a layer's volume fractions: name of a fraction in `layer_shares` -> its column.
 
-    The column's name contains the seam's name if several seams have such columns.
+    Args:
+        model: the model.
+        seam: name of the layer's seam. It is part of the column's name if several seams have such columns.
     """
     suffix = f" {seam}" if len(seams_with_shares(model)) > 1 else ""
     return {name: name + suffix for name in share_columns(model.layers[seam].law)}

@@ -1,4 +1,4 @@
-"""Subproblem of the layers without bodies: forces for given displacements of the layers' faces, and the inverse."""
+"""The layers meshed without the bodies: nodal forces for displacements of their faces, and the inverse."""
 
 from __future__ import annotations
 
@@ -43,22 +43,24 @@ RANK_TOLERANCE = 1e-9  # least singular value of independent motions, over the l
 
 
 class DirichletLayers:
-    """Meshed layers without bodies, at a time, with prescribed displacements of their faces.
+    """Meshed layers without bodies, with prescribed displacements of their faces, in a time step.
 
-    The faces are the lower and the upper side of a layer, where it meets the bodies. The sides of a layer join its
-    faces at the ends of S. Vectors (n,) are the unknowns w of the layers: displacements, then other fields.
+    The faces of a layer are its lower and upper side, where it meets the bodies. Its sides join the faces at the ends
+    of S. The n unknowns of the layers are displacements, then other fields such as pressures. All arrays (n,) have one
+    entry for each unknown; forces on the layers are such arrays, too.
 
     Attributes:
-        model: the layers, meshed.
-        K: (n, n) tangent stiffness of the layers.
-        load: (n,) forces on the layers, prescribed strains included, such that the residual is K w - load.
-        forces: (n,) loads on the layers, without prescribed strains.
-        values: (n,) prescribed displacements of the layers' sides.
-        on_face: (n,) mask of face displacements, whether or not supports constrain them.
+        model: the model of the meshed layers.
+        K: (n, n) tangent stiffness of the layers, at the unknowns of the last `linearise`.
+        load: (n,) forces for which the linearised residual at unknowns w is K w - load. They include the effect of
+            prescribed strains.
+        forces: (n,) nodal forces of the loads on the layers, without prescribed strains.
+        values: (n,) prescribed displacements of the layers' sides; zero elsewhere.
+        on_face: (n,) mask of the displacements of the faces, including those that supports constrain.
 
     Args:
-        model: the layers.
-        t: the time of their instantaneous response from rest; `begin` starts a step in time.
+        model: the model of the meshed layers.
+        t: time at which the layers, so far at rest, are loaded suddenly. `begin` replaces this by a time step.
     """
 
     def __init__(self, model: LayerModel, t: float) -> None:
@@ -77,7 +79,7 @@ class DirichletLayers:
         self._inside = ~self.on_face & ~self._at_sides
 
     def transpose(self) -> None:
-        """Replace K by its transpose, as adjoint solutions need it, until the next call or `linearise`."""
+        """Replace K by its transpose, for adjoint solutions; another call or `linearise` restores K."""
         if not self.model.symmetric:
             self.K = scipy.sparse.csr_matrix(self.K.T)
             self._reset()
@@ -87,11 +89,11 @@ class DirichletLayers:
             vars(self).pop(factor, None)
 
     def rest(self, t: float) -> State:
-        """State of the layers at rest at a time."""
+        """Return the state of the layers at rest at time `t`."""
         return self._equations.rest(t)
 
     def begin(self, old: Configuration, t: float) -> None:
-        """Begin a step of the layers from a configuration `old` to time t, and linearise at its start."""
+        """Begin a time step of the layers from the configuration `old` to time `t`, and linearise them at `old`."""
         equations = self._equations
         equations.begin(TimeStep(old, t, t - old.t, 1.0))
         self.forces[: self._n_u], self.values[equations.bc_dofs] = equations.loads.array_r, equations.prescribed
@@ -99,20 +101,20 @@ class DirichletLayers:
         self.linearise(self._x.array_r.copy())
 
     def residual(self, w: Array) -> Array:
-        """Residual (n,) at unknowns w: internal forces minus loads on the layers; NaN if a law fails."""
+        """Return the residual (n,) at unknowns `w` (n,): internal forces minus loads on the layers; NaN if a law fails."""
         self._x.array[:] = w
         self._equations.residual(self._x, self._out)
         return np.asarray(self._out.array_r.copy())
 
     def linearise(self, w: Array) -> None:
-        """Set K to the tangent at w, and `load` such that the residual at w is K w - load."""
+        """Set K to the tangent at unknowns `w` (n,), and `load` such that K w - load is the residual there."""
         r = self.residual(w)
         self.K = local_csr(self._equations.tangent())
         self.load = self.K @ w - r
         self._reset()
 
     def state(self, w: Array) -> State:
-        """State of the layers at unknowns w (n,), displacements first."""
+        """Return the state of the layers at unknowns `w` (n,), at the end of the time step."""
         self.residual(w)
         _, end = self._equations.end_parts(self._equations.u, self._equations.interval.t)
         return State(**vars(end), model=self.model, report=Report("layers", 0, 0.0, 0.0))
@@ -122,23 +124,22 @@ class DirichletLayers:
         return _SubmatrixFactor(self.K, self._inside, symmetric=self.model.symmetric)
 
     def dirichlet_displacements(self, v: Array, load: Array, values: Array) -> Array:
-        """Unknowns (n,) of the layers in equilibrium with given displacements of their faces.
-
-        Laws that are not linear are replaced by their tangent, see `linearise`.
+        """Return the unknowns (n,) of the linearised layers in equilibrium, for given displacements of their faces.
 
         Args:
-            v: (n,) displacements of the faces; other entries are not used.
+            v: (n,) displacements of the faces; all other entries are ignored.
             load: (n,) forces on the layers.
-            values: (n,) prescribed displacements of the sides; other entries are not used.
+            values: (n,) prescribed displacements of the sides; all other entries are ignored.
         """
         w = np.where(self.on_face, v, np.where(self._at_sides, values, 0.0))
         self._dirichlet.solve(load - self.K @ w, w)
         return w
 
     def equilibrate_dirichlet(self, v: Array) -> Array:
-        """Unknowns (n,) of the layers in equilibrium with face displacements v (n,), under their own loads.
+        """Return the unknowns (n,) of the layers in equilibrium under their loads, for face displacements `v` (n,).
 
-        Non-linear laws are solved by Newton's method. The layers are then linearised at the result.
+        Newton's method is used if laws are not linear. The layers are then linearised at the result. Entries of `v`
+        outside the faces are ignored.
 
         Raises:
             SolveError: no convergence, or the layer softens.
@@ -147,18 +148,19 @@ class DirichletLayers:
         return self._solve_newton(w, np.zeros(len(v)), lambda: self._dirichlet)
 
     def _solve_newton(self, w: Array, forces: Array, factor: Callable[[], _SubmatrixFactor]) -> Array:
-        """Solve residual = forces by Newton's method from w; return the unknowns (n,).
+        """Solve by Newton's method for the unknowns (n,) at which the residual equals given forces.
 
         Args:
-            w: (n,) initial unknowns.
-            forces: (n,) forces that balance the residual.
-            factor: function that returns the factor of K at present; unknowns outside the factor stay fixed.
+            w: (n,) initial unknowns. If the laws are linear, they are returned unchanged.
+            forces: (n,) forces that the residual must equal.
+            factor: function that returns the factor of a submatrix of the present K. Unknowns outside this submatrix do
+                not change.
         """
         if self.model.linear:
             return w
 
         def decrease(share: float) -> float:
-            """Decrease of the energy along the step, per unit of `share`, at w + share * step."""
+            """Return the rate, per unit of `share`, at which the energy falls along `step`, at w + share * step."""
             return float(step @ (forces - self.residual(w + share * step)))
 
         for _ in range(MAX_NEWTON_STEPS):
@@ -174,25 +176,28 @@ class DirichletLayers:
         raise SolveError(f"the layer by itself: no equilibrium after {MAX_NEWTON_STEPS} steps", advice=MESH_REMEDY)
 
     def motion_of(self, place: Place, direction: Array) -> Array:
-        """Motion g (n,) of the layers' sides for which -g . r is the force of a support along a direction.
+        """Return weights g (n,) that give the force of a support, along a direction, from the layers' residual r as -g . r.
 
-        r is the residual of the layers.
+        The weights are displacements of the layers' sides.
 
         Args:
-            place: place of the support.
-            direction: the direction, (d,) in d dimensions.
+            place: name of the support's facet set, or coordinates of its point.
+            direction: (d,) vector along which the force's component is taken, in d dimensions.
         """
         out = np.zeros(len(self.load))
         out[: self._n_u] = -self.model.constraints.dual_to_resultant(self.model.holder_rows(place), direction)
         return out
 
     def in_refined_cells(self, w: Array, fine: DirichletLayers) -> Array:
-        """Unknowns (m,) of other layers: displacements interpolated from unknowns w (n,), zero for other fields.
+        """Interpolate displacements of these layers to the same layers with refined cells.
 
         Args:
             w: (n,) unknowns of these layers.
-            fine: layers with m unknowns whose cells are divisions of these layers' cells. If none is divided, w is
-                returned.
+            fine: the layers with refined cells, which divide those of these layers.
+
+        Returns:
+            Unknowns (m,) of the refined layers, with zeros for fields other than displacements. If no cell has been
+                divided, `w` itself.
         """
         refined, d = fine.model.refined_layers, self.model.joint.dim
         if refined is None:
@@ -209,23 +214,24 @@ class DirichletLayers:
 
 
 class LayerSubproblem(DirichletLayers):
-    """Subproblem of the layers of an interface model, at a time: forces against displacements of their faces.
+    """The meshed layers of an interface model, without the bodies: face forces against face displacements.
 
-    For face displacements v, with the least energy inside, the face forces are E v - l. E is the Schur complement of
-    the stiffness K on the faces, and l are condensed loads. Every rank has the whole vectors (n,).
+    With all other unknowns in equilibrium, face displacements v need the face forces E v - l. E is the Schur complement
+    of the stiffness K on the faces, and l are loads condensed to the faces. Every rank has all n entries of arrays
+    (n,), which belong to the layers' n unknowns.
 
     Attributes:
         seams: names of the layers' seams.
-        n_cells_through: number of cells through the thickness.
-        free_faces: (n,) mask of face displacements that supports leave free.
-        R: (n, m) orthonormal motions without energy of each connected piece of the layers, as far as supports allow
-            them.
+        n_cells_through: number of cells through a layer's thickness.
+        free_faces: (n,) mask of the face displacements that supports do not constrain.
+        R: (n, m) orthonormal motions of the layers that need no energy and that supports allow, for each connected
+            piece.
 
     Args:
         interface: the interface model.
         layers: name of a seam -> its layer.
-        t: the time.
-        n_cells_through: number of cells through the thickness.
+        t: time at which the layers, so far at rest, are loaded suddenly.
+        through: number of cells through a layer's thickness.
     """
 
     def __init__(self, interface: InterfaceModel, layers: Mapping[str, ThinLayer], t: float, through: int = 4) -> None:
@@ -246,11 +252,14 @@ class LayerSubproblem(DirichletLayers):
         return _SubmatrixFactor(self.K, (self.free_faces | self._inside) & ~self._pins, symmetric=self.model.symmetric)
 
     def work(self, w: Array, z: Array) -> Array:
-        """Work (k,) of the stresses at w in the strains of z, minus the loads' work, for each of k displacements.
+        """Return the work of the stresses in virtual displacements, minus that of the loads, as shares of all displacements.
 
         Args:
-            w: (n,) unknowns at which stresses are evaluated.
+            w: (n,) unknowns at which the stresses are computed.
             z: (n,) virtual displacements.
+
+        Returns:
+            Array (k,) with one share for each of the layers' k displacements. Their sum is the work.
         """
         self.residual(w)
         strained, nodal_work = fem.Function(self.model.V), fem.Function(self.model.V)
@@ -260,10 +269,10 @@ class LayerSubproblem(DirichletLayers):
         return np.asarray(nodal_work.x.array - (z * self.forces)[: self._n_u])
 
     def _motions(self, free: BoolArray) -> tuple[Array, BoolArray]:
-        """Orthonormal motions without energy (n, m), and a mask (n,) of m unknowns that fix these motions.
+        """Return m orthonormal motions (n, m) that need no energy, and a mask (n,) of m unknowns that fix them.
 
         Args:
-            free: (n,) mask of the unknowns that supports leave free.
+            free: (n,) mask of the unknowns that supports do not constrain.
         """
         model, pins, null_spaces = self.model, np.zeros(len(free), bool), []
         motions = model_motions(model).values()
@@ -284,42 +293,49 @@ class LayerSubproblem(DirichletLayers):
 
     # ---------------------------------------------------------------- vectors of the interface model
     def at_faces(self, x: Array) -> Array:
-        """Vector (n,) of the layers with the face values of a vector of the interface model, else zero. Collective.
+        """Copy displacements or forces at the faces from a vector of the interface model to an array (n,) of the layers.
+
+        Entries outside the faces are zero. Collective.
 
         Args:
-            x: (m,) values at the m displacements of the interface model on this rank.
+            x: (m,) values at the m displacement dofs of the interface model that this rank owns.
         """
         out = np.zeros(len(self.load))
         out[self._face_dofs] = x[self._body_dofs]
         return np.asarray(self._comm.allreduce(out))
 
     def face_values(self, w: Array) -> tuple[IntArray, Array]:
-        """Face values of w (n,) for the interface model: local numbers of its displacements there, and the values.
+        """Return the values of `w` (n,) at the faces, for the interface model.
 
-        Both are for this rank.
+        Returns:
+            Local numbers (k,) of this rank's displacement dofs of the interface model at the faces, and the values
+                (k,).
         """
         return self._body_dofs, w[self._face_dofs]
 
     # ---------------------------------------------------------------- E and its inverse
     def dirichlet_reactions(self, v: Array, load: Array, values: Array) -> Array:
-        """Forces (n,) on the faces at given face displacements; zero where supports constrain the faces.
+        """Return the forces (n,) on the faces at given face displacements; zero where supports constrain the faces.
+
+        The layers are linearised, as by `linearise`.
 
         Args:
-            v: (n,) displacements of the faces.
+            v: (n,) displacements of the faces; all other entries are ignored.
             load: (n,) forces on the layers.
-            values: (n,) prescribed displacements of the sides.
+            values: (n,) prescribed displacements of the sides; all other entries are ignored.
         """
         return self.free_face_values(self.K @ self.dirichlet_displacements(v, load, values) - load)
 
     def free_face_values(self, r: Array) -> Array:
-        """Values of r (n,) at the face displacements that supports leave free, zero elsewhere."""
+        """Return a copy of `r` (n,) with zeros except at the face displacements that supports do not constrain."""
         return np.where(self.free_faces, r, 0.0)
 
     def compliance(self, r: Array) -> tuple[Array, float]:
-        """Face displacements (n,) under face forces r without resultant, and the work r . E^+ r of the forces in them.
+        """Return the face displacements (n,) of the linearised layers under face forces `r` (n,), and the work of these forces.
 
-        E^+ is the pseudo-inverse of E. The work is infinite if rounding hides it. A layer of length L that can bend
-        freely is (L/eps)^4 times as soft as a layer that is stretched across.
+        The forces must have no resultant on any piece of the layers. The work is r . E^+ r, with the pseudo-inverse E^+
+        of E. It is infinite if rounding errors hide it: a layer of length L that can bend freely is (L/eps)^4 times as
+        soft as under tension across it.
         """
         w = np.zeros(len(r))
         work = self._neumann.solve(r, w)
@@ -327,9 +343,13 @@ class LayerSubproblem(DirichletLayers):
         return np.where(self.on_face, w, 0.0), work if error <= MAX_WORK_DIFFERENCE * work else math.inf
 
     def equilibrate_neumann(self, w: Array, F: Array) -> Array:
-        """Unknowns (n,) of layers with non-linear laws, in equilibrium with face forces F (n,) without resultant.
+        """Return the unknowns (n,) of the layers in equilibrium under face forces, by Newton's method.
 
-        Newton's method starts from w (n,). The layers are then linearised at the result. Linear laws: w is returned.
+        The layers are then linearised at the result. If all laws are linear, `w` itself is returned.
+
+        Args:
+            w: (n,) unknowns from which Newton's method starts.
+            F: (n,) face forces, without a resultant on any piece of the layers.
 
         Raises:
             SolveError: no convergence, or the layer softens.
@@ -337,13 +357,18 @@ class LayerSubproblem(DirichletLayers):
         return self._solve_newton(w, F, lambda: self._neumann)
 
     def bregman_divergence(self, w: Array, at: Array) -> tuple[float, float]:
-        """Bounds of the energy at w (n,) above its tangent plane at `at` (n,), for laws with a convex energy.
+        """Return a lower and an upper bound of the energy at `w` above its tangent plane at `at`, for convex energies.
 
-        This energy is the work, along the straight line from `at` to w, of the residual minus the residual at `at`. For
-        a convex energy the integrand grows along the line. Therefore left and right Riemann sums are bounds.
+        This energy is an integral along the straight line from `at` to `w`. Its integrand is the work of the residual
+        minus that of the residual at `at`. For a convex energy it grows along the line, so that left and right Riemann
+        sums are bounds.
+
+        Args:
+            w: (n,) unknowns at the end of the line.
+            at: (n,) unknowns at its beginning.
 
         Raises:
-            SolveError: the work falls somewhere: the energy is not convex.
+            SolveError: the integrand falls somewhere, so that the energy is not convex.
         """
         line = w - at
         work = np.array([line @ self.residual(at + share * line) for share in np.linspace(0.0, 1.0, WORK_SUBSTEPS + 1)])
@@ -354,7 +379,7 @@ class LayerSubproblem(DirichletLayers):
 
 
 class _SubmatrixFactor:
-    """Factor of the submatrix of those rows and columns of a matrix that a mask selects."""
+    """Factor of the submatrix of K in the rows and columns of the mask `rows` (n,)."""
 
     def __init__(self, K: scipy.sparse.csr_matrix, rows: BoolArray, *, symmetric: bool) -> None:
         self._mask, self._symmetric = rows, symmetric
@@ -373,7 +398,10 @@ class _SubmatrixFactor:
         return int(self._ksp.getPC().getFactorMatrix().getMumpsInfog(12)) if self._symmetric and self._mask.any() else 0
 
     def solve(self, b: Array, out: Array) -> float:
-        """Write the solution for the selected rows of b (n,) into `out` (n,); return its product with b."""
+        """Solve with the masked entries of `b` (n,) as right-hand side; return the product of solution and right-hand side.
+
+        The solution is written into the masked entries of `out` (n,); the others do not change.
+        """
         if not self._mask.any():
             return 0.0
         self._b.array[:] = b[self._mask]
@@ -383,14 +411,15 @@ class _SubmatrixFactor:
 
 
 def line_search_share(slope: Callable[[float], float], start: float) -> float:
-    """Fraction of a step, at most 1, at whose end a convex energy does not increase too steeply, by a line search.
+    """Shorten a Newton step until the energy no longer rises steeply at its end; return the fraction that remains.
 
     Args:
-        slope: function of the fraction: the decrease of the energy per unit of the fraction.
-        start: `slope` at the fraction 0, > 0.
+        slope: function that returns the rate at which the energy falls along the step, per unit of the fraction, at a
+            given fraction of the step.
+        start: value of `slope` at the fraction 0; it must be positive.
 
     Returns:
-        A fraction, at most 1, with a slope of at least -start/2.
+        A fraction of at most 1, at which `slope` is at least -start/2.
 
     Raises:
         SolveError: there is no such fraction.
@@ -405,9 +434,11 @@ def line_search_share(slope: Callable[[float], float], start: float) -> float:
 
 
 def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntArray, IntArray]:
-    """Numbers (k,) of the interface model's displacements at the layers' faces, and of the same ones in the layers.
+    """Match displacement dofs of the bodies on S with displacement dofs at the faces of the meshed layers.
 
-    Only displacements that this rank owns in the interface model are listed.
+    Returns:
+        Two arrays (k,): local numbers of dofs of the interface model, and numbers of the same displacements in the
+            layers. Only dofs that this rank owns in the interface model occur.
     """
     base, band, d = layers.joint, layers.domain.joint, interface.joint.dim
     body_cells, layer_cells = _local_cells(interface, base), _local_cells(layers, band)
@@ -438,7 +469,7 @@ def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntAr
 
 
 def _local_cells(model: Model, joint: Joint) -> IntArray:
-    """Local cell (n_cells,) of the model's mesh for each cell of the joint; -1: not on this rank."""
+    """Return, for each cell of the joint, the local number of this cell in the model's mesh; -1 if it is not on this rank."""
     out = np.full(len(joint.corners), -1, np.int64)
     original = model.domain.original_cells
     out[original] = np.arange(len(original))
@@ -446,14 +477,14 @@ def _local_cells(model: Model, joint: Joint) -> IntArray:
 
 
 def _facet_dofs(model: Model, cells: IntArray, joint: Joint, cell: int, facet: int) -> Iterator[tuple[int, IntArray]]:
-    """Yield the nodes on a facet of a cell, each with the vertices of the vertex, edge or face to which it belongs.
+    """Yield each node on a facet of a cell, with the vertices of the vertex, edge or face in whose interior the node lies.
 
     Args:
         model: the model with the nodes.
-        cells: (n_cells,) local cell of each cell of the joint, see `_local_cells`.
+        cells: (n_cells,) local number in the model's mesh of each cell of the joint, see `_local_cells`.
         joint: the joint.
-        cell: number of the cell in the joint; no nodes are yielded if it is not on this rank.
-        facet: number of the facet in the cell.
+        cell: number of the cell in the joint. If it is not on this rank, nothing is yielded.
+        facet: number of the facet within the cell.
     """
     if cells[cell] < 0:
         return

@@ -1,4 +1,4 @@
-"""Balance of forces of a step: sum of its parts, layout of its unknowns, tangent, and reference forces of residuals."""
+"""Sum of the parts of a balance of forces, layout of its unknowns, its tangent, and its reference forces."""
 
 from __future__ import annotations
 
@@ -48,37 +48,40 @@ DIFFERENT_PATTERN = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 
 
 class ForceScale:
-    """Reference forces for the residuals of a step, in each block of the unknowns.
+    """Reference forces with which the residuals of a time step are compared, one for each of k blocks of unknowns.
 
-    A block is a set of unknowns that can be out of balance independently of the others. Blocks are the whole model,
-    each connected piece of the bodies, the nodes of a piece on each seam, and all meshed layers. Norms (k,) of forces,
-    stiffnesses and residuals are Euclidean, with one entry for each of the k blocks, the whole model first. Rules:
+    Blocks are the whole model, then each connected piece of the bodies, then the nodes of a piece on each seam, and all
+    meshed layers. Each block can be out of balance independently of the others. Norms are Euclidean, over the unknowns
+    of each block: arrays (k,) in the order of the blocks.
 
-    1. Residuals in a block are relative to "the forces" on it: the largest of the loads, the forces of the stresses at
-       the last residual, and the residual at the start of the step.
-    2. All forces may be rounding errors if supports move stiff bodies, loads end at zero, or soft springs let stiff
-       bodies move far. The rounding of the forces is about 1e-14 of stiffness times displacement. This, divided by the
-       1e-6 of rule 5, is a lower bound of the forces.
-    3. Solvers stop where the residual in each block is at most 1e-10 of the forces, or at most the rounding of
-       stiffness times displacement.
-    4. A residual as small as the rounding of prescribed displacements is always allowed; no solver can reduce it.
-    5. A state is accepted with a residual of at most 1e-6 of the forces in each block, or at most the residual of rule
-       4.
+    The rules are:
 
-    Neither a factor common to all forces, such as a change of units, nor a rigid motion of supports and bodies changes
-    a relative residual.
+    1. The residual in a block is divided by the reference force of the block. This is the largest of the loads, the
+       nodal forces of the stresses at the last residual, and the residual at the start of the step.
+    2. All forces may be rounding errors: if supports move stiff bodies, loads end at zero, or soft springs let stiff
+       bodies move far. Rounding errors of forces are about 1e-14 of stiffness times displacement. Divided by the 1e-6
+       of rule 5, this is a lower bound of the reference force.
+    3. Solvers stop where the residual in each block is at most 1e-10 of the reference force, or at most the rounding
+       error of stiffness times displacement.
+    4. A residual as small as the rounding error due to prescribed displacements is always allowed, since no solver can
+       reduce it.
+    5. A state is accepted if its residual is at most 1e-6 of the reference force in each block, or at most that of rule
+        4.
+
+    A relative residual does not change if all forces are multiplied by a factor, as by other units. Nor does it change
+    if supports and bodies move together like a rigid body.
 
     Args:
-        stiffness: norms (k,) of the diagonal of the bodies' stiffness.
-        cancelling: norm of the diagonal of the stiffness of springs that act on differences of displacements.
-        within: (k, k) sparse; entry (i, j) is 1 if block j lies within block i. The forces on j then have the rounding
-            of the forces on i.
+        stiffness: (k,) norms of the diagonal of the bodies' stiffness.
+        cancelling: norm of the diagonal of the stiffness of springs that resist differences of displacements.
+        within: (k, k) sparse matrix, with the entry (i, j) = 1 if block j lies within block i. Rounding errors in block
+            j are then those of the forces on block i. None: no block lies within another.
 
     Attributes:
         stiffness: the argument.
-        forces: (k,) the forces of rules 1 and 2 for the last residual.
-        displacement: largest displacement that is known: of those prescribed, of the previous state, and of an elastic
-            response.
+        forces: (k,) reference forces by rules 1 and 2, for the last residual.
+        displacement: largest displacement that is known: of those prescribed, of the previous state, and of the
+            response of an elastic layer.
     """
 
     def __init__(self, stiffness: Array | float, cancelling: float = 0.0, within: csr_matrix | None = None) -> None:
@@ -88,10 +91,10 @@ class ForceScale:
         self.begin(0.0, 0.0, 0.0)
 
     def begin(self, loads: Array | float, prescribed: float, moved: float) -> None:
-        """Begin a step.
+        """Start the reference forces of a new time step.
 
         Args:
-            loads: norms (k,) of the loads.
+            loads: (k,) norms of the nodal forces of the loads.
             prescribed: largest displacement that supports prescribe.
             moved: largest displacement of the previous state.
         """
@@ -101,15 +104,22 @@ class ForceScale:
         self.update_stresses(0.0)
 
     def start(self, unbalanced: Array) -> None:
-        """Set norms (k,) of the residual at the start of the step, `unbalanced`, which may be its only forces."""
+        """Set the norms `unbalanced` (k,) of the residual at the start of the step, which count as reference forces."""
         self._unbalanced = np.where(np.isfinite(unbalanced), unbalanced, 0.0)
 
     def include_displacement(self, elastic: float) -> None:
-        """Count the largest displacement of an elastic response as known; other iterates may move far too much."""
+        """Count the displacement `elastic`, the largest in the response of an elastic layer, as known.
+
+        Displacements of other iterates do not count, as they may be far too large.
+        """
         self.displacement = max(self.displacement, elastic)
 
     def update_stresses(self, stresses: Array | float) -> None:
-        """Update the reference forces at a new residual, with norms (k,) of the nodal forces of its stresses."""
+        """Update the reference forces for a new residual.
+
+        Args:
+            stresses: (k,) norms of the nodal forces of its stresses.
+        """
         rounding = ROUNDING_SHARE * self.stiffness * self.displacement
         self.least_forces = np.maximum(np.maximum(self._loads, self._unbalanced), rounding / STATE_TOLERANCE)
         self.forces: Array = np.fmax(self.least_forces, stresses)
@@ -117,11 +127,11 @@ class ForceScale:
             self.forces = np.maximum(self.forces, ROUNDING_SHARE / STATE_TOLERANCE * (self._within.T @ self.forces))
 
     def rounding(self, largest_displacement: float) -> Array:
-        """Norms (k,) of the rounding errors of the forces, if `largest_displacement` is the largest of the unknowns."""
+        """Return the norms (k,) of the rounding errors of the forces, if no displacement exceeds `largest_displacement`."""
         return np.asarray(MACHINE_EPSILON * self._largest_stiffness * largest_displacement)
 
     def target(self, largest_displacement: float) -> Array:
-        """Norms (k,) of the residual at which solvers stop, if `largest_displacement` is that of the unknowns."""
+        """Return the norms (k,) of the residual at which solvers stop, if no displacement exceeds `largest_displacement`."""
         rounding = np.minimum(self.rounding(largest_displacement), self.allowed_residual)
         return np.asarray(np.maximum(np.maximum(SOLVER_TOLERANCE * self.forces, self._support_rounding), rounding))
 
@@ -131,30 +141,34 @@ class ForceScale:
         return np.asarray(np.maximum(STATE_TOLERANCE * self.forces, self._support_rounding))
 
     def relative(self, norms: Array) -> float:
-        """Largest ratio, over all blocks, of the norm (k,) of a residual to the reference force of the block."""
+        """Return the largest ratio, over all blocks, of the residual's norm to the reference force.
+
+        Args:
+            norms: (k,) norms of a residual in the blocks.
+        """
         return float((norms / np.maximum(self.forces, MIN_DIVISOR)).max())
 
 
 class PartSum:
-    """Sum of the parts of a balance of forces. All methods are collective.
+    """Sum of the parts of a balance of forces, such as bodies, layers and contact. All methods are collective.
 
     Attributes:
         parts: the parts.
         traits: properties of all parts together: a flag is set if one part has it.
-        with_own: the parts with unknowns of their own.
+        with_own: the parts with unknowns of their own, such as pressures.
         depends_on_dt: whether the tangent depends on the length of the step.
         failed: number of points where laws failed in the last evaluation.
         comm: communicator; subclasses set it.
         bc_dofs: local numbers of the constrained unknowns of this rank; subclasses set them.
-        scale: the reference forces for residuals; subclasses set them.
-        block_of: (n,) block number >= 1 of each of the first n unknowns of this rank, see `ForceScale`. Further
-            unknowns count for the whole model only.
-        n_blocks: number k of blocks, including the whole model, block 0.
-        nesting: (k, k) sparse; its product with sums over unknowns by `block_of` adds the sums of blocks within a block
-            to the block's own sum. Entry (i, j) is 1 if j = i, or if block j lies within block i. The row and column of
-            block 0 are those of the identity, as all unknowns are summed for it. None: no block lies within another.
-        last_body: the last of the parts that are bodies.
-        body_norms: norms (k,) of the summed forces of the bodies in the last evaluation.
+        scale: the reference forces with which residuals are compared; subclasses set them.
+        block_of: (n,) number >= 1 of the innermost block of `ForceScale` that contains the unknown, for the first n
+            unknowns of this rank. All others belong to block 0, the whole model, alone.
+        n_blocks: number k of blocks, including block 0.
+        nesting: (k, k) sparse matrix that adds to a block's sum the sums of the blocks within it. The entry (i, j) is 1
+            if j = i, or if block j lies within block i. Row and column 0 are those of the identity, as the sum over the
+            whole model is computed directly. None: no block lies within another.
+        last_body: the last one of those parts that are bodies.
+        body_norms: (k,) norms of the nodal forces of all bodies together, in the last evaluation.
     """
 
     comm: MPI.Intracomm
@@ -177,18 +191,19 @@ class PartSum:
         self.depends_on_dt, self.failed = any(timed), 0
 
     def of_kind(self, kind: type[PartType]) -> list[PartType]:
-        """The parts that are instances of the class `kind`."""
+        """Return the parts that are instances of the class `kind`."""
         return [part for part in self.parts if isinstance(part, kind)]
 
     def names_with_trait(self, trait: str) -> list[str]:
-        """Names of the laws, and of parts without a law, for which the flag `trait` of `PartTraits` is set."""
+        """Return the names of the laws with the flag `trait` of `PartTraits`; a part without a law has a name of its own."""
         return [name for part in self.parts for name, traits in part.named().items() if getattr(traits, trait)]
 
     def refuse(self, reasons: Mapping[str, str]) -> None:
-        """Raise InputError if a part has one of the given traits.
+        """Raise InputError if a law or part has one of the given properties.
 
         Args:
-            reasons: name of a flag of `PartTraits` -> message of the error, in which {} stands for the part's name.
+            reasons: name of a flag of `PartTraits` -> message of the error, in which {} stands for the name of the law
+                or part.
         """
         for trait, reason in reasons.items():
             for name in self.names_with_trait(trait):
@@ -197,12 +212,12 @@ class PartSum:
     # ---------------------------------------------------------------- a step
     @property
     def memory_at_rest(self) -> dict[str, Memory]:
-        """Memory (internal variables) at rest of the parts that have one, by the parts' keys."""
+        """Initial memory (internal variables) of the parts that have one, by the parts' keys."""
         return {part.key: rest for part in self.parts if (rest := part.rest()) is not None}
 
     @property
     def stresses_at_rest(self) -> dict[str, Array]:
-        """Zero stresses (points, components) at rest, by key, of the parts whose stresses are stored in states."""
+        """Zero stresses (points, components), by the parts' keys, of those parts whose stresses are stored in states."""
         memory, widths = self.memory_at_rest, {part.key: part.stress_width for part in self.parts if part.stress_width}
         return {key: np.zeros((len(memory[key]), width)) for key, width in widths.items() if key in memory}
 
@@ -212,17 +227,16 @@ class PartSum:
             part.begin(interval)
 
     def forces(self, u: fem.Function, mid: fem.Function, out: PETSc.Vec, each: PETSc.Vec | None = None) -> list[float]:
-        """Evaluate all parts and write the sum of their nodal forces into `out`.
+        """Evaluate all parts at given displacements, and write the sum of their nodal forces into `out`.
 
         Args:
             u: displacements at the end of the step.
             mid: displacements at the time of the step at which forces balance.
-            out: vector of the forces.
-            each: work vector like `out`, or None, see Returns.
+            out: vector of the nodal forces; overwritten.
+            each: work vector of the same layout, for the norms of each part's forces; None: parts choose their norms.
 
         Returns:
-            One norm for each part: the result of `Part.add_forces` or, with a work vector `each`, the norm of the
-                part's forces.
+            A norm for each part: that of its nodal forces if `each` is given, else the result of `Part.add_forces`.
         """
         out.set(0.0)
         sizes = []
@@ -241,49 +255,48 @@ class PartSum:
         return sizes
 
     def failure(self) -> str:
-        """Text that says which part failed in the last evaluation and where; "" if no part failed."""
+        """Say which part failed in the last evaluation and where; "" if none failed."""
         return next(filter(None, [part.failure() for part in self.parts]), "")
 
     def blocks(self, relative_residual: float = 0.0) -> list[Block]:
-        """Blocks of the tangent at the last evaluation.
+        """Return the matrices of all parts that add up to the tangent at the last evaluation.
 
         Args:
-            relative_residual: norm of the last residual over the reference forces, if a tangent may be singular; else
-                0.
+            relative_residual: norm of the last residual relative to the reference forces. It regularises tangents that
+                may be singular; 0 if none are.
         """
         return [block for part in self.parts for block in part.tangents(relative_residual)]
 
     def resisting(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
-        """Blocks of the tangent, of the parts that resist rigid motions of bodies.
+        """Return the matrices of those parts that can resist rigid motions of the bodies, at the last evaluation.
 
         Args:
-            relative_residual: norm of the last residual over the reference forces, if a tangent may be singular; else
-                0.
-            rounding: nodal forces that are not larger than these do not count as resistance.
+            relative_residual: as in `blocks`: norm of the last residual relative to the reference forces, or 0.
+            rounding: vector of nodal forces. Forces that do not exceed them do not count as resistance.
         """
         parts = [part for part in self.parts if not part.traits.inner]
         return [block for part in parts for block in part.resisting(relative_residual, rounding)]
 
     @property
     def excess(self) -> float:
-        """Largest energy that a column of a layer gains by another phase; <= 0 if no column gains energy.
+        """Largest energy that a column of a layer would gain by changing its phase; <= 0 if none would gain energy.
 
-        It is -inf without phases. A column is a facet of S, or in a meshed layer the cells above it.
+        A column is a facet of S, or in a meshed layer the cells above the facet. The value is -inf without phases.
         """
         return max((part.excess() for part in self.parts if isinstance(part, SwitchesPhases)), default=-math.inf)
 
     def switch(self) -> bool:
-        """Change phases to those of lowest energy in the last evaluation; return whether any phase changes.
+        """Change the phase of each column to that of lowest energy in the last evaluation; return whether any changes.
 
-        The phases of a column (a facet of S, or in a meshed layer the cells above it) change together.
+        A column is a facet of S, or in a meshed layer the cells above the facet.
         """
         return any([part.switch() for part in self.parts if isinstance(part, SwitchesPhases)])
 
     def end_parts(self, u: fem.Function, t: float) -> tuple[dict[str, StepOutcome], Configuration]:
-        """End the step at displacements u of the last evaluation and time t.
+        """End the time step in all parts, at the displacements `u` of their last evaluation and time `t`.
 
         Returns:
-            Outcomes of the parts (energies and memory) by key, and the configuration at the end of the step.
+            Energies and memory of the parts over the step, by key, and the configuration at the end of the step.
         """
         outcomes = {part.key: part.commit() for part in self.parts}
         memory = {key: outcome.memory for key, outcome in outcomes.items() if outcome.memory is not None}
@@ -296,9 +309,12 @@ class PartSum:
 
     # ---------------------------------------------------------------- tests of balance
     def norms(self, values: Array) -> Array:
-        """Euclidean norms (k,) over all ranks of forces on the unknowns: of all forces, then of those on each block.
+        """Return the Euclidean norms (k,) of forces on the unknowns, over all ranks: of all forces, then of those on each block.
 
-        `values` are the forces on this rank's unknowns. A block includes the blocks within it.
+        A block includes the blocks within it.
+
+        Args:
+            values: forces on this rank's unknowns.
         """
         squares = values * values
         sums = np.bincount(self.block_of, squares[: len(self.block_of)], self.n_blocks)
@@ -307,27 +323,27 @@ class PartSum:
         return np.asarray(np.sqrt(self.comm.allreduce(sums)))
 
     def residual_norms(self, r: PETSc.Vec) -> Array:
-        """Norms (k,) of a residual over the unknowns that are not constrained."""
+        """Return the norms (k,) of the residual `r` in each block, without constrained unknowns."""
         values = r.array_r.copy()
         values[self.bc_dofs] = 0.0
         return self.norms(values)
 
     def relative(self, r: PETSc.Vec) -> float:
-        """Largest ratio, over all blocks of unknowns, of the norm of a residual to the reference force of the block."""
+        """Return the largest ratio, over all blocks, of the norm of the residual `r` to the reference force."""
         return self.scale.relative(self.residual_norms(r))
 
     def target(self, x: PETSc.Vec) -> Array:
-        """Norms (k,) of the residual at which solvers stop, at unknowns x."""
+        """Return the norms (k,) of the residual at which solvers stop, for unknowns of the size of `x`."""
         return self.scale.target(float(x.norm(PETSc.NormType.INFINITY)))
 
     def is_balanced(self, x: PETSc.Vec, r: PETSc.Vec) -> bool:
-        """Whether the residual r at unknowns x is so small that solvers stop."""
+        """Whether the residual `r` at unknowns `x` is so small that solvers stop."""
         return bool((self.residual_norms(r) <= self.target(x)).all())
 
     def require_equilibrium(self, r: PETSc.Vec) -> None:
-        """Raise SolveError unless a residual is small relative to the reference forces in each block.
+        """Raise SolveError unless the residual `r` is at most 1e-6 of the reference force in each block.
 
-        PETSc options do not change this test, so that it detects a solver that stopped too early.
+        PETSc options do not change this test. It therefore detects a solver that stopped too early.
         """
         norms, scale = self.residual_norms(r), self.scale
         if (norms <= scale.allowed_residual).all():
@@ -340,11 +356,11 @@ class PartSum:
 
 # ---------------------------------------------------------------- unknowns and tangent
 class UnknownLayout:
-    """Layout of the unknowns of this rank in a vector: the values of one field after those of another. Collective.
+    """Order of the unknowns in this rank's share of a vector: all values of one field after those of another. Collective.
 
     Args:
         comm: communicator.
-        fields: key of a field -> the function whose values are unknowns, in the order of the vector.
+        fields: key of a field -> function whose values are unknowns, in the order of the vector.
     """
 
     def __init__(self, comm: MPI.Intracomm, fields: Mapping[str, fem.Function]) -> None:
@@ -354,37 +370,40 @@ class UnknownLayout:
         self._ends = np.cumsum([*self.sizes.values()])
 
     def vector(self) -> PETSc.Vec:
-        """New zero vector of unknowns."""
+        """Return a new vector of unknowns, filled with zeros."""
         return PETSc.Vec().createMPI((int(self._ends[-1]), None), comm=self.comm)
 
     def split(self, values: Array) -> dict[str, Array]:
-        """Arrays of the values of this rank's unknowns, by key of their field; they are views of `values`."""
+        """Split `values` of this rank's unknowns into arrays by the key of their field, without copying them."""
         return dict(zip(self.sizes, np.split(values, self._ends[:-1]), strict=True))
 
     def put(self, x: PETSc.Vec) -> None:
-        """Write a vector x of unknowns into their functions, ghosts included."""
+        """Copy a vector `x` of unknowns into the functions of the fields, ghosts included."""
         for key, values in self.split(x.array_r).items():
             set_owned_values(self.fields[key], values)
 
     def widened(self, T: PETSc.Mat | None) -> PETSc.Mat | None:
-        """Extend the matrix T of the displacements u = T y by the identity on all other unknowns; None stays None."""
+        """Extend the matrix T of constraints u = T y on displacements to all unknowns, by the identity for other fields.
+
+        If `T` is None, there are no constraints, and the result is None.
+        """
         if T is None or len(self.sizes) == 1:
             return T
         others = _diagonal_matrix(self.comm, int(self._ends[-1]) - self.sizes[DISPLACEMENT_KEY], 1.0)
         return block_matrix([[T, None], [None, others]], self.comm)
 
     def rows(self, local: Indices) -> PetscIndices:
-        """Global numbers of unknowns of this rank, from local numbers."""
+        """Return the global numbers of this rank's unknowns with the numbers `local` (n,)."""
         n = int(self._ends[-1])
         return np.asarray(self.comm.scan(n) - n + local, PETSc.IntType)
 
 
 class TangentMatrix:
-    """Matrix whose blocks are sums of matrices of parts; every `fill` writes into the same matrix. Collective.
+    """Tangent in blocks, each a sum of matrices of parts. Every `fill` overwrites the same matrix. Collective.
 
     Args:
         comm: communicator.
-        sizes: key of a block -> its number of unknowns on this rank, in the order of the unknowns.
+        sizes: key of a field -> its number of unknowns on this rank, in the order of the unknowns.
 
     Attributes:
         comm, sizes: the arguments.
@@ -396,9 +415,13 @@ class TangentMatrix:
         self._block_matrix: PETSc.Mat | None = None
 
     def fill(self, blocks: Sequence[Block]) -> PETSc.Mat:
-        """Return the sum of these blocks, in their places, as one matrix, whose nonzero pattern the first call fixes.
+        """Return the matrix that has the sum of the given blocks, each in its rows and columns.
 
-        Blocks that their parts do not keep (`Block.kept`) are destroyed.
+        The first call fixes the nonzero pattern. Matrices that their parts do not use again (`Block.kept`) are
+        destroyed.
+
+        Args:
+            blocks: matrices with the keys of their rows and columns.
         """
         for place in dict.fromkeys((block.row, block.column) for block in blocks):
             self._add(place, [block for block in blocks if (block.row, block.column) == place])
@@ -443,16 +466,17 @@ class TangentMatrix:
 def augmented_in_place(
     comm: MPI.Intracomm, K: PETSc.Mat, others: Sequence[Block], bc_rows: PetscIndices, value: float
 ) -> Iterator[PETSc.Mat]:
-    """Within a `with` block, turn K into its sum with other blocks, with Dirichlet conditions applied. Collective.
+    """Within a `with` block, turn `K` into its sum with other matrices, with Dirichlet conditions applied. Collective.
 
-    K is changed in place, because a copy would need the same memory again.
+    `K` is changed in place, because a copy would need the same memory again. After the `with` block its entries are the
+    same as before.
 
     Args:
         comm: communicator.
-        K: a matrix with symmetric pattern; after the block its entries are the same as before.
-        others: the other blocks. Those that their parts do not keep (`Block.kept`) are destroyed.
-        bc_rows: global numbers of the rows and columns to replace by `value` times the identity.
-        value: the diagonal entry of these rows.
+        K: a matrix with a symmetric nonzero pattern.
+        others: the matrices to add. Those that their parts do not use again (`Block.kept`) are destroyed.
+        bc_rows: global numbers of the constrained rows and columns, which become `value` times those of the identity.
+        value: diagonal entry of constrained rows.
     """
     # as the pattern is symmetric, the columns of these rows are the rows with entries in constrained columns
     submatrix = K.createSubMatrix(PETSc.IS().createGeneral(bc_rows, comm=K.comm))
@@ -479,21 +503,33 @@ def augmented_in_place(
 
 
 def _fits_pattern(comm: MPI.Intracomm, part: PETSc.Mat, rows: PETSc.Mat, numbers: PetscIndices) -> bool:
-    """Whether all entries of `part` have places in `rows`, the rows `numbers` of another matrix. Collective."""
+    """Whether all nonzeros of some rows of the matrix `part` are in the nonzero pattern of `rows`. Collective.
+
+    Args:
+        comm: communicator.
+        part: a matrix.
+        rows: matrix that consists of some rows of another matrix of the same size as `part`.
+        numbers: global numbers of these rows.
+    """
     pattern, allowed = local_csr(part)[numbers - part.getOwnershipRange()[0]], local_csr(rows)
     pattern.data[:], allowed.data[:] = 1.0, 1.0  # stored entries may be zero
     return bool(comm.allreduce(pattern.multiply(allowed).nnz == pattern.nnz, MPI.LAND))
 
 
 def block_matrix(blocks: Sequence[Sequence[PETSc.Mat | None]], comm: MPI.Intracomm) -> PETSc.Mat:
-    """One matrix from rows of blocks (None: zero); each rank has its rows and columns in the order of the blocks."""
+    """Join blocks to one matrix; each rank has its rows and columns in the order of the blocks.
+
+    Args:
+        blocks: rows of blocks; None stands for a block of zeros.
+        comm: communicator.
+    """
     return PETSc.Mat().createNest(blocks, comm=comm).convert("aij", PETSc.Mat())
 
 
 def _diagonal_matrix(comm: MPI.Intracomm, n: int, value: float) -> PETSc.Mat:
-    """Diagonal matrix with n rows on this rank and equal entries `value`.
+    """Return a diagonal matrix with `n` rows on this rank, all with the diagonal entry `value`.
 
-    Zeros are stored too, as `zeroRowsColumns` needs stored entries.
+    Entries are stored even if they are zero, as `zeroRowsColumns` needs them.
     """
     positions = np.arange(n + 1, dtype=PETSc.IntType)
     csr = positions, (comm.scan(n) - n + positions[:-1]).astype(PETSc.IntType), np.full(n, value)

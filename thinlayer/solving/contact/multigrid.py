@@ -224,7 +224,7 @@ class _NewtonRun:
         return Reason.CONVERGED_FNORM_ABS if self._relative <= NEWTON_TOLERANCE else False
 
     def _choose_sweeps(self, snes: PETSc.SNES, step: int) -> None:
-        """Decide whether Gauss-Seidel sweeps precede the Newton step of number `step`; SNES calls this before each step.
+        """Decide whether Gauss-Seidel sweeps precede Newton step number `step`; SNES calls this before each step.
 
         They do if the last step changed the contact status of a node, or reduced the residual too little.
         """
@@ -302,7 +302,7 @@ class _NewtonRun:
 
 # ---------------------------------------------------------------- nodes whose slip has reversed
 def sliding_state(pairs: ContactPairs, w: Array) -> SlidingState:
-    """Return two arrays that describe how pairs slide: their contact status (n,), and their tangential jumps (n, d - 1).
+    """Return the contact status (n,) of pairs, an integer of `Status`, and their tangential jumps (n, d - 1).
 
     The slip at the start of the time step is subtracted from these jumps.
 

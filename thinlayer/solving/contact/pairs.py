@@ -112,7 +112,7 @@ class ContactPairs:
         return np.concatenate([values(part.law_now, w[mask], part.slip[self._of_part[mask]]) for part, mask in parts])
 
     def separation(self, u: Array) -> Array:
-        """Return the jumps plus initial gaps (pairs, d), in the axes `frames`, at displacements `u` (n d,) of the nodes."""
+        """Return the jumps plus initial gaps (pairs, d), in the axes `frames`, for nodal displacements `u` (n d,)."""
         return np.asarray((self.jump_matrix @ u).reshape(-1, self.d) + self.gaps)
 
     def forces(self, w: Array) -> Array:
@@ -126,7 +126,10 @@ class ContactPairs:
         return self.on_nodes(self.tractions(w))
 
     def on_nodes(self, t: Array) -> Array:
-        """Return the nodal forces (n d,) of tractions `t` (pairs, d), given in the axes `frames`; zero at constrained components."""
+        """Return the nodal forces (n d,) of tractions `t` (pairs, d), which are components in the axes `frames`.
+
+        Forces at constrained components are zero.
+        """
         return np.where(self.free.ravel(), self._to_nodes @ (t * self.weights[:, None]).ravel(), 0.0)
 
     def tractions(self, w: Array) -> Array:
@@ -146,7 +149,7 @@ class ContactPairs:
         return self._gather_values(lambda law, w, slip: law.tangent(w, slip), w)
 
     def bonded_tangents(self) -> Array:
-        """Return the stiffness (pairs, d, d), traction per jump, of pairs that are bonded: they neither open nor slide."""
+        """Return the stiffness (pairs, d, d), traction per jump, of bonded pairs, which neither open nor slide."""
         return self._gather_values(lambda law, w, _: law.bonded(*w.shape), self.gaps)
 
     def status(self, w: Array) -> npt.NDArray[np.int8]:
@@ -158,9 +161,10 @@ class ContactPairs:
         return self._gather_values(lambda law, w, slip: law.status(w, slip), w)
 
     def bonded(self) -> tuple[csr_matrix, Array]:
-        """Return the stiffness (n d, n d) of bonded pairs, which neither open nor slide, and their nodal forces (n d,) at rest.
+        """Return the stiffness matrix (n d, n d) and the nodal forces at rest (n d,) of bonded pairs.
 
-        The forces at rest, for zero displacements, are due to initial gaps and to the slip before the time step.
+        Bonded pairs neither open nor slide. The forces at rest, for zero displacements, are due to initial gaps and to
+        the slip before the time step.
         """
         D = self.bonded_tangents()
         return self.stiffness(D), self.on_nodes(np.einsum("nij,nj->ni", D, self.offsets(self.gaps)))

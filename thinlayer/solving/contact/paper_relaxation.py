@@ -256,7 +256,7 @@ class ContactRelaxation(ContactSolver):
 
 
 def _option(name: str) -> float:
-    """Read the relaxation's option `name` from PETSc's database, or return its default; InputError if it is out of range."""
+    """Read the relaxation's option `name` from PETSc's database, with a default; InputError: it is out of range."""
     options, (default, bound) = PETSc.Options(PREFIX + "relaxation_"), RELAXATION_OPTIONS[name]
     value: float = (options.getInt if isinstance(default, int) else options.getReal)(name, default)
     if not 0 < value < bound:
