@@ -100,7 +100,7 @@ class History:
         return [Snap(float(t[k]), k, float(lost[k]), self._changed(k)) for k in rows]
 
     def _changed(self, row: int) -> tuple[str, ...]:
-        """Return the names of the seams whose layers' volume fractions differ between table row `row` and the one before."""
+        """Return the seams in whose layers volume fractions differ between table rows `row` - 1 and `row`."""
         before, after = (self.table.rows[k] for k in (row - 1, row))
         changed_columns = {column for column in after if after[column] != before[column]}
         seams = seams_with_shares(self.model)

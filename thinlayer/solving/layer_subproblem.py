@@ -101,7 +101,7 @@ class DirichletLayers:
         self.linearise(self._x.array_r.copy())
 
     def residual(self, w: Array) -> Array:
-        """Return the residual (n,) at unknowns `w` (n,): internal forces minus loads on the layers; NaN if a law fails."""
+        """Return the residual (n,) at unknowns `w` (n,): internal forces minus loads; NaN if a law fails."""
         self._x.array[:] = w
         self._equations.residual(self._x, self._out)
         return np.asarray(self._out.array_r.copy())
@@ -176,7 +176,9 @@ class DirichletLayers:
         raise SolveError(f"the layer by itself: no equilibrium after {MAX_NEWTON_STEPS} steps", advice=MESH_REMEDY)
 
     def motion_of(self, place: Place, direction: Array) -> Array:
-        """Return weights g (n,) that give the force of a support, along a direction, from the layers' residual r as -g . r.
+        """Return weights g (n,) with which -g . r is the force of a support along a direction.
+
+        Here r is the residual of the layers.
 
         The weights are displacements of the layers' sides.
 
@@ -252,7 +254,7 @@ class LayerSubproblem(DirichletLayers):
         return _SubmatrixFactor(self.K, (self.free_faces | self._inside) & ~self._pins, symmetric=self.model.symmetric)
 
     def work(self, w: Array, z: Array) -> Array:
-        """Return the work of the stresses in virtual displacements, minus that of the loads, as shares of all displacements.
+        """Return the work of the stresses in virtual displacements, minus that of the loads, node by node.
 
         Args:
             w: (n,) unknowns at which the stresses are computed.
@@ -293,7 +295,7 @@ class LayerSubproblem(DirichletLayers):
 
     # ---------------------------------------------------------------- vectors of the interface model
     def at_faces(self, x: Array) -> Array:
-        """Copy displacements or forces at the faces from a vector of the interface model to an array (n,) of the layers.
+        """Copy values at the faces from a vector of the interface model to an array (n,) of the layers.
 
         Entries outside the faces are zero. Collective.
 
@@ -331,11 +333,11 @@ class LayerSubproblem(DirichletLayers):
         return np.where(self.free_faces, r, 0.0)
 
     def compliance(self, r: Array) -> tuple[Array, float]:
-        """Return the face displacements (n,) of the linearised layers under face forces `r` (n,), and the work of these forces.
+        """Return the face displacements (n,) under face forces `r` (n,), and the work of these forces.
 
-        The forces must have no resultant on any piece of the layers. The work is r . E^+ r, with the pseudo-inverse E^+
-        of E. It is infinite if rounding errors hide it: a layer of length L that can bend freely is (L/eps)^4 times as
-        soft as under tension across it.
+        The layers are linearised, as by `linearise`. The forces must have no resultant on any piece of the layers. The
+        work is r . E^+ r, with the pseudo-inverse E^+ of E. It is infinite if rounding errors hide it: a layer of
+        length L that can bend freely is (L/eps)^4 times as soft as under tension across it.
         """
         w = np.zeros(len(r))
         work = self._neumann.solve(r, w)
@@ -398,7 +400,7 @@ class _SubmatrixFactor:
         return int(self._ksp.getPC().getFactorMatrix().getMumpsInfog(12)) if self._symmetric and self._mask.any() else 0
 
     def solve(self, b: Array, out: Array) -> float:
-        """Solve with the masked entries of `b` (n,) as right-hand side; return the product of solution and right-hand side.
+        """Solve for the masked entries of `b` (n,) as right-hand side; return its product with the solution.
 
         The solution is written into the masked entries of `out` (n,); the others do not change.
         """
@@ -469,7 +471,7 @@ def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntAr
 
 
 def _local_cells(model: Model, joint: Joint) -> IntArray:
-    """Return, for each cell of the joint, the local number of this cell in the model's mesh; -1 if it is not on this rank."""
+    """Return the local number in the model's mesh of each cell of the joint; -1 if it is not on this rank."""
     out = np.full(len(joint.corners), -1, np.int64)
     original = model.domain.original_cells
     out[original] = np.arange(len(original))
@@ -477,7 +479,7 @@ def _local_cells(model: Model, joint: Joint) -> IntArray:
 
 
 def _facet_dofs(model: Model, cells: IntArray, joint: Joint, cell: int, facet: int) -> Iterator[tuple[int, IntArray]]:
-    """Yield each node on a facet of a cell, with the vertices of the vertex, edge or face in whose interior the node lies.
+    """Yield each node on a facet of a cell, with the vertices of the vertex, edge or face to which it belongs.
 
     Args:
         model: the model with the nodes.

@@ -1,10 +1,12 @@
-"""Linear solvers for a model: PETSc options, factors, matrices that similar models share, and blocks with pressures.
+"""Linear solvers of a model: PETSc options, factors, matrices that similar models share, and blocks with pressures.
 
-With pressures on S as unknowns the tangent is [A B'; B -C]. A is the stiffness for the displacements, and B couples
-both. PETSc's PCFIELDSPLIT preconditions it block by block. The Schur complement of the pressures is -(C + B A^-1 B'). C
-has the compliance and the flow of the layer, and is assembled. The product B A^-1 B' is the compliance of the sides of
-S under pressures. PETSc replaces A by its diagonal there ("selfp"), which gives the compliance under waves of pressure
-as long as cells. Where bodies are stiff, or waves short, C is the larger term.
+If pressures on S are unknowns, the tangent has the blocks [A B'; B -C]. A is the stiffness for displacements, and B
+couples displacements and pressures. C contains the compliance and the flow of the layer, and is assembled.
+
+PETSc's PCFIELDSPLIT preconditions the tangent block by block. It needs the Schur complement of the pressures, which is
+-(C + B A^-1 B'). The product B A^-1 B' is the compliance of the sides of S under pressures. PETSc computes it with the
+diagonal of A in place of A ("selfp"). This is right for pressures that vary from cell to cell. Where bodies are stiff,
+or pressures vary over short lengths, C is the larger term.
 """
 
 from __future__ import annotations
@@ -60,21 +62,26 @@ MIN_MULTIGRID_UNKNOWNS = {2: 3_000_000, 3: 50_000}
 
 
 def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = None) -> list[OptionDict]:
-    """PETSc options of the linear solvers for a model, in the order in which they are tried.
+    """Return the PETSc options of the linear solvers that suit a model, in the order in which they are tried.
 
     The direct solver is MUMPS: Cholesky for symmetric tangents, else LU. Large models first try conjugate gradients
-    (GMRES if not symmetric) with algebraic multigrid, whose near null space is the rigid motions. If this fails, as for
-    very stiff layers, the direct solver follows. Layers with a pressure as an unknown lead to saddle points. If all
-    pressures are on S, large models first try GMRES with a preconditioner of blocks, displacements and pressures. If
-    MUMPS fails at a saddle point, it is tried with more memory and smaller pivots.
+    (GMRES if not symmetric) with algebraic multigrid, to which the rigid motions are passed. If this fails, as for very
+    stiff layers, the direct solver follows.
+
+    If layers have pressures as unknowns, the tangent is indefinite (a saddle point). Large models with all pressures on
+    S then first try GMRES, preconditioned by the blocks of displacements and pressures. If MUMPS fails, it is tried
+    again with more memory and smaller pivots.
 
     Args:
         model: the model.
         parts: the parts of its balance of forces.
         chosen: PETSc's type of preconditioner (pc_type) that the user has chosen; None: the default.
 
+    Returns:
+        For each solver {name of a PETSc option without prefix: value}.
+
     Raises:
-        InputError: a type of preconditioner that does not suit the model.
+        InputError: the chosen type of preconditioner does not suit the model.
     """
     direct = direct_solver(model)
     is_large = model.unknowns >= MIN_MULTIGRID_UNKNOWNS[model.joint.dim]
@@ -94,21 +101,25 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
 
 
 def direct_solver(model: Model) -> OptionDict:
-    """PETSc options of a factorisation: Cholesky (LDL^T unless the matrix is marked as definite), or LU."""
+    """Return the PETSc options of the direct solver: Cholesky for a symmetric model, else LU.
+
+    MUMPS computes an LDL^T factor in place of Cholesky's, unless the matrix is marked as positive definite.
+    """
     return {**DIRECT_OPTIONS, **ORDERING_OPTIONS[model.joint.dim], "pc_type": "cholesky" if model.symmetric else "lu"}
 
 
 def needs_factor_only() -> bool:
-    """Whether, with the options in PETSc's database, linear solves need the assembled matrix only during their set-up.
+    """Whether linear solves need the assembled matrix only while they are set up.
 
-    This holds for a factorisation by MUMPS, and for algebraic multigrid (gamg), which keeps a copy in blocks.
+    This depends on the options in PETSc's database. It holds for a factorisation by MUMPS, and for algebraic multigrid
+    (gamg), which keeps a copy in blocks.
     """
     options, names = options_set(), ("ksp_type", "pc_factor_mat_solver_type")
     return options.get("pc_type") == "gamg" or all(options.get(name) == DIRECT_OPTIONS[name] for name in names)
 
 
 def least_pivot(pc: PETSc.PC) -> float:
-    """Smallest pivot of a factorisation of a definite matrix by MUMPS, relative to the largest pivot; 0 if unknown."""
+    """Return the ratio of the smallest to the largest pivot in MUMPS's Cholesky factor; 0 if it is unknown."""
     if pc.getType() != "cholesky" or pc.getFactorSolverType() != "mumps":
         return 0.0
     smallest, largest = (pc.getFactorMatrix().getMumpsRinfog(k) for k in (20, 21))
@@ -116,17 +127,23 @@ def least_pivot(pc: PETSc.PC) -> float:
 
 
 def mark_symmetry(A: PETSc.Mat, model: Model, *, saddle: bool) -> None:
-    """Set PETSc's flags of a tangent: symmetric, and positive definite, which it is not if it is a `saddle` point."""
+    """Set PETSc's flags of a tangent: symmetric, and positive definite.
+
+    Args:
+        A: the tangent.
+        model: its model.
+        saddle: whether the tangent may have eigenvalues of both signs; it is then not marked as positive definite.
+    """
     A.setOption(PETSc.Mat.Option.SYMMETRIC, model.symmetric)
     A.setOption(PETSc.Mat.Option.SPD, model.symmetric and model.linear and not saddle)
 
 
 class Factor:
-    """Linear solver (KSP) with the factor of a matrix, or its preconditioner, for several solves. Collective.
+    """Linear solver (PETSc KSP) that keeps the factor or preconditioner of a matrix for several solves. Collective.
 
     Attributes:
         ksp: the linear solver; None before the first `renew`.
-        matrix_key: key that identifies the factorised matrix; None: unknown.
+        matrix_key: key that identifies the factorised matrix; None: the matrix is unknown.
     """
 
     def __init__(self) -> None:
@@ -136,15 +153,17 @@ class Factor:
         self._blocks: PETSc.Mat | None = None
 
     def renew(self, A: PETSc.Mat, key: Hashable, set_data: Callable[[PETSc.KSP, PETSc.Mat], None]) -> bool:
-        """Set another matrix, which the next solve factorises.
+        """Give the linear solver another matrix, which it factorises in the next solve.
 
         Args:
             A: the matrix.
             key: key that identifies the matrix.
-            set_data: function of the KSP and the matrix that passes rigid motions or blocks to the preconditioner.
+            set_data: function that passes further data to the preconditioner, such as rigid motions. Its arguments are
+                the linear solver and the matrix.
 
         Returns:
-            Whether the KSP stays the same: it then orders the unknowns anew only if A has another nonzero pattern.
+            Whether the same KSP object is used as before. It then orders the unknowns anew only for another nonzero
+                pattern.
         """
         options = options_set()
         is_kept = self.ksp is not None and options == self._options and self.ksp.getPC().getType() != "fieldsplit"
@@ -163,12 +182,15 @@ class Factor:
         return is_kept
 
     def set_up(self) -> None:
-        """Factorise the matrix now, for all solves until the next `renew`, even if the matrix changes."""
+        """Factorise the matrix now. All solves until the next `renew` use this factor, even if the matrix changes."""
         self.ksp.setUp()
         self.ksp.getPC().setReusePreconditioner(True)
 
     def _set_up_in_blocks(self, A: PETSc.Mat) -> None:
-        """Build the multigrid hierarchy of A, and convert its matrices to blocks, which multiply faster; A stays."""
+        """Build the multigrid hierarchy of `A` with its matrices in block format, which multiply faster.
+
+        `A` itself is not converted; the finest level uses a copy.
+        """
         pc = self.ksp.getPC()
         with lean_products():
             self.ksp.setUp()
@@ -183,18 +205,18 @@ class Factor:
         self.ksp.setOperators(self._blocks)
 
     def destroy(self) -> None:
-        """Free the solver and its factor."""
+        """Free the linear solver and its factor."""
         destroy(self.ksp, self._blocks)
         self.ksp = self.matrix_key = self._blocks = None
 
 
 class SharedMatrices:
-    """Matrices that the solvers of similar models, of one `ModelFamily`, use one after the other.
+    """Matrices that the solvers of similar models, in one `ModelFamily`, use one after the other.
 
     Attributes:
-        bodies: parts that depend on mesh and bodies alone; empty: not created.
-        matrix: the tangent; None: not created.
-        factor: factor of the tangent.
+        bodies: parts of the balance that depend on the mesh and the bodies alone; empty before they are created.
+        matrix: the tangent; None before it is created.
+        factor: linear solver with the factor of the tangent.
     """
 
     def __init__(self) -> None:
@@ -206,9 +228,9 @@ class SharedMatrices:
 
     @classmethod
     def acquire(cls, model: Model) -> SharedMatrices:
-        """Take the matrices of the model's `ModelFamily`, or create new ones.
+        """Return the matrices that the last solver in the model's `ModelFamily` has left, or new ones.
 
-        A tangent whose nonzero pattern does not suit this model is freed.
+        A tangent with a nonzero pattern that does not suit this model is freed before.
         """
         idle = model.family.acquire()
         shared = idle if isinstance(idle, cls) else cls()
@@ -244,13 +266,13 @@ def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
 
 
 def set_field_split(pc: PETSc.PC, A: PETSc.Mat, layout: UnknownLayout, motions: list[PETSc.Vec]) -> None:
-    """Set the blocks of a PCFIELDSPLIT: "u", the displacements, and "p", the pressures. Collective.
+    """Define the two blocks of a PCFIELDSPLIT: "u", the displacements, and "p", the pressures. Collective.
 
     Args:
         pc: the preconditioner, which has read its options.
         A: the tangent, with Dirichlet conditions applied.
-        layout: layout of the unknowns: displacements, then pressures on S.
-        motions: vectors of rigid motions, of the displacements or of all unknowns.
+        layout: order of the unknowns in a vector: displacements, then pressures on S.
+        motions: vectors of the rigid motions; only their displacements are used.
     """
     row_start, row_end = A.getOwnershipRange()
     n_u, bs = layout.sizes[DISPLACEMENT_KEY], layout.fields[DISPLACEMENT_KEY].function_space.dofmap.index_map_bs

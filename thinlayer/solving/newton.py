@@ -1,4 +1,4 @@
-"""Solution of one step of a model: a linear solve from the old state, then refinement or Newton's method."""
+"""Solver of one time step: a linear solve from the state before the step, then refinement or Newton's method."""
 
 from __future__ import annotations
 
@@ -48,11 +48,12 @@ YIELDING_EVERYWHERE_STEP = 1e4  # linear step over old displacements above which
 
 @dataclass(frozen=True)
 class StepSolution:
-    """Unknowns at the end of a step, with the effort and accuracy of their computation.
+    """Unknowns at the end of a time step, with the effort and accuracy of their computation.
 
     Attributes:
-        x: the unknowns; the vector belongs to the solver and is valid until the next `solve_step` or `close`.
-        iterations: number of Newton steps; of Krylov iterations in a linear solve; of sweeps in a relaxation.
+        x: vector of the unknowns. It belongs to the solver, and is valid until the next `solve_step` or `close`.
+        iterations: number of Newton steps. For a linear solve, that of Krylov iterations; for a relaxation, that of
+            sweeps.
         residual: norm of the residual relative to the reference forces.
     """
 
@@ -62,13 +63,13 @@ class StepSolution:
 
 
 class EquilibriumSolver(ABC):
-    """Base of solvers for the unknowns at the end of a time step, which keep matrices and factors between steps.
+    """Base of the solvers for the unknowns at the end of a time step. They keep matrices and factors between steps.
 
-    The time step is the one that the solver's `Equations` have begun.
+    The time step is the one that was last begun by the `Equations` of the solver.
 
     Attributes:
-        has_homotopy: whether it can solve with homotopy laws, between an elastic law and the model's law.
-        reused: whether the last step used a solver of an earlier step, and so read no PETSc options.
+        has_homotopy: whether the solver can use homotopy laws, which lie between an elastic law and the model's law.
+        reused: whether the last step used a PETSc solver of an earlier step, and so read no PETSc options.
     """
 
     has_homotopy = True
@@ -76,17 +77,21 @@ class EquilibriumSolver(ABC):
 
     @abstractmethod
     def solve_step(self, start: PETSc.Vec | None = None) -> StepSolution:
-        """Solve for the unknowns at the end of the step. Collective.
+        """Solve for the unknowns at the end of the time step. Collective.
 
         Args:
-            start: initial unknowns; None: the unknowns of the old state.
+            start: initial unknowns; None: those of the state before the step.
 
         Raises:
             SolveError: no convergence.
         """
 
     def reset(self) -> bool:
-        """Drop data of earlier steps; return whether the last step used them, so that another attempt may succeed."""
+        """Drop the data of earlier steps, so that a step that failed with them can be tried again.
+
+        Returns:
+            Whether the last step used such data.
+        """
         return False
 
     def close(self) -> None:  # noqa: B027  some solvers have nothing to free
@@ -94,16 +99,17 @@ class EquilibriumSolver(ABC):
 
 
 class NewtonSolver(EquilibriumSolver):
-    """Solver by one linear step, then Newton's method or iterative refinement.
+    """Solver of time steps by a linear solve, then Newton's method or, for linear models, iterative refinement.
 
-    It keeps its factor as long as the matrix stays the same.
+    It uses a factor again as long as the matrix is the same.
 
     Args:
-        equations: the equations of the step.
-        nonlinear: whether Newton's method follows the linear step; otherwise iterative refinement does.
-        own_test: whether the reference forces of `ForceScale` decide on convergence, not tolerances of the user.
-        yields: whether a law bounds stresses; Newton's method then stops early where it does not converge.
-        advice: advice in the error message of Newton's method.
+        equations: the balance of forces.
+        nonlinear: whether Newton's method follows the linear solve; otherwise iterative refinement does.
+        own_test: whether the reference forces of `ForceScale` decide on convergence; otherwise tolerances that the user
+            has set in PETSc options do.
+        yields: whether a law bounds stresses. Newton's method then stops early if it does not converge.
+        advice: what the error message of Newton's method advises after a failure.
 
     Attributes:
         equations, nonlinear: the arguments.
@@ -122,11 +128,11 @@ class NewtonSolver(EquilibriumSolver):
         return was_reused
 
     def solve_step(self, start: PETSc.Vec | None = None) -> StepSolution:
-        """Solve for the unknowns at the end of the step. Collective.
+        """Solve for the unknowns at the end of the time step. Collective.
 
         Args:
-            start: unknowns at which Newton's method begins, without a linear step; None: begin with a linear step from
-                the old state.
+            start: unknowns from which Newton's method starts at once. None: a linear solve from the state before the
+                step comes first.
 
         Raises:
             SolveError: no convergence, or no unique solution.
@@ -163,11 +169,11 @@ class NewtonSolver(EquilibriumSolver):
         return StepSolution(x, iterations + refining, residual)
 
     def _from_linear_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> StepSolution:
-        """Solve by Newton's method after a linear step, in which the supports move.
+        """Solve a step by Newton's method that starts after a linear solve, in which the supports move.
 
         Args:
-            x: the unknowns of the old state; overwritten.
-            r: the residual at x; overwritten.
+            x: unknowns of the state before the step; overwritten.
+            r: residual at `x`; overwritten.
             d: work vector.
             move: increments of the prescribed displacements, zero at all other unknowns.
         """
@@ -190,12 +196,12 @@ class NewtonSolver(EquilibriumSolver):
         return self._newton(x)
 
     def _elastic_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> None:
-        """Compute the linear step d from unknowns x with the stiffness of an elastic layer.
+        """Compute the increment of the unknowns by a linear solve in which the layer is elastic.
 
         Args:
-            x: the unknowns of the old state.
+            x: unknowns of the state before the step.
             r: work vector for the right-hand side.
-            d: the step; overwritten.
+            d: the increment; overwritten.
             move: increments of the prescribed displacements, zero at all other unknowns.
         """
         equations, homotopy_parameter = self.equations, self.equations.homotopy_parameter
@@ -210,14 +216,16 @@ class NewtonSolver(EquilibriumSolver):
         solve_linear(self._factor.ksp, r, d)
 
     def _shorten_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec, forces: float) -> None:
-        """Shorten a linear step that is far too long, as for laws that stiffen with the rate; supports stay moved.
+        """Shorten the increment of the linear solve while the residual after it is too large.
+
+        Laws that stiffen with the rate lead to such increments. Prescribed displacements keep their full increments.
 
         Args:
-            x: unknowns after the step; overwritten.
-            r: residual at x; overwritten.
-            d: the step; overwritten.
-            move: part of the step by which supports move.
-            forces: reference force; the residual must be at most `OVERSHOOT_RESIDUAL` times as large.
+            x: unknowns after the increment; overwritten.
+            r: residual at `x`; overwritten.
+            d: the increment; overwritten.
+            move: increments of the prescribed displacements, zero at all other unknowns.
+            forces: reference force. The residual must be at most `OVERSHOOT_RESIDUAL` times as large.
         """
         d.axpy(-1.0, move)
         for _ in range(40):
@@ -228,9 +236,12 @@ class NewtonSolver(EquilibriumSolver):
             self.equations.residual(x, r)
 
     def _prepare(self, move: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
-        """Set the matrix of the step for the next solve, and add the forces of support displacements `move` to b.
+        """Give the linear solver the tangent with Dirichlet conditions, for the next solve.
 
-        Without `move`, a factor of the same matrix is used again.
+        Args:
+            move: increments of the prescribed displacements. None: they are zero, so that a factor of the same matrix
+                can be used again.
+            b: right-hand side, to which the forces due to `move` are added; None if `move` is None.
         """
         equations = self.equations
         dt = equations.interval.dt if equations.depends_on_dt else 0.0
@@ -250,16 +261,28 @@ class NewtonSolver(EquilibriumSolver):
                 self._factor.set_up()
 
     def _require_finite(self, quantity: str, size: float) -> None:
-        """Raise SolveError if `size`, the norm of a quantity at the start of the step, is NaN or infinite."""
+        """Raise SolveError if `size`, the norm of a quantity at the start of the step, is NaN or infinite.
+
+        Args:
+            quantity: name of the quantity, for the message.
+            size: its norm.
+        """
         if not math.isfinite(size):
             names = " or ".join(sorted({*self.equations.names_with_trait("unchecked")}))
             advice = "at rest the strain e is zero: write ufl.sqrt(ufl.inner(e, e) + small), or a ufl.conditional"
             raise SolveError(f"the {quantity} of {names} is not finite at the start of the step", advice=advice)
 
     def _refine(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> tuple[float, int]:
-        """Refine the linear solution x iteratively; return its relative residual and the number of Krylov iterations.
+        """Improve the solution of a linear model by iterative refinement.
 
-        The residual r at x and the vector d are overwritten.
+        Args:
+            x: unknowns after the linear solve; changed in place.
+            r: residual at `x`; overwritten.
+            d: work vector.
+
+        Returns:
+            Norm of the residual relative to the reference forces, and number of Krylov iterations (0 for a direct
+                solver).
 
         Raises:
             SolveError: the solution is not unique, or its residual is too large.
@@ -308,20 +331,20 @@ class NewtonSolver(EquilibriumSolver):
         return residual, 0 if direct else iterations
 
     def _reference_displacement(self, x: PETSc.Vec) -> float:
-        """Reference displacement for the rounding errors of a solution x.
+        """Return the displacement to which rounding errors of the unknowns `x` are compared.
 
-        x itself may be only rounding: if loads end at zero, in a uniform cell under a mean strain, or if supports
-        prevent every expansion. Therefore displacements known before the step also count. So do displacements that the
-        forces of the step cause against the mean stiffness. The largest of the three is returned.
+        It is the largest of three: the largest entry of `x`, the largest displacement known before the step, and the
+        forces of the step divided by the mean stiffness. `x` alone may be only rounding errors: if loads end at zero,
+        in a uniform cell under a mean strain, or if supports prevent every expansion.
         """
         scale, stiffness = self.equations.scale, self.equations.mean_stiffness
         elastic = float(scale.forces[0]) / (stiffness * math.sqrt(x.getSize())) if stiffness else 0.0
         return max(_largest(x), scale.displacement, elastic)
 
     def _relative(self, r: PETSc.Vec) -> float:
-        """Largest ratio, over the blocks of unknowns (see `ForceScale`), of the norm of r to the reference force.
+        """Return the largest ratio of the norm of residual `r` to the reference force, over the blocks of `ForceScale`.
 
-        r becomes zero at constrained unknowns.
+        Entries of `r` at constrained unknowns become zero.
         """
         r.array[self.equations.bc_dofs] = 0.0
         return self.equations.relative(r)
@@ -332,15 +355,18 @@ class NewtonSolver(EquilibriumSolver):
 
     # ---------------------------------------------------------------- Newton's method
     def _newton(self, x: PETSc.Vec) -> StepSolution:
-        """Solve by Newton's method (PETSc SNES) from unknowns x, which are overwritten.
+        """Solve by Newton's method (PETSc SNES) from unknowns `x`, which become the solution.
 
-        The last residual must be that at x. The force scale decides on convergence, unless the user's options do. If a
-        law yields, the method stops early if the residual stagnates or displacements grow without bound, as for loads
-        beyond the limit load.
+        The last residual that was evaluated must be that at `x`. The reference forces decide on convergence, unless the
+        user's PETSc options do.
+
+        If a law bounds stresses, the method stops early where the residual stagnates or displacements grow without
+        bound. Both happen under loads beyond the limit load.
 
         Raises:
-            SolveError: no convergence. InputError: an SNES type that does not use our convergence test. PETSc.Error:
-                PETSc itself has failed. Errors of the equations, such as an InputError, pass unchanged.
+            SolveError: no convergence.
+            InputError: the user has chosen an SNES type that does not call the convergence test.
+            PETSc.Error: PETSc itself has failed. Errors of the equations, such as an InputError, pass unchanged.
         """
         equations, limit = self.equations, DIVERGED_DISPLACEMENT * _largest(x)
         residuals, divergence = list[float](), ""
@@ -384,7 +410,12 @@ class NewtonSolver(EquilibriumSolver):
         return StepSolution(x, steps + 1, last)
 
     def _create_snes(self, x: PETSc.Vec, converged: Callable[..., PETSc.SNES.ConvergedReason]) -> PETSc.SNES:
-        """SNES of the equations at x, with the convergence test `converged` unless the user's options replace it."""
+        """Create the SNES that solves the balance of forces, with the convergence test `converged`.
+
+        Args:
+            x: vector of unknowns, whose layout the SNES takes.
+            converged: convergence test in PETSc's form. It is not used if the user has set tolerances.
+        """
         equations = self.equations
 
         def function(_: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
@@ -413,6 +444,10 @@ def _largest(x: PETSc.Vec) -> float:
 
 
 def _stagnates(residuals: list[float]) -> bool:
-    """Whether the last STAGNATION_STEPS steps have reduced the residual by less than a tenth."""
+    """Whether the last STAGNATION_STEPS Newton steps have reduced the residual by less than a tenth.
+
+    Args:
+        residuals: relative residuals before each step and after the last one.
+    """
     before, last = residuals[:-STAGNATION_STEPS], residuals[-STAGNATION_STEPS:]
     return bool(before) and min(last) > 0.9 * min(before)

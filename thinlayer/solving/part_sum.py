@@ -56,13 +56,13 @@ class ForceScale:
 
     The rules are:
 
-    1. The residual in a block is divided by the reference force of the block. This is the largest of the loads, the
-       nodal forces of the stresses at the last residual, and the residual at the start of the step.
+    1. The residual in a block is divided by the reference force of the block. This is the largest of three norms: of
+       the loads, of the nodal forces of the last stresses, and of the residual at the start of the step.
     2. All forces may be rounding errors: if supports move stiff bodies, loads end at zero, or soft springs let stiff
        bodies move far. Rounding errors of forces are about 1e-14 of stiffness times displacement. Divided by the 1e-6
        of rule 5, this is a lower bound of the reference force.
-    3. Solvers stop where the residual in each block is at most 1e-10 of the reference force, or at most the rounding
-       error of stiffness times displacement.
+    3. Solvers stop where the residual in each block is at most 1e-10 of the reference force. They also stop where it is
+       at most the rounding error of stiffness times displacement.
     4. A residual as small as the rounding error due to prescribed displacements is always allowed, since no solver can
        reduce it.
     5. A state is accepted if its residual is at most 1e-6 of the reference force in each block, or at most that of rule
@@ -127,11 +127,11 @@ class ForceScale:
             self.forces = np.maximum(self.forces, ROUNDING_SHARE / STATE_TOLERANCE * (self._within.T @ self.forces))
 
     def rounding(self, largest_displacement: float) -> Array:
-        """Return the norms (k,) of the rounding errors of the forces, if no displacement exceeds `largest_displacement`."""
+        """Return the norms (k,) of the rounding errors of the forces, for this largest displacement."""
         return np.asarray(MACHINE_EPSILON * self._largest_stiffness * largest_displacement)
 
     def target(self, largest_displacement: float) -> Array:
-        """Return the norms (k,) of the residual at which solvers stop, if no displacement exceeds `largest_displacement`."""
+        """Return the norms (k,) of the residual at which solvers stop, for this largest displacement."""
         rounding = np.minimum(self.rounding(largest_displacement), self.allowed_residual)
         return np.asarray(np.maximum(np.maximum(SOLVER_TOLERANCE * self.forces, self._support_rounding), rounding))
 
@@ -195,7 +195,7 @@ class PartSum:
         return [part for part in self.parts if isinstance(part, kind)]
 
     def names_with_trait(self, trait: str) -> list[str]:
-        """Return the names of the laws with the flag `trait` of `PartTraits`; a part without a law has a name of its own."""
+        """Return the names of the laws, or of parts without a law, whose flag `trait` of `PartTraits` is set."""
         return [name for part in self.parts for name, traits in part.named().items() if getattr(traits, trait)]
 
     def refuse(self, reasons: Mapping[str, str]) -> None:
@@ -217,7 +217,7 @@ class PartSum:
 
     @property
     def stresses_at_rest(self) -> dict[str, Array]:
-        """Zero stresses (points, components), by the parts' keys, of those parts whose stresses are stored in states."""
+        """Zero stresses (points, components), by the parts' keys, of parts whose stresses are stored in states."""
         memory, widths = self.memory_at_rest, {part.key: part.stress_width for part in self.parts if part.stress_width}
         return {key: np.zeros((len(memory[key]), width)) for key, width in widths.items() if key in memory}
 
@@ -309,9 +309,9 @@ class PartSum:
 
     # ---------------------------------------------------------------- tests of balance
     def norms(self, values: Array) -> Array:
-        """Return the Euclidean norms (k,) of forces on the unknowns, over all ranks: of all forces, then of those on each block.
+        """Return the Euclidean norms (k,), over all ranks, of the forces on the unknowns of each of k blocks.
 
-        A block includes the blocks within it.
+        Block 0 is the whole model. A block includes the blocks within it.
 
         Args:
             values: forces on this rank's unknowns.
@@ -356,7 +356,7 @@ class PartSum:
 
 # ---------------------------------------------------------------- unknowns and tangent
 class UnknownLayout:
-    """Order of the unknowns in this rank's share of a vector: all values of one field after those of another. Collective.
+    """Order of this rank's unknowns in a vector: all values of one field, then those of the next. Collective.
 
     Args:
         comm: communicator.
@@ -383,7 +383,7 @@ class UnknownLayout:
             set_owned_values(self.fields[key], values)
 
     def widened(self, T: PETSc.Mat | None) -> PETSc.Mat | None:
-        """Extend the matrix T of constraints u = T y on displacements to all unknowns, by the identity for other fields.
+        """Extend the matrix `T` of constraints u = T y on displacements by the identity for all other unknowns.
 
         If `T` is None, there are no constraints, and the result is None.
         """

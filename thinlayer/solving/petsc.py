@@ -1,7 +1,9 @@
-"""PETSc options, with errors for options that no solver reads; PETSc solves; functions that petsc4py lacks.
+"""PETSc options, with errors for those that no solver reads; solves by PETSc; functions that petsc4py lacks.
 
-- `schur_complement` and `keep_unknowns`: MUMPS's Schur complement. Without it the condensation of a bar of 256 square
-  cells takes 514 more solves.
+These functions are called in PETSc's C library, for example:
+
+- `keep_unknowns` and `schur_complement`: Schur complements by MUMPS. Without them the condensation of a bar of 256
+  square cells needs 514 more solves.
 - `was_read`: whether PETSc has read an option. Without it misspelt options would be ignored silently.
 """
 
@@ -41,11 +43,11 @@ C_ARGUMENTS = {  # name of a function -> types of its arguments; all functions r
 
 @contextmanager
 def default_options(options: Options, prefix: str = PREFIX) -> Iterator[None]:
-    """Within a `with` block, set options with a prefix in PETSc's database, except those that the user has set there.
+    """Within a `with` block, set options in PETSc's database, except those that the user has set there.
 
     Args:
         options: {name without the prefix: value}.
-        prefix: the prefix of their names.
+        prefix: text that precedes all these names in the database.
     """
     database = PETSc.Options()
     user_settings = database.getAll()  # hasName would mark the option as read
@@ -62,38 +64,54 @@ def default_options(options: Options, prefix: str = PREFIX) -> Iterator[None]:
 
 
 def options_set() -> dict[str, str]:
-    """Options in PETSc's database with this package's prefix "thinlayer_", {name without the prefix: value}."""
+    """Return the options in PETSc's database with the prefix "thinlayer_", as {name without the prefix: value}."""
     options = PETSc.Options().getAll().items()
     return {name.removeprefix(PREFIX): value for name, value in options if name.startswith(PREFIX)}
 
 
 def is_set(name: str, user_options: Options) -> bool:
-    """Whether the user has set an option (name without prefix), in a script (`user_options`) or in PETSc's database."""
+    """Whether the user has set an option, in a script or in PETSc's database.
+
+    Args:
+        name: name of the option without the prefix "thinlayer_".
+        user_options: options that a script has passed, {name without prefix: value}.
+    """
     return name in user_options or name in options_set()
 
 
 def value_of(name: str, user_options: Options) -> str | None:
-    """The user's value of an option, from PETSc's database or else from a script (`user_options`); None: not set."""
+    """Return the value that the user has given to an option; None: the user has not set it.
+
+    A value in PETSc's database, as from a command line, overrides that of a script.
+
+    Args:
+        name: name of the option without the prefix "thinlayer_".
+        user_options: options that a script has passed, {name without prefix: value}.
+    """
     value = options_set().get(name, user_options.get(name))
     return None if value is None else str(value)
 
 
 def database_options() -> str:
-    """Options in PETSc's database with this package's prefix "thinlayer_", written as on a command line."""
+    """Return the options in PETSc's database with the prefix "thinlayer_", as text of a command line."""
     return " ".join(f"-{PREFIX}{name} {value}".rstrip() for name, value in sorted(options_set().items()))
 
 
 def _user_option_names(ours: Collection[str]) -> list[str]:
-    """Names, without prefix, of the options in PETSc's database that the user has set; `ours` are our defaults."""
+    """Return the names, without prefix, of the options in PETSc's database that the user has set.
+
+    Args:
+        ours: names, without prefix, of this package's defaults. They count as the user's only if the user set them.
+    """
     return sorted(name for name in options_set() if name not in ours or PREFIX + name not in _DEFAULT_NAMES)
 
 
 def require_all_read(solver: str, ours: Collection[str]) -> None:
-    """Raise InputError unless the last solve has read all options that the user has set.
+    """Raise InputError unless PETSc has read all options that the user has set.
 
     Args:
-        solver: name of the solver for the message.
-        ours: names, without prefix, of the defaults of this package, which need not be read.
+        solver: name of the solver, for the message.
+        ours: names, without prefix, of this package's defaults, which need not be read.
     """
     if unread := ", ".join(f"-{PREFIX}{name}" for name in _user_option_names(ours) if not was_read(PREFIX + name)):
         remedy = f"a direct solver has no tolerances, -{PREFIX}ksp_view and -{PREFIX}snes_view show what is at work"
@@ -102,15 +120,17 @@ def require_all_read(solver: str, ours: Collection[str]) -> None:
 
 @contextmanager
 def chosen_options(ours: Options, user_options: Options | None = None) -> Iterator[None]:
-    """Within a `with` block, set options in PETSc's database: defaults, and options of a script, which override them.
+    """Within a `with` block, set options in PETSc's database, and translate PETSc's errors.
+
+    Options that the user has set in the database stay. Next come those of a script, then this package's defaults.
 
     Args:
         ours: defaults of this package, {name without prefix: value}.
-        user_options: options of the script, likewise; None: none.
+        user_options: options that a script has passed, {name without prefix: value}; None: none.
 
     Raises:
-        InputError: PETSc does not take the value of one of the user's options.
-        SolveError: PETSc, or a library that it calls, has failed, so that a march can try a shorter step.
+        InputError: PETSc does not accept the value of one of the user's options.
+        SolveError: PETSc, or a library that it calls, has failed. A march can then try a shorter step.
     """
     user_options = user_options or {}
     with default_options({**ours, **user_options}):
@@ -127,7 +147,10 @@ def chosen_options(ours: Options, user_options: Options | None = None) -> Iterat
 
 @cache
 def c_function(name: str) -> Callable[..., int]:
-    """C function of PETSc, by its name, which must be in `C_ARGUMENTS`.
+    """Return a function of PETSc's C library.
+
+    Args:
+        name: name of the function, a key of `C_ARGUMENTS`.
 
     Raises:
         ImportError: the library of this PETSc has no such function.
@@ -147,20 +170,30 @@ def _checked_call(name: str, *arguments: object) -> None:
 
 
 def was_read(option: str) -> bool:
-    """Whether PETSc has read an option of its database; the name includes the prefix."""
+    """Whether PETSc has read an option of its database; the name `option` includes the prefix."""
     was_used = ctypes.c_int(0)
     _checked_call("PetscOptionsUsed", None, option.encode(), ctypes.byref(was_used))
     return bool(was_used.value)
 
 
 def keep_unknowns(factor: PETSc.Mat, unknowns: Indices) -> None:
-    """Set, before the factorisation, the unknowns (c,) on which a factor computes the Schur complement."""
+    """Set the unknowns for which a factorisation will compute the Schur complement.
+
+    Args:
+        factor: matrix of the factor, before the factorisation.
+        unknowns: (c,) numbers of the unknowns.
+    """
     rows = PETSc.IS().createGeneral(unknowns.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
     _checked_call("MatFactorSetSchurIS", factor.handle, rows.handle)
 
 
 def schur_complement(factor: PETSc.Mat, c: int) -> Array:
-    """Copy (c, c) of a Cholesky factor's Schur complement on c unknowns; only its upper triangle is set."""
+    """Return a copy (c, c) of the Schur complement in a Cholesky factor; only its upper triangle is set.
+
+    Args:
+        factor: matrix of the factor, after the factorisation.
+        c: number of the unknowns that `keep_unknowns` has set.
+    """
     out = np.empty((c, c))
     dense = PETSc.Mat().createDense((c, c), array=out.T, comm=PETSc.COMM_SELF)  # PETSc stores columns
     mumps_matrix, status = C_POINTER(), ctypes.c_int()
@@ -171,19 +204,30 @@ def schur_complement(factor: PETSc.Mat, c: int) -> Array:
 
 
 def faster_products(*, serial: bool) -> AbstractContextManager[None]:
-    """Within a `with` block, let PETSc compute A P before P^T A P if `serial`: less time, more memory."""
+    """Within a `with` block, let PETSc compute triple products P^T A P faster, but with more memory.
+
+    Args:
+        serial: whether there is one rank. Otherwise nothing changes.
+    """
     return default_options({"matptap_via": "rap"} if serial else {}, prefix="")
 
 
 def lean_products() -> AbstractContextManager[None]:
-    """Within a `with` block, PETSc frees the data that are needed to compute a product again with other values."""
+    """Within a `with` block, let PETSc save memory in products of matrices.
+
+    It frees the data with which it could compute the same product again for other values.
+    """
     return default_options({"mat_product_clear": True}, prefix="")
 
 
 def convert_to_blocks(A: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
-    """Convert a matrix to block format (BAIJ), in place or into the matrix `into`, and return it.
+    """Convert a matrix to PETSc's block format BAIJ, which multiplies faster, and return the result.
 
-    Blocks multiply faster. PETSc's own conversion is slower than this one.
+    This is faster than PETSc's own conversion.
+
+    Args:
+        A: the matrix, with its block size set.
+        into: matrix that becomes the result; None: `A` itself is converted.
     """
     indptr, indices, values = A.getValuesCSR()
     d, shape = A.getBlockSize(), (A.getLocalSize()[0], A.getSize()[1])
@@ -198,32 +242,37 @@ def convert_to_blocks(A: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
 
 
 def set_residual(pc: PETSc.PC, level: int, A: PETSc.Mat) -> None:
-    """Set the matrix A with which a level of a multigrid preconditioner (PCMG) computes residuals."""
+    """Set the matrix `A` with which level number `level` of a multigrid preconditioner (PCMG) computes residuals."""
     _checked_call("PCMGSetResidual", pc.handle, level, None, A.handle)
 
 
 def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
-    """Solve A x = b. Collective.
+    """Solve A x = b by the linear solver `ksp`, with its matrix A. Collective.
+
+    Args:
+        ksp: the linear solver.
+        b: right-hand side, which never changes.
+        x: the solution; overwritten.
 
     Raises:
-        PETSc.Error: PETSc, or a library that it calls, has failed. Do not use the solver again: its vectors stay
-            locked. b is unchanged.
+        PETSc.Error: PETSc, or a library that it calls, has failed. Do not use `ksp` again, as its vectors stay locked.
     """
     ksp.solve(b.copy(), x)  # PETSc leaves the right-hand side locked after an error
 
 
 def solve_nonlinear(snes: PETSc.SNES, x: PETSc.Vec) -> None:
-    """Solve from x, in place, by an SNES. Collective.
+    """Solve a nonlinear system by an SNES, from `x`, which becomes the solution. Collective.
 
-    After an error PETSc leaves a vector locked for ever: the solution, if a function that it called has failed, or the
-    residual, if a linear solve has failed. Therefore the SNES gets a copy of x, and is destroyed after an error.
+    After an error PETSc leaves the solution or the residual locked for ever. Therefore the SNES works on a copy of `x`,
+    and is destroyed after an error.
 
     Args:
         snes: the solver.
-        x: unknowns; unchanged after an error.
+        x: initial unknowns, then the solution; unchanged after an error.
 
     Raises:
-        Exception: an error of a function that PETSc has called. PETSc.Error: PETSc itself has failed.
+        Exception: the error of a function that PETSc has called.
+        PETSc.Error: PETSc itself has failed.
     """
     iterate = x.copy()
     try:
@@ -237,6 +286,11 @@ def solve_nonlinear(snes: PETSc.SNES, x: PETSc.Vec) -> None:
 
 
 def reason_name(reasons: type, value: int) -> str:
-    """PETSc's name of the reason, a number, why a solver stopped; `reasons` is the solver's class `ConvergedReason`."""
+    """Return PETSc's name of the reason why a solver stopped.
+
+    Args:
+        reasons: the class `ConvergedReason` of the solver's type.
+        value: number of the reason.
+    """
     names = {v: name for name, v in vars(reasons).items() if isinstance(v, int) and not name.startswith("_")}
     return names.get(value, str(value))

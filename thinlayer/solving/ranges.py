@@ -1,4 +1,4 @@
-"""Tests whether a model and its results are within the range of its interface law, with a RangeWarning if not."""
+"""Tests whether a model and its results are in the range of its interface law; a RangeWarning says if not."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ CAVITATION_STRESS_RATIO = 2.5
 
 
 def warn_of_model(model: Model, durations: Sequence[float] = ()) -> None:
-    """Warn once, before a solve, of elements that lock and of interface laws outside their range. Collective.
+    """Warn once, before a solve, if elements lock or an interface law is outside its range. Collective.
 
     Args:
         model: the model.
-        durations: durations > 0 of the loads, from their start to each time of interest; () for sudden loads.
+        durations: times since the loads began, > 0, at which results are wanted. (): the loads are sudden.
     """
     setup = model.structure
     for law, C in zip(setup.bodies_with_numbers, setup.bodies_at_rest, strict=True):
@@ -77,12 +77,12 @@ def warn_of_model(model: Model, durations: Sequence[float] = ()) -> None:
 
 
 def _model_remarks(model: Model, layer: SeamLayer, durations: Sequence[float]) -> Iterator[Remark]:
-    """Pairs (key, text) of warnings about a layer that follow from the model alone, before it is solved.
+    """Yield pairs (key, text) of warnings about a layer that follow from the model alone, before it is solved.
 
     Args:
         model: the model.
         layer: the layer.
-        durations: durations > 0 of the loads, from their start to each time of interest; () for sudden loads.
+        durations: times since the loads began, > 0, at which results are wanted. (): the loads are sudden.
     """
     sublayers = resting_sublayers(layer)
     yield from _facet_remarks(model, layer)
@@ -95,13 +95,13 @@ def _model_remarks(model: Model, layer: SeamLayer, durations: Sequence[float]) -
 
 
 def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
-    """Warn, once for all states, of results outside the range of small strains or of interface laws. Collective.
+    """Warn, once for all states, if results are outside the range of small strains or of an interface law. Collective.
 
-    Warnings already issued for the same time are not repeated.
+    A warning that was already issued for the same time is not repeated.
 
     Args:
         states: states of one model, at least one.
-        start: time since which the loads last; None if they are sudden at every state.
+        start: time at which the loads began; None: they are sudden in every state.
     """
     model = states[0].model
     warn_of_strains(states)
@@ -124,8 +124,8 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
 def warn_of_strains(states: Sequence[State]) -> None:
     """Warn, once for all states, if strains of non-linear bodies exceed `MAX_SMALL_STRAIN`. Collective.
 
-    The root mean square over a body is tested, because at single places, such as corners, strains are large in any
-    case. Linear bodies are not tested: their results are proportional to loads of any size.
+    The root mean square over a body is tested. At single points, such as corners, strains are large in any case. Linear
+    bodies are not tested, as their results are proportional to loads of any size.
 
     Args:
         states: states of one model.
@@ -152,12 +152,12 @@ def warn_of_strains(states: Sequence[State]) -> None:
 
 
 def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | None) -> Iterator[Remark]:
-    """Pairs (key, text) of warnings about a layer that follow from its states.
+    """Yield pairs (key, text) of warnings about a layer that follow from states of its model.
 
     Args:
         states: states of one model.
         layer: the layer.
-        start: time since which the loads last; None if they are sudden at every state.
+        start: time at which the loads began; None: they are sudden in every state.
     """
     model, sublayers = states[0].model, resting_sublayers(layer)
     if not (model.linear or acts_as_springs(sublayers)):
@@ -178,16 +178,21 @@ def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | Non
 
 
 def _jumps_tell_more(layer: SeamLayer, sublayers: list[RestingSublayer]) -> bool:
-    """Whether the pressure of a layer is tested by the jumps of states, and by its free ends only if these pass.
+    """Whether the jumps in the states, rather than the model alone, tell if a layer's pressure needs a warning.
 
-    This holds for layers of one sublayer, with a linear law without memory and with a shear stiffness.
+    This holds for layers of one sublayer, with a linear law without memory and with a shear stiffness. Such a layer is
+    tested for the pressure at free ends only after its jumps have led to no warning.
+
+    Args:
+        layer: the layer.
+        sublayers: the moduli of its sublayers.
     """
     is_single = layer.law.traits.linear and not layer.remembers and len(sublayers) == 1
     return is_single and sublayers[0].length < math.inf
 
 
 def _strain_layers(model: Model) -> list[SeamLayer]:
-    """Layers of an interface model whose laws depend on strains.
+    """Return the layers of an interface model whose laws depend on strains; an empty list for a full model.
 
     A layer whose parameters vary in space occurs several times, with samples of their values.
     """
@@ -195,11 +200,15 @@ def _strain_layers(model: Model) -> list[SeamLayer]:
 
 
 def _facet_remarks(model: Model, layer: SeamLayer) -> Iterator[Remark]:
-    """Warning (key, text) if the straight facets of a curved S resist slip by the angles between them.
+    """Yield a warning (key, text) if the straight facets of a curved S make its layer too stiff against slip.
 
-    A slip w opens the layer by w . (N - n), with the facet's normal n and the mean normal N of its neighbours at each
-    vertex. This adds the normal stiffness times the mean of |N - n|^2 to the tangential stiffness. Angles above
-    CORNER_ANGLE are corners of S.
+    Let n be the normal of a facet, and N the mean normal of the facets at each of its vertices. A slip w along S then
+    opens the layer by w . (N - n). This adds the normal stiffness, times the mean of |N - n|^2, to the tangential
+    stiffness. Angles above CORNER_ANGLE are corners of S, and do not count.
+
+    Args:
+        model: the model.
+        layer: the layer.
     """
     if model.joint.degree > 1 or model.joint.planar:
         return
@@ -219,10 +228,15 @@ def _facet_remarks(model: Model, layer: SeamLayer) -> Iterator[Remark]:
 
 
 def _thickness_remarks(model: Model, layer: SeamLayer, sublayers: list[RestingSublayer]) -> Iterator[Remark]:
-    """Warnings (key, text) about a layer thicker than a body, harder than a body, or between plates that bend.
+    """Yield warnings (key, text) if a layer is thicker or harder than a body, or joins plates that bend.
 
-    The law of a layer is the start of a series in eps over the length scale of its stresses. Order 0 neglects the term
-    eps grad_S <u> in the jump. It is about eps t/E_body, while the jump is about eps t/E_layer, under a traction t.
+    The law of order 0 is the first term of a series in eps over the length on which stresses vary. It neglects the term
+    eps grad_S <u> in the jump. Under a traction t this is about eps t/E_body, while the jump is about eps t/E_layer.
+
+    Args:
+        model: the interface model.
+        layer: the layer.
+        sublayers: the moduli of its sublayers.
     """
     # on one rank, as heights need memory for all cells
     height, thin_layer = on_root(model.comm, lambda: min(layer.sheet.heights)), layer.thin_layer
@@ -251,9 +265,14 @@ def _thickness_remarks(model: Model, layer: SeamLayer, sublayers: list[RestingSu
 
 
 def _largest_tension(applicability: Applicability, state: State) -> float:
-    """Largest ratio of a layer's pressure p (tension > 0) to its shear modulus, at the vertices of S. Collective.
+    """Return the largest ratio of a layer's pressure, positive in tension, to its shear modulus. Collective.
 
-    It is 0 without tension, and for a layer without pressure flow.
+    The pressure is taken at the vertices of S. The ratio is 0 without tension, and for a layer whose law has no
+    pressure flow.
+
+    Args:
+        applicability: ranges of the layer's law.
+        state: the state.
     """
     layer = applicability.layer
     p = state.fields.get(str(Key.parse(layer.key).pressure)) if layer.has_pressure_flow else None
@@ -267,15 +286,15 @@ def _largest_tension(applicability: Applicability, state: State) -> float:
 
 # ---------------------------------------------------------------- times of laws
 def warn_of_steps(model: Model, start: float, times: Sequence[float], theta: float) -> None:
-    """Warn, before a march, if planned steps are not well below a time constant of a law. Collective.
+    """Warn, before a march, if planned time steps are not much shorter than a time constant of a law. Collective.
 
-    Only steps that begin within this time constant after the start or a break of the data are tested. Later steps
-    follow slow changes.
+    Slow changes follow long after the start and after each time at which the data have a break. Steps that begin later
+    than one time constant after these times are therefore not tested.
 
     Args:
         model: the model.
         start: time at which the march begins.
-        times: ends of the planned steps.
+        times: times at which the planned steps end.
         theta: fraction of each time step after which forces balance.
     """
     change_times = [start, *(t for t in model.break_times if t > start)]
@@ -293,23 +312,23 @@ def warn_of_steps(model: Model, start: float, times: Sequence[float], theta: flo
 
 
 def warn_of_no_time(model: Model) -> None:
-    """Warn that `solve` gives the instantaneous response of a law that relaxes. Collective."""
+    """Warn that `solve` computes the response just after sudden loads, if a law of the model relaxes. Collective."""
     for name, tau in _law_times(model)[:1]:
         text = f"{name} relaxes with the time {tau:.3g}, and a solve knows no time: this is the response just after"
         model.warn("no time", f"{text} sudden loads; for a later one march(model, times), or give times")
 
 
 def _law_times(model: Model) -> list[tuple[str, float]]:
-    """Pairs (name of a law, one of its time constants), for laws whose parameters are numbers."""
+    """Return pairs of a law's name and one of its time constants, for all laws whose parameters are numbers."""
     laws = [*model.body_laws.values(), *(law for layer in model.layers.values() for _, law in layer.law.sublayers)]
     return [(type(law.in_space).__name__, float(tau)) for law in laws if not law.fields for tau in law.own_times]
 
 
 def _step_error(x: float, theta: float) -> float:
-    """Error of the time scheme for exp(-t/tau) at about t = tau, with time steps of length x tau.
+    """Return the error of time steps in the solution exp(-t/tau) of a relaxation, at about t = tau.
 
     Args:
-        x: length of the steps over tau.
+        x: length of the steps over the time constant tau.
         theta: fraction of each time step after which forces balance.
     """
     if x < MIN_STEP_RATIO:

@@ -1,4 +1,4 @@
-"""Reactions of supports, plates and rigid bases, and the test whether every body is supported."""
+"""Reactions of supports, rigid plates and rigid bases, and the test whether every body is supported."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ INDEPENDENCE_TOLERANCE = 1e-6  # least singular value of motions of a piece that
 
 
 class SupportReactions:
-    """Forces and moments that a model's supports, plates and rigid bases exert. All methods are collective.
+    """Forces and moments that a model's supports, rigid plates and rigid bases exert. All methods are collective.
 
     Args:
         model: the model.
@@ -44,23 +44,25 @@ class SupportReactions:
         self.model, self.parts = model, parts
 
     def _motions(self, rows: IntArray) -> Array:
-        """Values (m, k) of the k rigid motions, about `Model.centre`, at m displacements of this rank.
+        """Return the values (m, k) of the k rigid motions, with rotations about `Model.centre`, at m displacements.
 
         Args:
-            rows: (m,) local numbers of the displacements.
+            rows: (m,) local numbers of the displacements on this rank.
         """
         return motion_values(self.model.places, self.model.centre, rows)
 
     def at_end(self, r: PETSc.Vec, interval: TimeStep, loads_at: Callable[[float], PETSc.Vec]) -> Array:
-        """Reactions (n, k) at the end of a step: k components of force and moment about `Model.centre`.
+        """Return the reactions (n, k) at the end of a time step: k components of force and moment at n places.
 
-        The n rows are the places `Model.holders`: supports, plates and rigid bases. The reactions in the balance of the
-        step are a weighted mean: 1 - theta times the reactions at its beginning, plus theta times the reactions at its
-        end.
+        The places are those of `Model.holders`: supports, rigid plates and rigid bases. Moments are about
+        `Model.centre`.
+
+        In the balance of the step, each reaction is a weighted mean: 1 - theta times that at its beginning plus theta
+        times that at its end. The latter is returned.
 
         Args:
-            r: nodal forces of the last evaluation of the parts, minus loads.
-            interval: the step.
+            r: nodal forces of the parts minus loads, at the last evaluation.
+            interval: the time step.
             loads_at: function of a time that returns a new vector of the nodal forces of the loads.
         """
         theta, old = interval.theta, interval.old
@@ -73,7 +75,9 @@ class SupportReactions:
         return np.asarray((now - (1 - theta) * before) / theta)
 
     def _mpc_loads(self, new: float, old: float, theta: float) -> Array:
-        """Loads (n,) on multi-point constraints at n displacements in the balance of a step; they are not reactions.
+        """Return the nodal forces (n,) of loads on multi-point constraints, such as rigid plates, at n displacements.
+
+        They are those in the balance of a time step. They do not count as reactions.
 
         Args:
             new: time at the end of the step.
@@ -84,9 +88,12 @@ class SupportReactions:
         return np.asarray(sum(loads))
 
     def _resultants(self, r: PETSc.Vec, mpc_loads: Array, *, layers: bool = True) -> Array:
-        """Reactions (n, k) for nodal forces r minus loads, with loads `mpc_loads` on multi-point constraints.
+        """Return the reactions (n, k) that balance given nodal forces: k components of force and moment at n places.
 
-        Rows of rigid bases, which bear forces of layers, are zero unless `layers`.
+        Args:
+            r: nodal forces minus loads.
+            mpc_loads: nodal forces of loads on multi-point constraints, which are not reactions.
+            layers: whether layers exert forces. If not, rows of rigid bases are zero, as these bear layers alone.
         """
         model, constraints = self.model, self.model.constraints
         by_supports = constraints.support_forces(r.array_r)
@@ -99,11 +106,13 @@ class SupportReactions:
         return np.asarray(model.comm.allreduce(np.concatenate(rows)))
 
     def _layer_resultant(self, layer: SeamLayer, like: PETSc.Vec) -> Array:
-        """This rank's force and moment (k,) of a layer with its sublayers and pressure, in the last evaluation.
+        """Return the force and moment (k,) of a layer's nodal forces on this rank, in the last evaluation.
+
+        Forces of its sublayers and of its pressure are included.
 
         Args:
             layer: the layer.
-            like: a vector of nodal forces; a work vector of the same size is created.
+            like: a vector of nodal forces, whose layout the work vector takes.
         """
         forces = like.duplicate()
         forces.set(0.0)
@@ -115,11 +124,11 @@ class SupportReactions:
 
 
 class RigidMotions:
-    """Rigid motions of the connected pieces of a model that its supports allow. All methods are collective.
+    """Rigid motions of the connected pieces of the bodies that supports allow. All methods are collective.
 
     Args:
         model: the model.
-        stiffness: norm of the diagonal of the stiffness matrix.
+        stiffness: norm of the diagonal of the stiffness matrix, to which resistance against a motion is compared.
     """
 
     def __init__(self, model: Model, stiffness: float) -> None:
@@ -138,11 +147,13 @@ class RigidMotions:
 
     @cached_property
     def blocks(self) -> tuple[IntArray, scipy.sparse.csr_matrix]:
-        """Block number (n,) >= 1 of each displacement of this rank, and the matrix of blocks within others.
+        """Block number (n,) >= 1 of each displacement of this rank, and a sparse matrix of blocks within blocks.
 
-        They are `block_of` and `within` of `PartSum`. A block is a connected piece of the bodies, or its nodes on one
-        seam, or all meshed layers. Meshed layers include their nodes on the bodies, whose forces they bear. They count
-        as within each piece, because a piece may have no other forces.
+        They are the attributes `block_of` and `nesting` of `PartSum`.
+
+        A block is a connected piece of the bodies, or the nodes of a piece on one seam, or all meshed layers. The block
+        of meshed layers includes their nodes on the bodies, whose forces they bear. It counts as part of each piece,
+        because a piece may have no other forces.
         """
         model, V, joint = self.model, self.model.V, self.model.domain.joint
         pieces = (model.split_mesh if joint.band is None else cut_at_faces(joint)).pieces
@@ -167,15 +178,15 @@ class RigidMotions:
         return 1 + np.searchsorted(blocks, block_of), scipy.sparse.block_diag([1.0, is_within], format="csr")
 
     def _motions(self, rows: IntArray) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
-        """Rigid motions (n, c), without components that supports prevent, and their Gram matrix (c, c).
+        """Return the c rigid motions of pieces and plates at n displacements, and the Gram matrix of violated supports.
 
-        Both are sparse. The c motions are those of the connected pieces, then of the plates, at the n displacements of
-        this rank. The Gram matrix is that of the violations of supports: zero for combinations of motions that supports
-        allow.
+        Both are sparse matrices, (n, c) and (c, c). The motions of connected pieces come first, then those of rigid
+        plates. Components that supports prevent are left out of them. A combination of motions is allowed if its
+        product with the Gram matrix is zero.
 
         Args:
-            rows: local numbers, ascending, of the displacements at which motions are evaluated; all are if constraints
-                relate them.
+            rows: local numbers, ascending, of the displacements at which motions are evaluated; other rows are zero. If
+                constraints relate displacements, all are evaluated.
         """
         model, constraints = self.model, self.model.constraints
         n, rows = constraints.n, rows if constraints.T is None else np.arange(constraints.n)
@@ -188,7 +199,10 @@ class RigidMotions:
 
     @cached_property
     def _allowed(self) -> scipy.sparse.csc_matrix:
-        """Coefficients (c, k) of the k motions that supports allow, in terms of the c motions of pieces and plates."""
+        """Sparse matrix (c, k) whose columns are the k motions that supports allow.
+
+        They are combinations of the c rigid motions of pieces and plates.
+        """
         gram = self._motions(np.unique(self.model.constraints.prescribed.conditions.indices))[1]
         unit, touched = scipy.sparse.eye(gram.shape[0], format="csc"), gram.diagonal() > 0
         values, vectors = np.linalg.eigh(gram[touched][:, touched].toarray())
@@ -196,9 +210,11 @@ class RigidMotions:
         return scipy.sparse.hstack([unit[:, ~touched], unit[:, touched] @ allowed], format="csc")
 
     def require_resisted(self, blocks: Sequence[Block]) -> None:
-        """Raise LooseBody if tangent blocks do not resist a motion that supports allow.
+        """Raise LooseBody if a tangent does not resist one of the rigid motions that supports allow.
 
-        Blocks that their parts do not keep (`Block.kept`) are destroyed.
+        Args:
+            blocks: matrices that add up to the tangent. Those that their parts do not use again (`Block.kept`) are
+                destroyed.
         """
         allowed, comm = self._allowed, self.model.comm
         stiffness = scipy.sparse.csc_matrix((allowed.shape[0],) * 2)
@@ -223,10 +239,12 @@ class RigidMotions:
         raise LooseBody(reason, motion, advice="add supports, or give the layer's law a stiffness in this direction")
 
     def _motion_text(self, motions: Array) -> str:
-        """Text that says how a piece can move: the piece that moves most in the last of some motions.
+        """Say how a piece of the bodies can move: "body NAME can move along ...", or turn.
+
+        It is the piece that moves most in the last of the given motions.
 
         Args:
-            motions: (c, m) coefficients of m motions, in terms of the c motions of pieces and plates.
+            motions: (c, m) coefficients of m motions, as combinations of the c rigid motions of pieces and plates.
         """
         d, pieces = self.model.joint.dim, len(self._names)
         by_piece = motions[: pieces * self._per_piece].reshape(pieces, self._per_piece, -1)  # plates come last
@@ -250,7 +268,10 @@ class RigidMotions:
 
 
 def _is_definite(A: scipy.sparse.csc_matrix, least: float) -> bool:
-    """Whether all eigenvalues of the symmetric part of A, and so its singular values, exceed `least`; or A has NaNs."""
+    """Whether all eigenvalues of the symmetric part of `A` exceed `least`; also True if `A` contains NaN.
+
+    All singular values of `A` then exceed `least`, too.
+    """
     if not np.isfinite(A.data).all():
         return True
     shifted = (A + A.T - 2 * least * scipy.sparse.eye(A.shape[0])).tocsc()

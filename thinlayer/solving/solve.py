@@ -64,32 +64,38 @@ def solve(
     method: str | None = None,
     like: State | None = None,
 ) -> State:
-    """Solve a model for its equilibrium at a time; laws with memory respond as to a sudden load. Collective.
+    """Solve a model for its equilibrium under the loads of one time, applied suddenly. Collective.
+
+    Laws with memory or relaxation respond as they do just after sudden loads on the model at rest.
 
     Args:
         model: the model.
-        t: the time of loads and supports.
+        t: time at which loads, prescribed displacements and parameters are taken.
         options: {name of a PETSc option without its prefix: value}; they override the defaults of this package. An
             option -thinlayer_NAME in PETSc's database, as from the command line, overrides both.
-        method: name of the method; None: the default. Without contact laws "linear" is one linear solve, and "newton"
-            is Newton's method. With contact laws "newton" is Newton's method for all unknowns. "condensed" condenses
-            the bodies to the nodes of S, on one rank. "multigrid" is Newton's method with a multigrid preconditioner.
-            "relaxation" is the relaxation of the paper, for comparison, on one rank, for one seam without branches.
-            The defaults are:
+        method: name of the method; None: the default.
 
-            - without contact laws "linear" if every law is linear, else "newton";
-            - with contact laws "newton" if a body is not linear, or if only some seams are in contact;
-            - with contact laws "newton" also for laws of the user, inclined supports, rigid plates and periodic joints;
-            - with contact laws in all other cases "condensed" on one rank if S has few nodes, else "multigrid".
+            - Without contact laws "linear" is one linear solve, and "newton" is Newton's method. The default is
+              "linear" if every law is linear, else "newton".
+            - With contact laws "newton" is Newton's method for all unknowns. It is the default if a body is not linear,
+              or a seam has no contact law. It is also the default for user-defined laws, inclined supports, rigid
+              plates and periodic joints.
+            - "condensed", for contact on one rank, condenses the bodies to the nodes of S. It is the default in all
+              other cases if S has few nodes.
+            - "multigrid", for contact, is Newton's method with a multigrid preconditioner. It is the default in all
+              remaining cases.
+            - "relaxation", for contact of one seam without branches on one rank, is the method of the paper. It serves
+              for comparison.
         like: a state of an interface model of the same joint, for example with another load, thickness or law. Without
-            contact laws Newton's method begins at its displacements. With them "condensed" and "multigrid" begin with
-            its jumps on S, the other methods at rest. If the solve fails from there, it begins again at rest.
+            contact laws Newton's method starts from its displacements. With contact laws "condensed" and "multigrid"
+            start from its jumps on S, and the other methods ignore it. A solve that fails from there starts again from
+            the model at rest.
 
     Warns:
         RangeWarning: an interface model, or its result, is outside the range in which its law is valid; strains of
             bodies are not small; elements of bodies lock; a law relaxes (Maxwell), and the result is its response just
-            after sudden loads. A warning about the model is issued in its first solve only, a
-            warning about a result once for each seam and time.
+            after sudden loads. A warning about the model is issued in its first solve only. A warning about a result is
+            issued once for each seam and time.
 
     Raises:
         SolveError: no convergence, or no unique solution; its subclass LooseBody if a body can move freely.
@@ -121,14 +127,14 @@ def solve(
 
 
 class SolverChoices(TypedDict, total=False):
-    """Keyword arguments that a march passes to its solver: PETSc options and the name of the method, as in `solve`."""
+    """Keyword arguments `options` and `method` of `solve`, as a march passes them to its solver."""
 
     options: Options | None
     method: str | None
 
 
 def comm_of(model: object) -> MPI.Intracomm:
-    """MPI communicator of a model; the package's default communicator if `model` is not a Model."""
+    """Return the MPI communicator of a model, or the package's default one if `model` is not a Model."""
     return model.comm if isinstance(model, Model) else default_comm()
 
 
@@ -145,13 +151,14 @@ SolveWay = tuple[str, OptionDict]  # a method, and PETSc options of its linear s
 
 @dataclass(frozen=True)
 class SolveAttempt:
-    """One attempt at solving a step: a method with its options.
+    """One way of solving a time step, which is tried until one succeeds: a method with its options.
 
     Attributes:
         name: name of the attempt in the log.
         way: pair of the method's name and the PETSc options of its linear solver, {name without prefix: value}.
         options: PETSc options of Newton's method, {name without prefix: value}.
-        uses_homotopy: whether a continuation leads from an elastic law to the given law.
+        uses_homotopy: whether the step is solved by continuation: first with an elastic law, at last with the given
+            law.
     """
 
     name: str
@@ -161,7 +168,7 @@ class SolveAttempt:
 
 
 class Solver(AbstractContextManager["Solver"]):
-    """Solver of a model for time step after time step, which keeps matrices and factors between the steps.
+    """Solver of a model for one time step after another, which keeps matrices and factors between the steps.
 
     A factor is used again while its matrix stays the same. Use the solver in a `with` statement, or call `close`.
 
@@ -169,11 +176,12 @@ class Solver(AbstractContextManager["Solver"]):
         model: the model.
         options: {name of a PETSc option without its prefix: value}.
         method: name of the method, see `solve`; None: the default for the model.
-        like: a state of an interface model of the same joint whose displacements are the first guess; None: no guess.
+        like: a state of an interface model of the same joint, from whose displacements the first step starts; None: the
+            first step starts from the state before it.
 
     Attributes:
         yields: whether a law bounds stresses, so that loads may have a limit.
-        bounded: whether loads may have a limit: a law yields, or seams in contact slide or open.
+        bounded: whether loads may have a limit: a law bounds stresses, or seams in contact slide or open.
 
     Raises:
         InputError: an unknown or unsuitable method; options that are not a dictionary; `like` of another joint.
@@ -223,7 +231,14 @@ class Solver(AbstractContextManager["Solver"]):
         self.close()
 
     def _ways_of(self, method: str) -> list[SolveWay]:
-        """Pairs (method, PETSc options of a linear solver) of a method, in the order in which they are tried."""
+        """Return the linear solvers of a method, in the order in which they are tried.
+
+        Args:
+            method: name of the method.
+
+        Returns:
+            Pairs of the method's name and PETSc options of a linear solver, {name without prefix: value}.
+        """
         if method in SOLVER_OF_METHOD:
             return [(method, {})]
         linear_options = linear_solvers(self.model, self.equations.parts, value_of("pc_type", self._user_options))
@@ -231,7 +246,7 @@ class Solver(AbstractContextManager["Solver"]):
         return [(method, options) for options in (linear_options[:1] if user_chooses else linear_options)]
 
     def _solver_of(self, method: str) -> EquilibriumSolver:
-        """Solver object of a method, by the method's name; it is created at its first use."""
+        """Return the solver object of the method with the name `method`; it is created at its first use."""
         if method not in self._solvers:
             contact = SOLVER_OF_METHOD.get(method)
             self._solvers[method] = contact(self.equations, self._like) if contact else self._newton(method)
@@ -252,11 +267,11 @@ class Solver(AbstractContextManager["Solver"]):
         self.equations.destroy()
 
     def rest(self, t: float) -> State:
-        """State at rest at time t, before the first step: displacements and stresses are zero."""
+        """Return the state at rest at time `t`, before the first step: displacements are zero, and stresses too."""
         return self.equations.rest(t)
 
     def sudden(self, t: float) -> State:
-        """State at time t under loads that are applied suddenly to the model at rest. Collective.
+        """Return the state at time `t` if the loads at this time act suddenly on the model at rest. Collective.
 
         Raises:
             SolveError: no convergence, or no unique solution.
@@ -264,18 +279,18 @@ class Solver(AbstractContextManager["Solver"]):
         return self.step(self.rest(t), t)
 
     def step(self, old: State, t: float, theta: float = 1.0, thorough: bool = True, keep_phases: bool = False) -> State:
-        """State at a time t >= old.t, with the balance of forces at old.t + theta (t - old.t). Collective.
+        """Solve a time step, and return the state at its end. Collective.
 
-        With t = old.t it is the response to a sudden change of the loads.
+        A step of length 0 is the response to a sudden change of the loads.
 
         Args:
             old: the state before the step.
-            t: time at the end of the step.
-            theta: fraction of the step after which forces balance; 1: backward Euler.
-            thorough: whether a continuation from an elastic law is tried if Newton's method fails.
-            keep_phases: whether laws with phases keep the phases of `old`. Otherwise columns (a facet of S, or the
-                cells above it in a meshed layer) change their phase. The step is then solved again, until each column
-                is in the phase of lowest energy.
+            t: time at the end of the step, >= old.t.
+            theta: fraction of the step after which forces balance, at old.t + theta (t - old.t); 1: backward Euler.
+            thorough: whether, if Newton's method fails, a continuation is tried that starts from an elastic law.
+            keep_phases: whether laws with phases keep the phases of `old`. Otherwise the step is solved again until
+                each column has the phase of lowest energy. A column is a facet of S, or the cells above it in a meshed
+                layer.
 
         Raises:
             SolveError: no convergence, or no unique solution.
@@ -293,7 +308,7 @@ class Solver(AbstractContextManager["Solver"]):
         return self._accept(last.x, Report(self.method, iterations, last.residual, seconds, homotopy_steps))
 
     def solve_regularised(self, old: State, t: float, theta: float = 1.0) -> State:
-        """State at the end of a step for which `step` has failed, by weak springs at all nodes. Collective.
+        """Solve a time step for which `step` has failed, with weak springs at all nodes; return its state. Collective.
 
         The springs soften until Newton's method converges without them, see `WeakSprings`.
 
@@ -303,7 +318,8 @@ class Solver(AbstractContextManager["Solver"]):
             theta: fraction of the step after which forces balance.
 
         Raises:
-            NoEquilibrium: displacements grow without bound as the springs soften. SolveError: no convergence.
+            NoEquilibrium: displacements grow without bound as the springs soften.
+            SolveError: no convergence.
         """
         start_time = time.perf_counter()
         attempts = [attempt for attempt in self._attempts() if not attempt.uses_homotopy]
@@ -326,13 +342,15 @@ class Solver(AbstractContextManager["Solver"]):
             raise
 
     def _from_like(self, attempt: SolveAttempt, old: State) -> tuple[StepSolution, int] | None:
-        """Newton's solution from the displacements of `like`, with 0, its number of continuation solves; None: failed.
-
-        None is also returned without `like`, for contact laws, and for other methods than Newton's.
+        """Solve the step by Newton's method from the displacements of the argument `like` of the constructor.
 
         Args:
             attempt: method and options of the solve.
             old: the state before the step.
+
+        Returns:
+            The solution, and 0 as its number of solves by continuation. None: Newton's method failed, there is no
+                `like`, the method is not "newton", or the model has contact laws.
         """
         if self._like is None or self.method != "newton" or self.model.contact:
             return None
@@ -346,9 +364,9 @@ class Solver(AbstractContextManager["Solver"]):
             return None
 
     def _accept(self, x: PETSc.Vec, report: Report) -> State:
-        """State at the end of the step, from its solution x and the solver's report.
+        """Return the state at the end of the step, from its unknowns `x` and the solver's report.
 
-        Warns once if the stress of a law falls although the law does not declare `softens`.
+        A warning follows, once, if the stress of a law falls although the law does not declare `softens`.
         """
         state = self.equations.accept(x, report)
         softenings = [] if self._warned else [part.undeclared_softening() for part in self.equations.parts]
@@ -361,7 +379,11 @@ class Solver(AbstractContextManager["Solver"]):
 
     # ---------------------------------------------------------------- attempts
     def _attempts(self) -> list[SolveAttempt]:
-        """Attempts in the order in which they are tried: every method with its linear solvers, then a continuation."""
+        """Return the ways of solving a step, in the order in which they are tried.
+
+        Each method is tried with each of its linear solvers. A continuation from an elastic law comes last, if laws
+        have one.
+        """
         traits, out = self.equations.traits, list[SolveAttempt]()
         contact = CONTACT_OPTIONS if self.model.contact else {}
         law_options = YIELDING_OPTIONS if self.yields else SINGULAR_OPTIONS if traits.singular else {}
@@ -376,17 +398,20 @@ class Solver(AbstractContextManager["Solver"]):
         return out
 
     def _try_in_turn(self, attempts: list[SolveAttempt], start: PETSc.Vec | None = None) -> tuple[StepSolution, int]:
-        """Solution of the first attempt that succeeds, and its number of continuation solves, 0 without a continuation.
+        """Try one attempt after another until one succeeds.
 
-        The solution's iterations include those of failed attempts with the last method and linear solver. A method and
-        linear solver that fail are dropped for all later steps if a later attempt succeeds.
+        A method and linear solver that fail are not tried in later steps, if a later attempt succeeds.
 
         Args:
             attempts: the attempts, in order.
-            start: initial unknowns of attempts without continuation; None: from the state before the step.
+            start: unknowns from which attempts without continuation start; None: those of the state before the step.
+
+        Returns:
+            The solution, and its number of solves by continuation (0 without). Its iterations include those of failed
+                attempts with the last method and linear solver.
 
         Raises:
-            SolveError: all attempts failed. It is the error of the first attempt with the last method and linear
+            SolveError: all attempts failed. The error is that of the first attempt with the last method and linear
                 solver, or a LooseBody of the continuation.
         """
         why, errors = "", list[SolveError]()
@@ -410,10 +435,14 @@ class Solver(AbstractContextManager["Solver"]):
         raise errors.pop(0) from (errors.pop() if errors else None)
 
     def _try(self, attempt: SolveAttempt, start: PETSc.Vec | None = None) -> StepSolution:
-        """Solution of one attempt, from the unknowns `start` (None: from the state before the step).
+        """Solve the step by one attempt.
 
-        PETSc options of the attempt are set, and overridden by the user's, all of which must be read. If the attempt
-        fails with the factor of an earlier step, it is repeated with a new factor.
+        The PETSc options of the attempt are set. Those of the user override them, and all of these must be read. If the
+        attempt fails with the factor of an earlier step, it is repeated with a new factor.
+
+        Args:
+            attempt: method and options of the solve.
+            start: initial unknowns; None: those of the state before the step.
         """
         start_time, ours = time.perf_counter(), {**attempt.way[1], **attempt.options}
         self._solver = self._solver_of(attempt.way[0])
@@ -433,15 +462,21 @@ class Solver(AbstractContextManager["Solver"]):
                 return solution
 
     def _homotopy(self, attempt: SolveAttempt) -> tuple[StepSolution, int]:
-        """Lower the continuation parameter from 1 (elastic layer) to 0 (the law); return solution and number of solves.
+        """Solve the step by continuation from an elastic layer to the given law.
 
-        The decrement of the parameter is doubled after a solve that converges and halved after a solve that fails. Each
-        solve starts from the unknowns of the last converged solve, with the strains and memory at the start of the
-        step.
+        The parameter of the continuation falls from 1, an elastic layer, to 0, the given law. Its decrement is doubled
+        after a solve that converges, and halved after one that fails. Each solve starts from the unknowns of the last
+        that converged. The strains and memory before the step stay the same.
+
+        Args:
+            attempt: method and options of the solves.
+
+        Returns:
+            The solution, and the number of solves.
 
         Raises:
-            SolveError: a solve with a law of the continuation fails, or displacements grow without bound; LooseBody if
-                a body has been released.
+            SolveError: the solve with a law of the continuation fails, or displacements grow without bound.
+            LooseBody: a body has been released.
         """
         last_x, limit = self.equations.vector(), math.inf
         converged, parameter, decrement, solves, iterations = 1.0, 1.0, FIRST_DECREMENT, 0, 0

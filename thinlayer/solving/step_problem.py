@@ -1,4 +1,4 @@
-"""StepProblem: the balance of forces of a time step in a user's script, for the user's own PETSc SNES."""
+"""The class `StepProblem`: balance of forces of a time step in a user's script, for the user's own PETSc SNES."""
 
 from __future__ import annotations
 
@@ -29,9 +29,10 @@ from thinlayer.system.ranks import communicator, destroy, errors_on_all
 
 
 class StepProblem(PartSum):
-    """Balance of forces of a time step: a UFL form, terms of layers and bodies, parts, and Dirichlet conditions.
+    """Balance of forces of a time step, in a user's script, for the user's own PETSc SNES.
 
-    It provides the residual and the Jacobian of a PETSc SNES. The user chooses the solvers and line searches::
+    It sums a UFL form, integrals of laws of layers and bodies, and further parts, under Dirichlet conditions. It
+    provides the residual and the Jacobian of the SNES. The user chooses the solvers and line searches::
 
         problem = StepProblem(R, u, bcs, terms)
         problem.attach(snes)
@@ -53,11 +54,12 @@ class StepProblem(PartSum):
             `destroy` destroys the parts too.
 
     Attributes:
-        state: displacements, time, memory and stored energies at the last accepted state. Keys of compiled terms are
-            "layer", or "layer 1", "layer 2", ... in their order, and in bodies "body", or "body 1", ...
-        energies: key of a compiled term or further part -> array of its three energies at the last accepted state:
-            stored; dissipated in all steps; error of the time scheme in the energy balance of all steps. NaN if a law
-            declares no energy.
+        state: displacements, time, memory and stored energies at the end of the last accepted step. Memory and energies
+            have the keys of terms with compiled laws: "layer", or "layer 1", "layer 2", ... in the order of `terms`,
+            and for bodies "body", or "body 1", ...
+        energies: key of a compiled term or further part -> (3,) its energies at the end of the last accepted step. They
+            are the stored energy, the energy dissipated in all steps, and the error of the time scheme in the energy
+            balance of all steps. NaN if a law declares no energy.
         parts: the parts whose forces are summed; the first part is the form.
         traits: properties of all parts together: a flag is set if one part has it.
         failed: number of points where laws failed in the last evaluation.
@@ -111,7 +113,11 @@ class StepProblem(PartSum):
         self._interval: TimeStep | None = None
 
     def _first_tangent(self) -> tuple[PETSc.Mat, ForceScale, float]:
-        """Tangent at the first state, reference forces from the form's stiffness, stiffness for constrained rows."""
+        """Compute the tangent at the first state, and what is derived from the form's stiffness.
+
+        Returns:
+            The tangent, the reference forces for residuals, and the stiffness on the diagonal of constrained rows.
+        """
         part_blocks = [part.tangents(0.0) for part in self.parts]
         form_diagonal = TangentMatrix(self.comm, self._matrix.sizes).fill(part_blocks[0]).getDiagonal()
         tangent = self._matrix.fill([block for blocks in part_blocks for block in blocks])
@@ -125,19 +131,25 @@ class StepProblem(PartSum):
 
     @property
     def compiled(self) -> dict[str, CompiledTerm]:
-        """Terms with compiled laws, by their keys; each has methods `strain`, `respond`, `forces` and `stiffness`."""
+        """Terms whose laws are compiled, by their keys.
+
+        Each has methods `strain`, `respond`, `forces` and `stiffness`, which evaluate the law at its quadrature points.
+        """
         return {part.key: part.points for part in self.of_kind(CompiledPart)}
 
     # ---------------------------------------------------------------- a step
     def attach(self, snes: PETSc.SNES) -> None:
-        """Set the residual and the Jacobian of an SNES."""
+        """Set the functions of an SNES that compute the residual and the Jacobian."""
         snes.setFunction(self.residual, self._forces.duplicate())
         snes.setJacobian(self.jacobian, self._tangent)
 
     def begin(self, dt: float) -> None:
-        """Begin a step of length dt >= 0 from the last accepted state; 0 is a sudden load.
+        """Begin a time step from the last accepted state.
 
         After a step that failed, set u back to `state.u` and call `begin` again.
+
+        Args:
+            dt: length of the step, >= 0; 0: the loads change suddenly.
         """
         if not dt >= 0:
             raise InputError(f"the length of a step is {dt}; allowed: >= 0")
@@ -145,10 +157,16 @@ class StepProblem(PartSum):
         self.begin_parts(self._interval)
 
     def residual(self, snes: PETSc.SNES | None, x: PETSc.Vec, out: PETSc.Vec) -> None:
-        """Write the residual at displacements x into `out`: internal forces minus loads; all NaN if a law fails.
+        """Write the residual at displacements `x` into `out`: internal forces minus loads. It is NaN if a law fails.
 
-        At constrained dofs it is the difference of x from the prescribed values, times the largest diagonal entry of
-        the form's tangent. This makes displacements comparable with forces, because line searches add them up.
+        At a constrained dof the residual is the difference of `x` from the prescribed value, times a stiffness. This is
+        the largest diagonal entry of the form's tangent. Such residuals are comparable with forces, so that line
+        searches can add both.
+
+        Args:
+            snes: not used; PETSc passes it.
+            x: the displacements.
+            out: the residual; overwritten.
         """
         if x.handle != self._u.x.petsc_vec.handle:
             self._u.x.array[: x.getLocalSize()] = x.array_r
@@ -160,10 +178,16 @@ class StepProblem(PartSum):
             out.set(np.nan)
 
     def jacobian(self, snes: PETSc.SNES | None, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
-        """Write the derivative of the residual into P, at the displacements where the residual was last evaluated.
+        """Write the derivative of the residual into `P`, at the displacements where the residual was last evaluated.
 
-        Rows of constrained dofs are rows of the identity times a stiffness, so that a Newton step reaches the
-        prescribed values. The matrix is therefore not symmetric. The arguments are those of PETSc; x is not used.
+        A row of a constrained dof has a stiffness on its diagonal and zeros elsewhere. A Newton step then reaches the
+        prescribed value. As columns are not changed, the matrix is not symmetric.
+
+        Args:
+            snes: not used; PETSc passes it.
+            x: not used; PETSc passes it.
+            A: PETSc's Jacobian, which is usually the same matrix as `P`.
+            P: matrix from which the preconditioner is built; overwritten.
         """
         self._matrix.fill(self.blocks()).zeroRows(self._constrained_rows, self._stiffness)
         if P.handle != self._tangent.handle:
@@ -172,7 +196,7 @@ class StepProblem(PartSum):
             A.assemble()
 
     def accept(self) -> None:
-        """End the step at the displacements u; the next step begins with the internal variables there.
+        """End the time step at the displacements u, and keep the internal variables there for the next step.
 
         Raises:
             SolveError: more than 1e-6 of the forces is out of balance, a law fails at u, or phases of a layer must
@@ -195,12 +219,18 @@ class StepProblem(PartSum):
         self._interval = None
 
     def _form_force_norm(self) -> float:
-        """Norm of the form's tangent times u: size of nodal forces that balance each other, as of thermal stresses."""
+        """Return the norm of the form's tangent times u, which measures nodal forces that balance each other.
+
+        Thermal stresses cause such forces, for example.
+        """
         tangent = TangentMatrix(self.comm, self._matrix.sizes).fill(self.parts[0].tangents(0.0))
         return float((tangent * self._u.x.petsc_vec).norm())
 
     def switch(self) -> bool:
-        """Change the layers' phases to those of lowest energy, per facet of S; on True, solve the step again."""
+        """Change the layers' phases, facet by facet of S, to those of lowest energy; return whether any changes.
+
+        If so, solve the step again.
+        """
         self._evaluate(self._forces)
         return super().switch()
 
@@ -210,7 +240,10 @@ class StepProblem(PartSum):
 
     # ---------------------------------------------------------------- within a step
     def _evaluate(self, out: PETSc.Vec) -> None:
-        """Write internal forces minus loads at displacements u into `out`, including reactions at constrained dofs."""
+        """Write internal forces minus loads at displacements u into `out`.
+
+        At constrained dofs they are the reactions of the supports.
+        """
         if self._interval is None:
             if self.state.memory:
                 raise InputError("no step has begun: call begin(dt) before each solve")
@@ -219,7 +252,7 @@ class StepProblem(PartSum):
         self._force_norms.append(float(out.norm()))
 
     def _prescribed(self) -> Array:
-        """Prescribed values of the constrained displacements."""
+        """Return the prescribed values (n,) of the n constrained displacements of this rank."""
         prescribed = np.zeros(len(self._u.x.array))
         for bc in self._bcs:
             bc.set(prescribed)
@@ -227,7 +260,10 @@ class StepProblem(PartSum):
 
 
 def _require_jumps(V: fem.FunctionSpace, term: Term) -> None:
-    """Raise InputError if the displacement space V is continuous across the interior facets of a term. Collective."""
+    """Raise InputError if displacements in the space `V` cannot jump across the facets of `term`. Collective.
+
+    Only terms on interior facets are tested.
+    """
     if term.measure.integral_type() != "interior_facet":
         return
     sides = np.concatenate([np.empty(0, np.int64), *(rows for _, rows in term.measure.subdomain_data())]).reshape(-1, 4)
@@ -238,7 +274,12 @@ def _require_jumps(V: fem.FunctionSpace, term: Term) -> None:
 
 
 def _check_arguments(parts: Sequence[Part], keys: set[str]) -> None:
-    """Raise InputError unless these are parts without own unknowns, with keys not in `keys`; add their keys."""
+    """Raise InputError unless all `parts` are of the class `Part`, have no own unknowns, and have different keys.
+
+    Args:
+        parts: what the user has passed as parts.
+        keys: keys that are already taken; the keys of the parts are added.
+    """
     for part in parts:
         require(isinstance(part, Part), "one of parts", part, "allowed: what derives from thinlayer.parts.part.Part")
         if isinstance(part, FieldPart):

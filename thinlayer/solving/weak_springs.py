@@ -1,10 +1,12 @@
-"""Search for an equilibrium by weak springs at all nodes, where Newton's method fails.
+"""Search for an equilibrium, where Newton's method fails, by weak springs at all nodes.
 
-Springs of stiffness k between all nodes and their old places are added. R is the residual, u_0 the old displacements.
-Then the equation R(u) + k (u - u_0) = 0 has a solution even above the limit load. Newton's method converges easily
-while k is large. As k falls, u tends to the nearest equilibrium if there is one. Otherwise u grows without bound, in
-the end as 1/k. For a layer with associated flow this is a theorem. There R is monotone, |u - u_0| only grows as k
-falls, and no equilibrium is nearer (Brezis 1973, the regularisation of Yosida). For other layers it is an indication.
+Springs of stiffness k join each node to its place before the step. Let R be the residual and u_0 the displacements
+before the step. The equation R(u) + k (u - u_0) = 0 has a solution even above the limit load. While k is large
+Newton's method converges easily.
+
+As k falls, u tends to the nearest equilibrium if there is one. Otherwise u grows without bound, in the end as 1/k.
+This is a theorem for a layer with associated flow: then R is monotone, |u - u_0| only grows as k falls, and no
+equilibrium is nearer (Brezis 1973, the regularisation of Yosida). For other layers it is an indication.
 """
 
 from __future__ import annotations
@@ -38,12 +40,12 @@ MIN_DECREASE = 0.1  # least relative decrease of the residual, over the length o
 
 
 class WeakSprings:
-    """Search for the equilibrium at the end of a step, with springs at all nodes, whose stiffness falls. Collective.
+    """Search for the equilibrium at the end of a time step, with springs at all nodes that soften. Collective.
 
-    Arrays x (n,) are the unknowns of this rank.
+    In all methods, arrays (n,) have the n unknowns of this rank.
 
     Args:
-        equations: the equations of the model.
+        equations: the balance of forces of the model.
         options: PETSc options of the linear solver, {name without prefix: value}.
     """
 
@@ -55,16 +57,17 @@ class WeakSprings:
         self._unit_stiffness, self._stiffness = equations.mean_stiffness, 0.0
 
     def follow(self, rest: State, step: TimeStep, find: Callable[[PETSc.Vec], SpringResult]) -> SpringResult:
-        """Soften the springs until `find` succeeds without them; return its result.
+        """Soften the springs until `find` succeeds without them; return the result of `find`.
 
         Args:
-            rest: the state at rest.
+            rest: the model's state at rest.
             step: the time step at whose end an equilibrium is sought.
-            find: function that seeks an equilibrium without springs from given unknowns; it raises SolveError if it
-                fails.
+            find: function that seeks an equilibrium without springs from the unknowns that it is given. It raises
+                SolveError if it fails.
 
         Raises:
-            NoEquilibrium: displacements grow without bound. SolveError: no equilibrium was found.
+            NoEquilibrium: displacements grow without bound as the springs soften.
+            SolveError: no equilibrium was found.
         """
         elastic_distance = self._elastic_distance(rest, step)
         failed = [SolveError("weak springs have not led to an equilibrium")]
@@ -106,9 +109,14 @@ class WeakSprings:
 
     # ---------------------------------------------------------------- the step
     def _elastic_distance(self, rest: State, step: TimeStep) -> float:
-        """Norm of the displacements that the loads and supports of the step cause from rest, with an elastic layer.
+        """Return the norm of the displacements that the step would cause in the model at rest with elastic layers.
 
-        The step keeps its length dt, as laws with rate have no instantaneous response.
+        They are due to its loads and to the motion of its supports. The length dt of the step is kept, because laws
+        with rate have no instantaneous response.
+
+        Args:
+            rest: the model's state at rest.
+            step: the time step.
         """
         equations, r, d = self.equations, self._r, self._d
         equations.begin(TimeStep(rest, step.old.t, step.dt, 1.0))
@@ -135,9 +143,13 @@ class WeakSprings:
         return math.sqrt(self.equations.comm.allreduce(float(moved @ moved)))
 
     def _shares(self, x: Array) -> dict[str, float]:
-        """Fraction of the squared jumps from the start to x that occurs on each seam, by its name, largest first.
+        """Return which fraction of the squared change of the jumps occurs on each seam: name of the seam -> fraction.
 
-        Only seams with laws that yield or release bodies count; jumps along S count half in layers that yield.
+        The largest fraction comes first. Only seams with laws that yield or release bodies count. In layers that yield,
+        jumps along S count half.
+
+        Args:
+            x: (n,) unknowns; changes are counted from those at the start of the search.
         """
         self._d.array[:] = x - self._start
         equations, model, u = self.equations, self.equations.model, self.equations.configuration(self._d).u
@@ -152,9 +164,9 @@ class WeakSprings:
 
     # ---------------------------------------------------------------- Newton's method
     def _residual(self, x: Array) -> float:
-        """Compute the residual with springs at x; return its norm.
+        """Compute the residual at unknowns `x` (n,), forces of the springs included, and return its norm.
 
-        In each block of unknowns (see `ForceScale`) it is relative to the reference forces at the start of the search.
+        In each block of unknowns of `ForceScale`, it is divided by the reference force at the start of the search.
         """
         equations = self.equations
         self._x.array[:] = x
@@ -165,12 +177,19 @@ class WeakSprings:
         return float(np.linalg.norm(self._norms[1:] / np.maximum(self._forces[1:], MIN_DIVISOR)))
 
     def _is_solved(self, x: Array) -> bool:
-        """Whether the last residual is small relative to the forces of the springs at x, on each block of unknowns."""
+        """Whether the last residual is small compared with the forces of the springs at unknowns `x` (n,).
+
+        It must be so in each block of unknowns of `ForceScale`.
+        """
         springs = self._stiffness * self.equations.norms(x - self._start)
         return bool((self._norms <= np.maximum(RESIDUAL_TOLERANCE * springs, self.equations.target(self._x))).all())
 
     def _solve(self, x: Array) -> Array | None:
-        """Solve for the equilibrium with springs, starting from x; None without convergence."""
+        """Solve for the equilibrium with springs, starting from unknowns `x` (n,).
+
+        Returns:
+            The unknowns (n,) at this equilibrium; None: no convergence.
+        """
         residuals = [self._residual(x)]
         while len(residuals) <= MAX_NEWTON_STEPS and math.isfinite(residuals[-1]):
             A = self.equations.tangent()
@@ -184,9 +203,13 @@ class WeakSprings:
         return None
 
     def _search(self, x: Array, d: Array, most: float) -> tuple[Array, float]:
-        """Line search from x along d; return the new unknowns, and the norm of their residual.
+        """Find, by a line search, a step length at which the residual is smaller; return the new unknowns and its norm.
 
-        The norm is below `most` if such a point is found, else it is the least that was found.
+        Args:
+            x: (n,) unknowns before the step.
+            d: (n,) increment of the unknowns for the step length 1.
+            most: norm that the residual should not reach. If no step length is found, the one with the least norm is
+                taken.
         """
         best, best_length, length = math.inf, 0.0, 1.0
         for length in 0.5 ** np.arange(MAX_HALVINGS):
