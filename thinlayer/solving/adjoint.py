@@ -36,10 +36,9 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     Use it in a `with` statement. K is the tangent stiffness at the equilibrium, K^t its transpose.
 
-    A goal is a number Q = q . u - g . r, which depends on the nodal displacements u and the reactions r of the
-    supports. Its weights q are nodal forces, with q . u as their work. Its weights g are prescribed displacements at
-    the constrained dofs ("motions"). The adjoint solution z satisfies K^t z = q at all other dofs, and z = g at
-    constrained dofs.
+    A goal is a number Q = q . u - g . r that depends on the nodal displacements u and on the nodal reactions r at
+    constrained dofs. It is described by two vectors of weights: q has the unit of forces, and g that of displacements.
+    The adjoint solution z of the goal satisfies z = g at constrained dofs, and K^t z = q at all other dofs.
 
     Args:
         state: the equilibrium.
@@ -91,15 +90,19 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return self.equations.vector()
 
     def form_weights(self, form: Expr) -> PETSc.Vec:
-        """Assemble the weights q of a goal from `form`, which is linear in a test function of the displacements."""
+        """Assemble a linear form as a vector q, so that its value for displacements u is q . u.
+
+        Args:
+            form: UFL form that is linear in a test function of the model's displacements.
+        """
         return self.equations.on_unknowns(assemble_forces(compiled(form)))
 
     def nodal_weights(self, dofs: IntArray, values: Array) -> PETSc.Vec:
-        """Return the weights q of the goal that sums `values` times the displacements at `dofs`.
+        """Return the vector q for which q . u is the sum of `values` times the displacements u at `dofs`.
 
         Args:
             dofs: (n,) local numbers of displacement dofs on this rank, ghosts included.
-            values: (n,) weights at `dofs`. Weights that several ranks give for the same dof are added.
+            values: (n,) factors of the displacements at `dofs`. Factors that several ranks give for one dof are added.
         """
         f, forces = fem.Function(self.model.V), self.equations.u.x.petsc_vec.duplicate()
         np.add.at(f.x.array, dofs, values)
@@ -108,7 +111,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return self.equations.on_unknowns(forces)
 
     def load_weights(self) -> PETSc.Vec:
-        """Return the weights q of the goal that is the work of the loads: the nodal forces of the loads.
+        """Return the vector q of nodal forces of the loads, for which q . u is their work in displacements u.
 
         Loads on rigid plates are included. Loads on the layers are not, see `layer_loads`.
         """
@@ -122,13 +125,18 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return np.asarray(self.model.forces.nodal_at(self.model.V, self.state.t, layers=True).array_r.copy())
 
     def prescribed_motions(self) -> PETSc.Vec:
-        """Return the weights g that equal the prescribed displacements at the constrained dofs."""
+        """Return the vector g of the prescribed displacements at constrained dofs, with zeros at all other dofs.
+
+        With reactions r at these dofs, g . r is their work.
+        """
         g = self.zero_vector()
         g.array[self.equations.bc_dofs] = self.equations.prescribed
         return g
 
     def reaction_motions(self, place: Place, direction: Array) -> PETSc.Vec:
-        """Return the weights g of the goal that is a component of the reaction of a support or a rigid plate.
+        """Return the vector g for which -g . r is a component of the reaction of a support or a rigid plate.
+
+        Here r are the nodal reactions at constrained dofs. Entries of g at all other dofs are zero.
 
         Args:
             place: name of the support's facet set, or coordinates of its point.
@@ -142,20 +150,21 @@ class Adjoint(AbstractContextManager["Adjoint"]):
     def require_dual(
         self, name: str, value: Callable[[State, InterfaceModel], float], q: PETSc.Vec, g: PETSc.Vec, *, layers: bool
     ) -> None:
-        """Check, by a random change d of the displacements, that the weights of a goal are its derivative.
+        """Check that the weights q and g of a goal are the derivative of its value.
 
-        The goal and the model must be linear. The change of the goal's value must equal q . d minus g times the change
-        of the reactions.
+        The displacements u are changed by a random vector d, which changes the reactions r at constrained dofs. The
+        value of the goal must then change by q . d - g . (change of r). This holds only for linear goals of linear
+        models.
 
         Args:
             name: name of the goal, for the message of the error.
             value: function of a state and the model that returns the goal's value.
-            q: weights of the goal on the displacements.
-            g: weights of the goal on the reactions, at constrained dofs.
+            q: weights of the displacements.
+            g: weights of the reactions.
             layers: whether the goal also contains the work of the loads on the layers, which q leaves out.
 
         Raises:
-            InputError: the change of the value differs from what the weights say.
+            InputError: the value does not change as the weights say.
         """
         equations, bc_dofs = self.equations, self.equations.bc_dofs
         d, residuals, values = equations.vector(), [], []
@@ -186,7 +195,8 @@ class Adjoint(AbstractContextManager["Adjoint"]):
     def displacements(self, dofs: IntArray, forces: Array) -> Array:
         """Return the displacements (m,) that small nodal forces cause, at the m displacement dofs that this rank owns.
 
-        They are zero at constrained dofs. If `transposed` is set, K^t takes the place of K.
+        They solve K u = forces, with the tangent stiffness K, and are zero at constrained dofs. If the attribute
+        `transposed` is set, the transpose of K takes its place.
 
         Args:
             dofs: (n,) local numbers of displacement dofs on this rank, ghosts included.
@@ -198,11 +208,16 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return np.asarray(self.equations.configuration(x).u.x.array[: self.equations.n_displacements])
 
     def weights(self, q: PETSc.Vec, g: PETSc.Vec) -> Configuration:
-        """Return the adjoint solution z of a goal, as displacements and the own unknowns of layers, such as pressures.
+        """Return the adjoint solution z of a goal q . u - g . r, with displacements u and reactions r.
+
+        With the transposed tangent K^t it satisfies K^t z = q, and z = g at constrained dofs.
 
         Args:
-            q: weights of the goal on the displacements; overwritten.
-            g: weights of the goal on the reactions, at constrained dofs; overwritten.
+            q: weights of the displacements; overwritten.
+            g: weights of the reactions; overwritten.
+
+        Returns:
+            Configuration with the displacements of z, and those of its fields that belong to layers, such as pressures.
         """
         equations, bc_dofs = self.equations, self.equations.bc_dofs
         if self._one_factor and self._match_state(q, g):
@@ -225,9 +240,9 @@ class Adjoint(AbstractContextManager["Adjoint"]):
                 solve_linear(self.equations.factor.ksp, q, x)
 
     def _match_state(self, q: PETSc.Vec, g: PETSc.Vec) -> bool:
-        """Whether `q` equals the loads, and `g` the prescribed displacements.
+        """Whether `q` equals the nodal forces of the loads, and `g` the prescribed displacements.
 
-        The equilibrium itself is then the adjoint solution, if the model is linear and symmetric.
+        In a linear, symmetric model the equilibrium itself is then the adjoint solution.
         """
         bc_dofs, r = self.equations.bc_dofs, self._r
         self.equations.residual(self.equations.vector(), r)  # minus the loads
@@ -238,9 +253,9 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return bool(r.norm() <= LOAD_DIFFERENCE_TOLERANCE * size)
 
     def _transposed_product(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
-        """Write the product K^t `x` into `out`, with K as it is before Dirichlet conditions.
+        """Write the product of the transposed tangent and `x` into `out`; Dirichlet conditions are not applied.
 
-        If K was not stored, it is symmetric. K `x` is then the residual at `x` minus the residual at zero.
+        If no tangent was stored, it is symmetric. Its product is then the residual at `x` minus the residual at zero.
         """
         if self._tangent is not None:
             self._tangent.multTranspose(x, out)

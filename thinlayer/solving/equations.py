@@ -99,7 +99,7 @@ class Equations(PartSum):
         return self._layout.vector()
 
     def put_state(self, state: Configuration, x: PETSc.Vec) -> None:
-        """Write the unknowns of `state` into the vector `x`; the next time step starts from them."""
+        """Write the unknowns of `state` into the vector `x`, as initial values of the next time step."""
         values = self._layout.split(x.array)
         values[DISPLACEMENT_KEY][:] = self.constraints.unknowns(state.u.x.array[: self.n_displacements])
         for part in self.with_own:
@@ -257,7 +257,7 @@ class Equations(PartSum):
         return self.on_unknowns(self.external, [part.load for part in self.with_own])
 
     def configuration(self, x: PETSc.Vec) -> Configuration:
-        """Return the configuration at the end of the time step: the displacements and fields of the unknowns `x`."""
+        """Return the configuration at the end of the time step: the displacements and other fields of unknowns `x`."""
         self._set_unknowns(x)
         fields = {part.key: part.own_result() for part in self.with_own}
         return Configuration(self.u.copy(), self.interval.t, fields=fields)
@@ -267,7 +267,9 @@ class Equations(PartSum):
         return self.on_unknowns(self.loads_at(t), [part.load_at(t) for part in self.with_own])
 
     def on_unknowns(self, forces: PETSc.Vec, part_loads: Sequence[Array] = ()) -> PETSc.Vec:
-        """Return a new vector of forces on the unknowns, which includes the effect of constraints u = T y.
+        """Return a new vector of forces on the unknowns, for given nodal forces and loads of parts.
+
+        With constraints u = T y of the displacements, the forces on y are T^t times the nodal forces.
 
         Args:
             forces: nodal forces on the displacements u.
@@ -284,11 +286,11 @@ class Equations(PartSum):
             fields[part.key][:] = values
 
     def start(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
-        """Write the residual at unknowns `x`, from which the step starts, into `out`.
+        """Write the residual at the step's initial unknowns `x` into `out`, and add it to the reference forces.
 
-        Its norms also enter the reference forces of the step, with two exceptions. In a periodic cell under a mean
-        strain, stiff bodies would follow the strain, with large forces however soft the layer. With an elastic law in
-        place of the layer's law, a layer that has slipped far has large forces too.
+        It is not added in two cases, in which it would be too large. In a periodic cell under a mean strain, stiff
+        bodies would follow the strain with large forces, however soft the layer. With a homotopy law, which is nearly
+        elastic, a layer that has slipped far has large forces, too.
         """
         self.residual(x, out)
         if self.model.strain is None and not self.homotopy_parameter:
@@ -340,8 +342,8 @@ class Equations(PartSum):
         Args:
             x: vector whose values at constrained unknowns the solution shall have; None: zero values.
             b: right-hand side, to which the forces due to these values are added; None if `x` is None.
-            lend: whether the matrix of the bodies may be changed in place within the block, instead of being copied.
-                Within the block it may then serve only for a factorisation. This needs `x` = None.
+            lend: whether, to save memory, the tangent may be made in place from the matrix of the bodies. Within the
+                block that matrix may then serve only for a factorisation. Without effect if `x` is given.
         """
         only_u = x is None and self._T is None and not self.with_own
         first, *others = self.blocks(self._relative_residual) if lend and only_u else [Block(None)]
@@ -391,9 +393,9 @@ class Equations(PartSum):
         return replace(state, sudden=self.interval.dt == 0 and self.interval.old.at_rest, dissipated=dissipated)
 
     def reactions(self) -> Array:
-        """Return the reactions (n, k) at the end of the time step: k components of force and moment at n places.
+        """Return the reactions (n, k) at the end of the time step: k components of force and moment at n supports.
 
-        The places are those of `Model.holders`: supports, rigid plates and rigid bases. Moments are about
+        The rows are in the order of `Model.holders`: supports, rigid plates and rigid bases. Moments are about
         `Model.centre`. The reactions belong to the last evaluation of the residual.
         """
         return self._reactions.at_end(self._forces, self.interval, self.loads_at)
@@ -415,14 +417,17 @@ class Equations(PartSum):
 
     # ---------------------------------------------------------------- time
     def check_times(self, times: list[float]) -> None:
-        """Raise InputError if loads, prescribed displacements or parameters are out of range at one of `times`."""
+        """Raise InputError if data that vary in time are out of range at one of `times`.
+
+        These are loads, prescribed displacements and parameters of laws.
+        """
         for t in times:
             self._data_at(t)
 
     def linear_in_time(self, start: float, end: float) -> bool:
-        """Whether loads, prescribed values and parameters of laws are linear in time from `start` to `end`.
+        """Whether loads, prescribed values and parameters of laws vary linearly in time from `start` to `end`.
 
-        Only a few times between `start` and `end` are compared.
+        This is tested at a few times in between.
         """
         start_data, end_data = self._data_at(start), self._data_at(end)
         for share in SAMPLE_FRACTIONS:

@@ -101,13 +101,19 @@ class DirichletLayers:
         self.linearise(self._x.array_r.copy())
 
     def residual(self, w: Array) -> Array:
-        """Return the residual (n,) at unknowns `w` (n,): internal forces minus loads; NaN if a law fails."""
+        """Return the residual (n,) at unknowns `w` (n,): internal forces minus loads; NaN if a law fails.
+
+        The n unknowns are displacements, then other fields such as pressures.
+        """
         self._x.array[:] = w
         self._equations.residual(self._x, self._out)
         return np.asarray(self._out.array_r.copy())
 
     def linearise(self, w: Array) -> None:
-        """Set K to the tangent at unknowns `w` (n,), and `load` such that K w - load is the residual there."""
+        """Linearise the layers at unknowns `w` (n,): set their tangent stiffness K and their `load`.
+
+        The residual at unknowns near `w` is then K times these unknowns minus `load`.
+        """
         r = self.residual(w)
         self.K = local_csr(self._equations.tangent())
         self.load = self.K @ w - r
@@ -124,12 +130,17 @@ class DirichletLayers:
         return _SubmatrixFactor(self.K, self._inside, symmetric=self.model.symmetric)
 
     def dirichlet_displacements(self, v: Array, load: Array, values: Array) -> Array:
-        """Return the unknowns (n,) of the linearised layers in equilibrium, for given displacements of their faces.
+        """Return the n unknowns of the linearised layers in equilibrium, for given displacements of their faces.
+
+        A layer's faces are its lower and upper side, where it meets the bodies. Its sides join them at the ends of S.
 
         Args:
             v: (n,) displacements of the faces; all other entries are ignored.
             load: (n,) forces on the layers.
             values: (n,) prescribed displacements of the sides; all other entries are ignored.
+
+        Returns:
+            Unknowns (n,): displacements, then other fields such as pressures.
         """
         w = np.where(self.on_face, v, np.where(self._at_sides, values, 0.0))
         self._dirichlet.solve(load - self.K @ w, w)
@@ -176,11 +187,10 @@ class DirichletLayers:
         raise SolveError(f"the layer by itself: no equilibrium after {MAX_NEWTON_STEPS} steps", advice=MESH_REMEDY)
 
     def motion_of(self, place: Place, direction: Array) -> Array:
-        """Return weights g (n,) with which -g . r is the force of a support along a direction.
+        """Return the vector g (n,) for which -g . r is the force of a support along a direction.
 
-        Here r is the residual of the layers.
-
-        The weights are displacements of the layers' sides.
+        Here r is the residual of the layers, at n unknowns. Entries of g are nonzero only at supports of the layers'
+        sides.
 
         Args:
             place: name of the support's facet set, or coordinates of its point.
@@ -254,14 +264,14 @@ class LayerSubproblem(DirichletLayers):
         return _SubmatrixFactor(self.K, (self.free_faces | self._inside) & ~self._pins, symmetric=self.model.symmetric)
 
     def work(self, w: Array, z: Array) -> Array:
-        """Return the work of the stresses in virtual displacements, minus that of the loads, node by node.
+        """Return the work of the stresses in virtual displacements, minus that of the loads, as shares of all nodes.
 
         Args:
             w: (n,) unknowns at which the stresses are computed.
             z: (n,) virtual displacements.
 
         Returns:
-            Array (k,) with one share for each of the layers' k displacements. Their sum is the work.
+            Array (k,) with one share for each of the layers' k displacement components. Their sum is the work.
         """
         self.residual(w)
         strained, nodal_work = fem.Function(self.model.V), fem.Function(self.model.V)
@@ -271,7 +281,9 @@ class LayerSubproblem(DirichletLayers):
         return np.asarray(nodal_work.x.array - (z * self.forces)[: self._n_u])
 
     def _motions(self, free: BoolArray) -> tuple[Array, BoolArray]:
-        """Return m orthonormal motions (n, m) that need no energy, and a mask (n,) of m unknowns that fix them.
+        """Return m orthonormal motions (n, m) that need no energy and that supports allow, and unknowns that stop them.
+
+        These are marked in a mask (n,): if the m marked unknowns are zero, none of the motions is possible.
 
         Args:
             free: (n,) mask of the unknowns that supports do not constrain.
@@ -317,9 +329,9 @@ class LayerSubproblem(DirichletLayers):
 
     # ---------------------------------------------------------------- E and its inverse
     def dirichlet_reactions(self, v: Array, load: Array, values: Array) -> Array:
-        """Return the forces (n,) on the faces at given face displacements; zero where supports constrain the faces.
+        """Return the forces (n,) on the faces of the linearised layers at given face displacements.
 
-        The layers are linearised, as by `linearise`.
+        Forces are zero where supports constrain the faces.
 
         Args:
             v: (n,) displacements of the faces; all other entries are ignored.
@@ -333,11 +345,16 @@ class LayerSubproblem(DirichletLayers):
         return np.where(self.free_faces, r, 0.0)
 
     def compliance(self, r: Array) -> tuple[Array, float]:
-        """Return the face displacements (n,) under face forces `r` (n,), and the work of these forces.
+        """Return the face displacements (n,) of the linearised layers under face forces, and the work of these forces.
 
-        The layers are linearised, as by `linearise`. The forces must have no resultant on any piece of the layers. The
-        work is r . E^+ r, with the pseudo-inverse E^+ of E. It is infinite if rounding errors hide it: a layer of
-        length L that can bend freely is (L/eps)^4 times as soft as under tension across it.
+        The work is infinite if rounding errors hide it. This may happen because a layer of length L that can bend
+        freely is (L/eps)^4 times as soft as under tension across it.
+
+        Args:
+            r: (n,) face forces, without a resultant on any piece of the layers.
+
+        Returns:
+            The displacements, and the work r . E^+ r with the pseudo-inverse E^+ of the stiffness E of the faces.
         """
         w = np.zeros(len(r))
         work = self._neumann.solve(r, w)
@@ -381,7 +398,7 @@ class LayerSubproblem(DirichletLayers):
 
 
 class _SubmatrixFactor:
-    """Factor of the submatrix of K in the rows and columns of the mask `rows` (n,)."""
+    """Factor of the submatrix of `K` in the rows and columns that the mask `rows` selects."""
 
     def __init__(self, K: scipy.sparse.csr_matrix, rows: BoolArray, *, symmetric: bool) -> None:
         self._mask, self._symmetric = rows, symmetric
@@ -400,9 +417,10 @@ class _SubmatrixFactor:
         return int(self._ksp.getPC().getFactorMatrix().getMumpsInfog(12)) if self._symmetric and self._mask.any() else 0
 
     def solve(self, b: Array, out: Array) -> float:
-        """Solve for the masked entries of `b` (n,) as right-hand side; return its product with the solution.
+        """Solve for the selected rows of the right-hand side `b` (n,), and write the solution into those of `out` (n,).
 
-        The solution is written into the masked entries of `out` (n,); the others do not change.
+        Returns:
+            Product of the solution and the right-hand side: for forces `b`, their work.
         """
         if not self._mask.any():
             return 0.0
@@ -413,11 +431,11 @@ class _SubmatrixFactor:
 
 
 def line_search_share(slope: Callable[[float], float], start: float) -> float:
-    """Shorten a Newton step until the energy no longer rises steeply at its end; return the fraction that remains.
+    """Shorten a Newton step until the energy does not rise steeply at its end; return the fraction of it that remains.
 
     Args:
-        slope: function that returns the rate at which the energy falls along the step, per unit of the fraction, at a
-            given fraction of the step.
+        slope: function of a fraction of the step. It returns the decrease of the energy, per unit of the fraction, at
+            the end of the shortened step.
         start: value of `slope` at the fraction 0; it must be positive.
 
     Returns:

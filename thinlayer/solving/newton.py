@@ -68,7 +68,7 @@ class EquilibriumSolver(ABC):
     The time step is the one that was last begun by the `Equations` of the solver.
 
     Attributes:
-        has_homotopy: whether the solver can use homotopy laws, which lie between an elastic law and the model's law.
+        has_homotopy: whether the solver can be used in a homotopy continuation, which starts with an elastic law.
         reused: whether the last step used a PETSc solver of an earlier step, and so read no PETSc options.
     """
 
@@ -342,9 +342,9 @@ class NewtonSolver(EquilibriumSolver):
         return max(_largest(x), scale.displacement, elastic)
 
     def _relative(self, r: PETSc.Vec) -> float:
-        """Return the largest ratio of the norm of residual `r` to the reference force, over the blocks of `ForceScale`.
+        """Return the largest ratio of the norm of the residual `r` to the reference force, over all blocks of unknowns.
 
-        Entries of `r` at constrained unknowns become zero.
+        The blocks are those of `ForceScale`. Entries of `r` at constrained unknowns become zero.
         """
         r.array[self.equations.bc_dofs] = 0.0
         return self.equations.relative(r)

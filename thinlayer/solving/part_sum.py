@@ -91,7 +91,7 @@ class ForceScale:
         self.begin(0.0, 0.0, 0.0)
 
     def begin(self, loads: Array | float, prescribed: float, moved: float) -> None:
-        """Start the reference forces of a new time step.
+        """Start the reference forces of a new time step, in k blocks of unknowns.
 
         Args:
             loads: (k,) norms of the nodal forces of the loads.
@@ -104,13 +104,20 @@ class ForceScale:
         self.update_stresses(0.0)
 
     def start(self, unbalanced: Array) -> None:
-        """Set the norms `unbalanced` (k,) of the residual at the start of the step, which count as reference forces."""
+        """Count the residual at the start of the step among the reference forces.
+
+        It may be the only force of the step.
+
+        Args:
+            unbalanced: (k,) norms of this residual in k blocks of unknowns.
+        """
         self._unbalanced = np.where(np.isfinite(unbalanced), unbalanced, 0.0)
 
     def include_displacement(self, elastic: float) -> None:
-        """Count the displacement `elastic`, the largest in the response of an elastic layer, as known.
+        """Count the displacement `elastic` as known, which bounds rounding errors of the forces.
 
-        Displacements of other iterates do not count, as they may be far too large.
+        It is the largest displacement in the response of an elastic layer. Displacements of other iterates may be far
+        too large, and are not counted.
         """
         self.displacement = max(self.displacement, elastic)
 
@@ -118,7 +125,7 @@ class ForceScale:
         """Update the reference forces for a new residual.
 
         Args:
-            stresses: (k,) norms of the nodal forces of its stresses.
+            stresses: (k,) norms of the nodal forces of its stresses, in k blocks of unknowns.
         """
         rounding = ROUNDING_SHARE * self.stiffness * self.displacement
         self.least_forces = np.maximum(np.maximum(self._loads, self._unbalanced), rounding / STATE_TOLERANCE)
@@ -127,24 +134,32 @@ class ForceScale:
             self.forces = np.maximum(self.forces, ROUNDING_SHARE / STATE_TOLERANCE * (self._within.T @ self.forces))
 
     def rounding(self, largest_displacement: float) -> Array:
-        """Return the norms (k,) of the rounding errors of the forces, for this largest displacement."""
+        """Return the norms (k,) of the rounding errors of the forces in k blocks of unknowns.
+
+        Args:
+            largest_displacement: largest displacement among the unknowns.
+        """
         return np.asarray(MACHINE_EPSILON * self._largest_stiffness * largest_displacement)
 
     def target(self, largest_displacement: float) -> Array:
-        """Return the norms (k,) of the residual at which solvers stop, for this largest displacement."""
+        """Return the norms (k,) of the residual, in k blocks of unknowns, at which solvers stop.
+
+        Args:
+            largest_displacement: largest displacement among the unknowns.
+        """
         rounding = np.minimum(self.rounding(largest_displacement), self.allowed_residual)
         return np.asarray(np.maximum(np.maximum(SOLVER_TOLERANCE * self.forces, self._support_rounding), rounding))
 
     @property
     def allowed_residual(self) -> Array:
-        """Norms (k,) that the residual of an accepted state must not exceed."""
+        """Norms (k,), in k blocks of unknowns, that the residual of an accepted state must not exceed."""
         return np.asarray(np.maximum(STATE_TOLERANCE * self.forces, self._support_rounding))
 
     def relative(self, norms: Array) -> float:
-        """Return the largest ratio, over all blocks, of the residual's norm to the reference force.
+        """Return the largest ratio of a residual's norm to the reference force, over k blocks of unknowns.
 
         Args:
-            norms: (k,) norms of a residual in the blocks.
+            norms: (k,) norms of the residual in the blocks.
         """
         return float((norms / np.maximum(self.forces, MIN_DIVISOR)).max())
 
@@ -262,8 +277,8 @@ class PartSum:
         """Return the matrices of all parts that add up to the tangent at the last evaluation.
 
         Args:
-            relative_residual: norm of the last residual relative to the reference forces. It regularises tangents that
-                may be singular; 0 if none are.
+            relative_residual: norm of the last residual relative to the reference forces. Parts use it to regularise
+                singular tangents. It may be 0 if there are none.
         """
         return [block for part in self.parts for block in part.tangents(relative_residual)]
 
@@ -271,7 +286,8 @@ class PartSum:
         """Return the matrices of those parts that can resist rigid motions of the bodies, at the last evaluation.
 
         Args:
-            relative_residual: as in `blocks`: norm of the last residual relative to the reference forces, or 0.
+            relative_residual: norm of the last residual relative to the reference forces. Parts use it to regularise
+                singular tangents. It may be 0 if there are none.
             rounding: vector of nodal forces. Forces that do not exceed them do not count as resistance.
         """
         parts = [part for part in self.parts if not part.traits.inner]
@@ -309,9 +325,9 @@ class PartSum:
 
     # ---------------------------------------------------------------- tests of balance
     def norms(self, values: Array) -> Array:
-        """Return the Euclidean norms (k,), over all ranks, of the forces on the unknowns of each of k blocks.
+        """Return the Euclidean norms (k,), over all ranks, of forces in each of k blocks of unknowns.
 
-        Block 0 is the whole model. A block includes the blocks within it.
+        Block 0 is the whole model. The others are those of `ForceScale`. A block includes the blocks within it.
 
         Args:
             values: forces on this rank's unknowns.
@@ -323,17 +339,25 @@ class PartSum:
         return np.asarray(np.sqrt(self.comm.allreduce(sums)))
 
     def residual_norms(self, r: PETSc.Vec) -> Array:
-        """Return the norms (k,) of the residual `r` in each block, without constrained unknowns."""
+        """Return the norms (k,) of the residual `r` in k blocks of unknowns; constrained unknowns do not count."""
         values = r.array_r.copy()
         values[self.bc_dofs] = 0.0
         return self.norms(values)
 
     def relative(self, r: PETSc.Vec) -> float:
-        """Return the largest ratio, over all blocks, of the norm of the residual `r` to the reference force."""
+        """Return the largest ratio of the residual's norm to the reference force, over all blocks of unknowns.
+
+        Args:
+            r: the residual.
+        """
         return self.scale.relative(self.residual_norms(r))
 
     def target(self, x: PETSc.Vec) -> Array:
-        """Return the norms (k,) of the residual at which solvers stop, for unknowns of the size of `x`."""
+        """Return the norms (k,) of the residual, in k blocks of unknowns, at which solvers stop.
+
+        Args:
+            x: the unknowns, whose largest entry decides on the size of rounding errors.
+        """
         return self.scale.target(float(x.norm(PETSc.NormType.INFINITY)))
 
     def is_balanced(self, x: PETSc.Vec, r: PETSc.Vec) -> bool:
@@ -341,9 +365,10 @@ class PartSum:
         return bool((self.residual_norms(r) <= self.target(x)).all())
 
     def require_equilibrium(self, r: PETSc.Vec) -> None:
-        """Raise SolveError unless the residual `r` is at most 1e-6 of the reference force in each block.
+        """Raise SolveError unless the residual `r` is small enough for an accepted state in each block of unknowns.
 
-        PETSc options do not change this test. It therefore detects a solver that stopped too early.
+        By the rules of `ForceScale` it must be at most 1e-6 of the reference force, except for rounding errors. PETSc
+        options do not change this test. It therefore detects a solver that stopped too early.
         """
         norms, scale = self.residual_norms(r), self.scale
         if (norms <= scale.allowed_residual).all():
@@ -374,11 +399,14 @@ class UnknownLayout:
         return PETSc.Vec().createMPI((int(self._ends[-1]), None), comm=self.comm)
 
     def split(self, values: Array) -> dict[str, Array]:
-        """Split `values` of this rank's unknowns into arrays by the key of their field, without copying them."""
+        """Split `values` of this rank's unknowns by field: key of the field -> part of `values` that belongs to it.
+
+        The results are views, so that changes of them change `values`.
+        """
         return dict(zip(self.sizes, np.split(values, self._ends[:-1]), strict=True))
 
     def put(self, x: PETSc.Vec) -> None:
-        """Copy a vector `x` of unknowns into the functions of the fields, ghosts included."""
+        """Copy a vector `x` of unknowns into the functions of their fields, and update ghosts."""
         for key, values in self.split(x.array_r).items():
             set_owned_values(self.fields[key], values)
 
@@ -393,13 +421,15 @@ class UnknownLayout:
         return block_matrix([[T, None], [None, others]], self.comm)
 
     def rows(self, local: Indices) -> PetscIndices:
-        """Return the global numbers of this rank's unknowns with the numbers `local` (n,)."""
+        """Return the global numbers (n,) of the unknowns that have the numbers `local` (n,) on this rank."""
         n = int(self._ends[-1])
         return np.asarray(self.comm.scan(n) - n + local, PETSc.IntType)
 
 
 class TangentMatrix:
-    """Tangent in blocks, each a sum of matrices of parts. Every `fill` overwrites the same matrix. Collective.
+    """Tangent of several fields, whose blocks are sums of matrices of parts. Collective.
+
+    Every call of `fill` overwrites the same matrix.
 
     Args:
         comm: communicator.
@@ -415,13 +445,13 @@ class TangentMatrix:
         self._block_matrix: PETSc.Mat | None = None
 
     def fill(self, blocks: Sequence[Block]) -> PETSc.Mat:
-        """Return the matrix that has the sum of the given blocks, each in its rows and columns.
+        """Add up matrices of parts, each in the rows and columns of its fields, and return the sum as one matrix.
 
         The first call fixes the nonzero pattern. Matrices that their parts do not use again (`Block.kept`) are
         destroyed.
 
         Args:
-            blocks: matrices with the keys of their rows and columns.
+            blocks: the matrices, with the keys of the fields of their rows and columns.
         """
         for place in dict.fromkeys((block.row, block.column) for block in blocks):
             self._add(place, [block for block in blocks if (block.row, block.column) == place])
@@ -466,10 +496,9 @@ class TangentMatrix:
 def augmented_in_place(
     comm: MPI.Intracomm, K: PETSc.Mat, others: Sequence[Block], bc_rows: PetscIndices, value: float
 ) -> Iterator[PETSc.Mat]:
-    """Within a `with` block, turn `K` into its sum with other matrices, with Dirichlet conditions applied. Collective.
+    """Within a `with` block, add matrices to `K` and apply Dirichlet conditions, then restore `K`. Collective.
 
-    `K` is changed in place, because a copy would need the same memory again. After the `with` block its entries are the
-    same as before.
+    `K` is changed in place, because a copy would need the same memory again.
 
     Args:
         comm: communicator.
@@ -503,12 +532,12 @@ def augmented_in_place(
 
 
 def _fits_pattern(comm: MPI.Intracomm, part: PETSc.Mat, rows: PETSc.Mat, numbers: PetscIndices) -> bool:
-    """Whether all nonzeros of some rows of the matrix `part` are in the nonzero pattern of `rows`. Collective.
+    """Whether all nonzeros of `part` in certain rows have places in the nonzero pattern of `rows`. Collective.
 
     Args:
         comm: communicator.
         part: a matrix.
-        rows: matrix that consists of some rows of another matrix of the same size as `part`.
+        rows: matrix that consists of the same rows of another matrix, which has the size of `part`.
         numbers: global numbers of these rows.
     """
     pattern, allowed = local_csr(part)[numbers - part.getOwnershipRange()[0]], local_csr(rows)
@@ -517,11 +546,14 @@ def _fits_pattern(comm: MPI.Intracomm, part: PETSc.Mat, rows: PETSc.Mat, numbers
 
 
 def block_matrix(blocks: Sequence[Sequence[PETSc.Mat | None]], comm: MPI.Intracomm) -> PETSc.Mat:
-    """Join blocks to one matrix; each rank has its rows and columns in the order of the blocks.
+    """Join blocks to one matrix.
 
     Args:
         blocks: rows of blocks; None stands for a block of zeros.
         comm: communicator.
+
+    Returns:
+        The matrix. Each rank owns its rows and columns of all blocks, in the order of the blocks.
     """
     return PETSc.Mat().createNest(blocks, comm=comm).convert("aij", PETSc.Mat())
 

@@ -267,8 +267,8 @@ def _thickness_remarks(model: Model, layer: SeamLayer, sublayers: list[RestingSu
 def _largest_tension(applicability: Applicability, state: State) -> float:
     """Return the largest ratio of a layer's pressure, positive in tension, to its shear modulus. Collective.
 
-    The pressure is taken at the vertices of S. The ratio is 0 without tension, and for a layer whose law has no
-    pressure flow.
+    The pressure is taken at the vertices of S. The ratio is 0 without tension, and for a layer whose pressure is not an
+    unknown.
 
     Args:
         applicability: ranges of the layer's law.
@@ -288,8 +288,8 @@ def _largest_tension(applicability: Applicability, state: State) -> float:
 def warn_of_steps(model: Model, start: float, times: Sequence[float], theta: float) -> None:
     """Warn, before a march, if planned time steps are not much shorter than a time constant of a law. Collective.
 
-    Slow changes follow long after the start and after each time at which the data have a break. Steps that begin later
-    than one time constant after these times are therefore not tested.
+    Only steps that begin less than this time constant after the start, or after a break of the data in time, are
+    tested. Later, changes are slow.
 
     Args:
         model: the model.
@@ -325,10 +325,10 @@ def _law_times(model: Model) -> list[tuple[str, float]]:
 
 
 def _step_error(x: float, theta: float) -> float:
-    """Return the error of time steps in the solution exp(-t/tau) of a relaxation, at about t = tau.
+    """Return the error with which a time scheme computes the relaxation exp(-t/tau), at about t = tau.
 
     Args:
-        x: length of the steps over the time constant tau.
+        x: length of the time steps over the time constant tau.
         theta: fraction of each time step after which forces balance.
     """
     if x < MIN_STEP_RATIO:

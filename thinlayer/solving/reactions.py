@@ -52,13 +52,13 @@ class SupportReactions:
         return motion_values(self.model.places, self.model.centre, rows)
 
     def at_end(self, r: PETSc.Vec, interval: TimeStep, loads_at: Callable[[float], PETSc.Vec]) -> Array:
-        """Return the reactions (n, k) at the end of a time step: k components of force and moment at n places.
+        """Return the reactions (n, k) at the end of a time step: k components of force and moment at n supports.
 
-        The places are those of `Model.holders`: supports, rigid plates and rigid bases. Moments are about
+        The rows are in the order of `Model.holders`: supports, rigid plates and rigid bases. Moments are about
         `Model.centre`.
 
-        In the balance of the step, each reaction is a weighted mean: 1 - theta times that at its beginning plus theta
-        times that at its end. The latter is returned.
+        The forces `r` balance at the fraction theta of the step. They give a mean of the reactions with the weight 1 -
+        theta at its beginning and theta at its end.
 
         Args:
             r: nodal forces of the parts minus loads, at the last evaluation.
@@ -88,11 +88,13 @@ class SupportReactions:
         return np.asarray(sum(loads))
 
     def _resultants(self, r: PETSc.Vec, mpc_loads: Array, *, layers: bool = True) -> Array:
-        """Return the reactions (n, k) that balance given nodal forces: k components of force and moment at n places.
+        """Return the reactions (n, k) that balance given nodal forces: k components of force and moment at n supports.
+
+        The rows are in the order of `Model.holders`: supports, rigid plates and rigid bases.
 
         Args:
             r: nodal forces minus loads.
-            mpc_loads: nodal forces of loads on multi-point constraints, which are not reactions.
+            mpc_loads: nodal forces of loads on multi-point constraints, such as rigid plates. They are not reactions.
             layers: whether layers exert forces. If not, rows of rigid bases are zero, as these bear layers alone.
         """
         model, constraints = self.model, self.model.constraints
@@ -147,9 +149,10 @@ class RigidMotions:
 
     @cached_property
     def blocks(self) -> tuple[IntArray, scipy.sparse.csr_matrix]:
-        """Block number (n,) >= 1 of each displacement of this rank, and a sparse matrix of blocks within blocks.
+        """Block number (n,) >= 1 of each of n displacements, and a sparse matrix (k, k) of blocks within blocks.
 
-        They are the attributes `block_of` and `nesting` of `PartSum`.
+        The entry (i, j) of the matrix is 1 if i = j, or if block j lies within block i; block 0 is the whole model.
+        Both are attributes of `PartSum`: `block_of` and `nesting`.
 
         A block is a connected piece of the bodies, or the nodes of a piece on one seam, or all meshed layers. The block
         of meshed layers includes their nodes on the bodies, whose forces they bear. It counts as part of each piece,
@@ -178,11 +181,11 @@ class RigidMotions:
         return 1 + np.searchsorted(blocks, block_of), scipy.sparse.block_diag([1.0, is_within], format="csr")
 
     def _motions(self, rows: IntArray) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
-        """Return the c rigid motions of pieces and plates at n displacements, and the Gram matrix of violated supports.
+        """Return c rigid motions as sparse columns (n, c), and a matrix (c, c) that tells which ones supports allow.
 
-        Both are sparse matrices, (n, c) and (c, c). The motions of connected pieces come first, then those of rigid
-        plates. Components that supports prevent are left out of them. A combination of motions is allowed if its
-        product with the Gram matrix is zero.
+        This matrix is the Gram matrix of the constraints' violations: its product with the coefficients of an allowed
+        motion is zero. The motions of connected pieces of the bodies come first, then those of rigid plates. They are
+        zero at constrained displacements.
 
         Args:
             rows: local numbers, ascending, of the displacements at which motions are evaluated; other rows are zero. If

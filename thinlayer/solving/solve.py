@@ -342,14 +342,14 @@ class Solver(AbstractContextManager["Solver"]):
             raise
 
     def _from_like(self, attempt: SolveAttempt, old: State) -> tuple[StepSolution, int] | None:
-        """Solve the step by Newton's method from the displacements of the argument `like` of the constructor.
+        """Solve the step by Newton's method from the displacements of the state `like` that the constructor was given.
 
         Args:
             attempt: method and options of the solve.
             old: the state before the step.
 
         Returns:
-            The solution, and 0 as its number of solves by continuation. None: Newton's method failed, there is no
+            The solution, and 0 as the number of its solves by continuation. None: Newton's method failed, there is no
                 `like`, the method is not "newton", or the model has contact laws.
         """
         if self._like is None or self.method != "newton" or self.model.contact:
@@ -398,17 +398,17 @@ class Solver(AbstractContextManager["Solver"]):
         return out
 
     def _try_in_turn(self, attempts: list[SolveAttempt], start: PETSc.Vec | None = None) -> tuple[StepSolution, int]:
-        """Try one attempt after another until one succeeds.
+        """Solve the step by the first of several attempts that succeeds.
 
-        A method and linear solver that fail are not tried in later steps, if a later attempt succeeds.
+        An attempt that fails is not made in later steps if one with another method or linear solver succeeds.
 
         Args:
             attempts: the attempts, in order.
             start: unknowns from which attempts without continuation start; None: those of the state before the step.
 
         Returns:
-            The solution, and its number of solves by continuation (0 without). Its iterations include those of failed
-                attempts with the last method and linear solver.
+            The solution, and the number of its solves by continuation (0 without). The iterations of the solution
+                include those of failed attempts with the last method and linear solver.
 
         Raises:
             SolveError: all attempts failed. The error is that of the first attempt with the last method and linear

@@ -143,13 +143,13 @@ class WeakSprings:
         return math.sqrt(self.equations.comm.allreduce(float(moved @ moved)))
 
     def _shares(self, x: Array) -> dict[str, float]:
-        """Return which fraction of the squared change of the jumps occurs on each seam: name of the seam -> fraction.
+        """Return which seams have the largest changes of jumps: name of a seam -> its fraction of their squares.
 
         The largest fraction comes first. Only seams with laws that yield or release bodies count. In layers that yield,
         jumps along S count half.
 
         Args:
-            x: (n,) unknowns; changes are counted from those at the start of the search.
+            x: (n,) unknowns. Changes are counted from the start of the search.
         """
         self._d.array[:] = x - self._start
         equations, model, u = self.equations, self.equations.model, self.equations.configuration(self._d).u
@@ -164,9 +164,9 @@ class WeakSprings:
 
     # ---------------------------------------------------------------- Newton's method
     def _residual(self, x: Array) -> float:
-        """Compute the residual at unknowns `x` (n,), forces of the springs included, and return its norm.
+        """Compute the residual at unknowns `x` (n,), with the forces of the springs, and return its relative norm.
 
-        In each block of unknowns of `ForceScale`, it is divided by the reference force at the start of the search.
+        In each block of unknowns of `ForceScale`, it is relative to the reference force at the start of the search.
         """
         equations = self.equations
         self._x.array[:] = x
@@ -203,13 +203,16 @@ class WeakSprings:
         return None
 
     def _search(self, x: Array, d: Array, most: float) -> tuple[Array, float]:
-        """Find, by a line search, a step length at which the residual is smaller; return the new unknowns and its norm.
+        """Shorten a Newton step until the residual is small enough.
 
         Args:
             x: (n,) unknowns before the step.
-            d: (n,) increment of the unknowns for the step length 1.
-            most: norm that the residual should not reach. If no step length is found, the one with the least norm is
-                taken.
+            d: (n,) increment of the unknowns by the full step.
+            most: norm below which the residual should fall. If no length of the step achieves that, the length with the
+                least residual is taken.
+
+        Returns:
+            Unknowns (n,) after the step, and the norm of their residual.
         """
         best, best_length, length = math.inf, 0.0, 1.0
         for length in 0.5 ** np.arange(MAX_HALVINGS):

@@ -1,1 +1,1 @@
-"""Solvers under contact laws: condensed, multigrid and the relaxation of the paper."""
+"""Solvers of models with contact laws: by condensation, by multigrid, and by the relaxation method of the paper."""

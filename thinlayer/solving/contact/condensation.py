@@ -81,7 +81,7 @@ class Condensation:
         return out
 
     def expand(self, b: Array, kept: Array, out: Array) -> None:
-        """Compute all unknowns from the values of the kept ones, and write them into `out`.
+        """Compute all unknowns under given forces from the values of the kept unknowns, and write them into `out`.
 
         Args:
             b: (N d,) forces on all unknowns, as in the last call of `condense`.
@@ -101,12 +101,12 @@ class Condensation:
 def oblique_order(x: Array, normal: Array, A: CsrRows) -> IntArray:
     """Return an order of the nodes in which MUMPS factorises the stiffness quickly.
 
-    The order sorts nodes by their side of S, then by bands parallel to S. In a band they follow a front oblique to S,
-    along the diagonals of the cells. Bands keep neighbours close in memory.
+    The order sorts nodes by their side of S, then by bands parallel to S. Within a band they are numbered along a front
+    that is oblique to S, as the diagonals of the cells are. Bands keep neighbours close in memory.
 
-    When it computes a Schur complement, MUMPS orders unknowns by minimum degree, and equal ones by their numbers. On
-    grids an unsuited numbering doubles its work. This order needs little more work than the best one for a
-    factorisation without a Schur complement.
+    MUMPS chooses its order by minimum degree when it computes a Schur complement, and takes nodes of equal degree by
+    their numbers. On grids an unsuited numbering doubles its work. With this order its work is little more than with
+    the best order for a factorisation without a Schur complement.
 
     Args:
         x: (N, d) coordinates of the nodes, relative to the centre of S.
@@ -185,11 +185,15 @@ class SchurFactor:
         self.complement[np.diag_indices(len(kept))] -= self._springs
 
     def _complement_forces(self, kept: Array) -> Array:
-        """Multiply the Schur complement, with the springs, by values `kept` (c,) of the kept unknowns."""
+        """Return the Schur complement, with the springs added, times the values `kept` (c,) of the kept unknowns."""
         return np.asarray(self.complement @ kept + self._springs * kept)
 
     def condense(self, b: Array) -> Array:
-        """Return forces (c,) on the kept unknowns of these pieces that are equivalent to forces `b` on all pieces."""
+        """Return the forces (c,) on the kept unknowns that are equivalent to forces on all unknowns of these pieces.
+
+        Args:
+            b: forces on the unknowns of all pieces, also of those without this factor.
+        """
         if not len(self._kept):
             return np.empty(0)
         self._factor.setMumpsIcntl(26, 1)  # solve for the kept unknowns only
@@ -198,11 +202,12 @@ class SchurFactor:
         return self._condensed
 
     def expand(self, b: Array, out: Array) -> None:
-        """Compute all unknowns of these pieces from the values of the kept ones, which `out` contains.
+        """Compute the unknowns of these pieces, under given forces, from the values of the kept unknowns.
 
         Args:
-            b: forces on all unknowns of all pieces, as in the last call of `condense`.
-            out: unknowns of all pieces; those of these pieces are overwritten.
+            b: forces on the unknowns of all pieces, as in the last call of `condense`.
+            out: unknowns of all pieces. The values of the kept unknowns are read from it, and those of these pieces
+                written.
         """
         forces, kept = b[self._unknowns], out[self._all_kept]
         if len(kept):
@@ -211,9 +216,9 @@ class SchurFactor:
         out[self._all_kept] = kept  # a stiff layer would magnify their rounding
 
     def _solve(self, b: Array) -> Array:
-        """Solve by MUMPS with the right-hand side `b`; unknowns are numbered as in the factorised matrix.
+        """Return the solution of the factorised system for the right-hand side `b`, by MUMPS.
 
-        A sparse `b` is passed in sparse form, which is faster.
+        Both have the order of the factor's unknowns. A sparse `b` is passed in sparse form, which is faster.
         """
         nonzeros = np.flatnonzero(b)
         if not len(nonzeros):  # MUMPS fails for an empty sparse right-hand side

@@ -107,10 +107,12 @@ class CondensedContact(ContactSolver):
         return len(residuals) - 1, relative
 
     def _relative(self, r: Array, forces: Array, u: Array) -> float:
-        """Return the largest ratio of a residual's norm to the reference force, over the blocks of `ForceScale`.
+        """Return the largest ratio of a residual's norm to the reference force, over the blocks of unknowns.
+
+        The reference forces and the blocks are those of `ForceScale`.
 
         Args:
-            r: (n d,) residual at the n nodes in contact.
+            r: (n d,) residual at the n nodes in contact, in d dimensions.
             forces: (n d,) contact forces at these nodes.
             u: (n d,) displacements of these nodes. They are not used.
         """
@@ -131,16 +133,16 @@ class CondensedSystem:
 
     u are the displacements of the nodes, f the nodal forces of the contact laws, and g the condensed loads.
 
-    Newton's method starts from the solution on about half of the nodes. Before each Newton step, Gauss-Seidel sweeps
-    solve for one node after another. Their number grows in later steps. In the first steps the residual may grow. Later
-    steps are shortened if they go too far, see `_step_length`.
+    Newton's method starts from the solution of the same problem with about half of the nodes. Before each Newton step,
+    Gauss-Seidel sweeps solve for the displacements of one node after another. There are more sweeps before later steps.
+    The residual may grow in the first steps. Later steps are shortened if they go too far, see `_step_length`.
 
     Args:
         K: (n d, n d) condensed stiffness of the bodies.
-        pairs: the contact pairs of upper and lower nodes, and the n nodes.
+        pairs: the pairs of an upper and a lower node in contact, and these n nodes.
         x: (pairs, d) coordinates of the pairs.
-        lines: (m, 2) numbers of two pairs that are neighbours along S, for each of m lines. If m is small, no coarser
-            system is used.
+        lines: (m, 2) numbers of two pairs that are neighbours along S, for each of m lines. If m is small, no problem
+            with fewer nodes is solved first.
     """
 
     def __init__(self, K: Array | scipy.sparse.csr_matrix, pairs: ContactPairs, x: Array, lines: IntArray) -> None:
@@ -148,7 +150,7 @@ class CondensedSystem:
 
     @cached_property
     def _blocks(self) -> scipy.sparse.bsr_matrix:
-        """The stiffness K as a sparse matrix of blocks (d, d), one for each two nodes, for the sweeps."""
+        """The stiffness K of n nodes as a sparse matrix of (n, n) blocks (d, d), for the Gauss-Seidel sweeps."""
         A, d, n = self._stiffness, self.pairs.d, len(self.pairs.nodes)
         if not isinstance(A, np.ndarray):
             return A.tobsr((d, d))
@@ -164,9 +166,9 @@ class CondensedSystem:
 
     @cached_property
     def _coarse_system(self) -> tuple[CondensedSystem, scipy.sparse.csr_matrix] | None:
-        """Contact problem on every second pair along S, and the matrix that interpolates displacements from it.
+        """The contact problem with every second pair along S, and the matrix that interpolates displacements from it.
 
-        None: S has too few nodes for a coarser problem, or too few of them could be left out.
+        None: S has too few nodes for this, or too few of them could be left out.
         """
         if len(self._lines) <= MAX_COARSEST_LINES:
             return None
@@ -183,10 +185,13 @@ class CondensedSystem:
         return CondensedSystem(P.T @ self._stiffness @ P, coarse_pairs, self._x[chosen], lines), P
 
     def start(self, g: Array) -> Array:
-        """Return displacements (n d,) from which Newton's method starts under the loads `g` (n d,).
+        """Return displacements (n d,) of n nodes in d dimensions from which Newton's method starts.
 
-        They are interpolated from the solution of the coarser problem. If there is none, they are those of pairs bonded
-        by springs.
+        They are interpolated from the solution with every second pair of nodes. If there is none, they are those of
+        pairs that springs bond: such pairs neither open nor slide.
+
+        Args:
+            g: (n d,) condensed loads.
         """
         if self._coarse_system is not None:
             system, P = self._coarse_system
@@ -196,13 +201,25 @@ class CondensedSystem:
         return self._linear_solve(springs, g - forces)
 
     def _residual(self, u: Array, g: Array) -> Array:
-        """Return the residual (n d,) K u + f(u) - g at displacements `u` (n d,), for loads `g` (n d,)."""
+        """Return the residual K u + f(u) - g, as nodal forces (n d,) on n nodes in d dimensions.
+
+        K is the stiffness of the bodies, and f(u) are the contact forces. Entries of constrained displacements are
+        zero.
+
+        Args:
+            u: (n d,) displacements.
+            g: (n d,) condensed loads.
+        """
         return np.asarray(self._stiffness @ u + self.pairs.forces(self.pairs.separation(u)) - g)
 
     def _linear_solve(self, springs: scipy.sparse.csr_matrix, b: Array) -> Array:
-        """Solve (K + springs) x = b for x (n d,), where `springs` (n d, n d) is the stiffness of the pairs.
+        """Solve (K + springs) x = b, where K is the stiffness of the bodies; return x (n d,).
 
-        If K + springs is singular, x contains NaN or infinity.
+        If the sum is singular, x contains NaN or infinity.
+
+        Args:
+            springs: (n d, n d) stiffness of springs between n nodes in d dimensions.
+            b: (n d,) nodal forces.
         """
         A = self._stiffness
         if isinstance(A, np.ndarray):
@@ -230,7 +247,7 @@ class CondensedSystem:
     def newton(
         self, u: Array, g: Array, relative: Callable[[Array, Array, Array], float], tolerance: float = NEWTON_TOLERANCE
     ) -> tuple[Array, tuple[float, ...]]:
-        """Solve the contact problem by Newton's method.
+        """Solve the condensed contact problem by Newton's method, at n nodes in d dimensions.
 
         Args:
             u: (n d,) displacements from which the method starts.
@@ -266,7 +283,7 @@ class CondensedSystem:
 
         Args:
             residuals: relative residuals before each step and after the last one.
-            u: (n d,) displacements after the last step.
+            u: (n d,) displacements of n nodes in d dimensions after the last step.
             forces: (n d,) contact forces at `u`, to which the rounding errors are compared.
         """
         if len(residuals) < 3 or residuals[-1] <= residuals[-2] / 2:
@@ -277,11 +294,11 @@ class CondensedSystem:
     def _step_length(self, u: Array, step: Array, g: Array) -> float:
         """Return the factor, at most 1, by which a Newton step is shortened.
 
-        The work of the residual along the step is negative at its start. If it is clearly positive at its end, a factor
-        is sought by regula falsi at which this work almost vanishes. Else the factor is 1.
+        The work of the residual along the step is negative at its start. If it is clearly positive at its end, regula
+        falsi seeks a factor at which this work almost vanishes. Otherwise the factor is 1.
 
         Args:
-            u: (n d,) displacements before the step.
+            u: (n d,) displacements of n nodes in d dimensions before the step.
             step: (n d,) increment of the displacements.
             g: (n d,) condensed loads.
         """
@@ -316,12 +333,12 @@ def every_second(x: Array, lines: IntArray) -> tuple[IntArray, scipy.sparse.csr_
     Ends and branching points of the curves are always chosen.
 
     Args:
-        x: (n, d) coordinates of the points.
+        x: (n, d) coordinates of the n points.
         lines: (m, 2) numbers of the two points that each of m lines joins.
 
     Returns:
-        Three results: numbers (k,) of the chosen points, ascending; a matrix (n, k) that interpolates values from the
-            chosen points to all points; lines (.., 2) between chosen points, which are numbered from 0 to k - 1.
+        Numbers (k,) of the chosen points, ascending; a matrix (n, k) that interpolates values from the chosen points to
+            all points; and pairs (.., 2) of chosen points that are now neighbours, numbered from 0 to k - 1.
     """
     chosen = np.bincount(lines.ravel(), minlength=len(x)) != 2
     chosen[along(x, lines, float(np.ptp(x)))[::2]] = True

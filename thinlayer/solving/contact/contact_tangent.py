@@ -72,10 +72,10 @@ class ContactTangent:
         return np.asarray(softer / (NODE_STIFFNESS * nodes.weights))
 
     def _clipped_tangents(self, start: Array | None) -> Array:
-        """Return the stiffness (n, d, d) of the hierarchy's springs at each pair, in the axes of S.
+        """Return the stiffness (n, d, d) of the hierarchy's springs at n pairs of nodes in d dimensions.
 
-        It is the diagonal of the contact tangent, limited to a range that is proportional to the stiffness E/h of the
-        bodies.
+        It is the diagonal of the contact tangent, in the axes of S, within certain limits. They are proportional to the
+        stiffness E/h of the bodies: Young's modulus over cell size.
 
         Args:
             start: (n, d) jumps at which tangents are taken. None: pairs that neither open nor slide.
@@ -113,12 +113,12 @@ class ContactTangent:
                 convert_to_blocks(self._multigrid.getMGSmoother(level).getOperators()[0])
 
     def update_springs(self, jumps: Array | None) -> None:
-        """Replace the springs of the hierarchy by those for other jumps, if many springs change. Collective.
+        """Replace the springs in the multigrid hierarchy by those for other jumps, if many of them change. Collective.
 
-        With springs of another contact status, iterations of the linear solver reduce the residual much less.
+        Springs that suit another contact status slow the linear solver down.
 
         Args:
-            jumps: (n, d) jumps of the pairs. None: pairs that neither open nor slide.
+            jumps: (n, d) jumps of the n pairs in d dimensions. None: pairs that neither open nor slide.
         """
         new, comm = self._clipped_tangents(jumps), self.nodes.comm
         changed = (np.abs(new - self._springs) > self._springs / 2).any(axis=(1, 2))
@@ -137,9 +137,12 @@ class ContactTangent:
         self._springs = new
 
     def linearise(self, tangents: Array) -> None:
-        """Set the tangents (n, d, d) of the contact laws at the pairs, for all later products and solves.
+        """Set the tangents of the contact laws for all later products and solves.
 
         The stiffness of this rank's nodes of S is factorised with them.
+
+        Args:
+            tangents: (n, d, d) traction per jump of n pairs of nodes, in the axes of S.
         """
         self._tangents = tangents
         if len(self.pairs.nodes):
@@ -152,7 +155,7 @@ class ContactTangent:
         y.array[self.bc_dofs] = 0.0
 
     def apply(self, _: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
-        """Apply the preconditioner to `r`, and write the result into `z`; PETSc calls it as that of a Python PC.
+        """Apply the preconditioner to the residual `r`, and write the result into `z`; PETSc calls this method.
 
         A multigrid cycle is followed by a solve for this rank's nodes of S, with all other displacements fixed.
         """
@@ -167,14 +170,13 @@ class ContactTangent:
     def sweep(self, u: PETSc.Vec, residual: PETSc.Vec, turned: Array) -> None:
         """Improve the displacements `u` in place by Gauss-Seidel sweeps over this rank's nodes of S.
 
-        Pairs whose slip has just reversed are made to stick before the sweeps. Their nodes stay where they are in the
-        sweeps.
+        Pairs whose slip has just reversed are made to stick before the sweeps, and their nodes are not swept.
 
         Args:
             u: displacements of all nodes.
             residual: residual of the contact problem at `u`.
-            turned: (n, d) changes of the jumps that make these pairs stick, see `reversal_changes`. Zero for all
-                others.
+            turned: (n, d) changes of the jumps that make these pairs stick, see `reversal_changes`. Zero for all other
+                of the n pairs.
         """
         pairs, w = self.pairs, self.nodes.separation(u)
         u_pairs = u.array_r[pairs.dofs].copy()

@@ -60,14 +60,14 @@ def _is_linear(model: Model) -> bool:
 
 
 def why_unsuited(model: Model, method: str) -> str:
-    """Say why a contact method does not suit the model; "" if it does.
+    """Say why a method of contact does not suit the model; "" if it does.
 
     Args:
         model: the model.
-        method: name of a method in `SOLVER_OF_METHOD`.
+        method: "condensed", "multigrid" or "relaxation".
 
     Returns:
-        The reason as the rest of a sentence that begins with the method's name, such as "is for one rank, not 2; ...".
+        The reason, worded such that it can follow the method's name, as "is for one rank, not 2; ...".
     """
     user_laws = [type(law).__name__ for law in model.contacts.values() if law.numbers is None]
     if model.contact is None:

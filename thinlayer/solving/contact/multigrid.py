@@ -131,8 +131,8 @@ class MultigridContact(ContactSolver):
     def residual(self, u: PETSc.Vec, out: PETSc.Vec) -> float:
         """Write the residual at displacements `u` into `out`; return its norm relative to the reference forces.
 
-        The residual is set to zero at constrained dofs. The norm is scaled such that it is NEWTON_TOLERANCE where
-        `ForceScale` lets solvers stop.
+        The residual is set to zero at constrained dofs. The norm is scaled such that it equals NEWTON_TOLERANCE where a
+        residual reaches the limit of `ForceScale` at which solvers stop.
         """
         equations = self.equations
         equations.residual(u, out)
@@ -249,8 +249,8 @@ class _NewtonRun:
     def _linearise(self, snes: PETSc.SNES, u: PETSc.Vec, _: PETSc.Mat, __: PETSc.Mat) -> None:
         """Set up the linear system of a Newton step at displacements `u`; SNES calls this for a new Jacobian.
 
-        This sets the contact tangents, the springs of the preconditioner and the tolerance of the linear solve. The
-        matrices that PETSc passes are not used, because the attribute `tangent` acts for them.
+        It sets the contact tangents, the springs of the preconditioner and the tolerance of the linear solve. The
+        matrices that PETSc passes are ignored, because their products are computed by the `ContactTangent` of this run.
         """
         first = not snes.getIterationNumber()
         tangents = self._first_tangents(u, self._f) if first else self._next_tangents(u)
@@ -302,7 +302,7 @@ class _NewtonRun:
 
 # ---------------------------------------------------------------- nodes whose slip has reversed
 def sliding_state(pairs: ContactPairs, w: Array) -> SlidingState:
-    """Return the contact status (n,) of pairs, an integer of `Status`, and their tangential jumps (n, d - 1).
+    """Return the contact status (n,) of n pairs, integers of `Status`, and their tangential jumps (n, d - 1).
 
     The slip at the start of the time step is subtracted from these jumps.
 

@@ -33,7 +33,7 @@ class ContactPairs:
         shared: local numbers of nodes that are left out because pairs of other ranks contain them too.
 
     Attributes:
-        nodes: (n,) local numbers of this rank's nodes that are in a pair, ascending. In a result of `subset` they are
+        nodes: (n,) local numbers of this rank's n nodes that are in a pair, ascending. In a result of `subset` they are
             positions in `nodes` of the original pairs.
         dofs: (n d,) local numbers of the displacements of these nodes.
         free: (n, d) mask of the displacement components of these nodes that are not constrained.
@@ -101,9 +101,9 @@ class ContactPairs:
         """Evaluate a function of a contact law, jumps and slip for all pairs, each with its own law and slip.
 
         Args:
-            values: function of a law, the jumps (k, d) and the slip (k, d - 1) of its k pairs; it returns an array (k,
-                ...).
-            w: (pairs, d) jumps in the axes `frames`.
+            values: function of a law, and of the jumps (k, d) and the slip (k, d - 1) of its k pairs. It returns an
+                array (k, ...).
+            w: (pairs, d) jumps of all pairs in the axes `frames`, in d dimensions.
 
         Returns:
             Array (pairs, ...) of the function's values.
@@ -112,13 +112,18 @@ class ContactPairs:
         return np.concatenate([values(part.law_now, w[mask], part.slip[self._of_part[mask]]) for part, mask in parts])
 
     def separation(self, u: Array) -> Array:
-        """Return the jumps plus initial gaps (pairs, d), in the axes `frames`, for nodal displacements `u` (n d,)."""
+        """Return the jumps plus initial gaps (pairs, d), in the axes `frames`.
+
+        Args:
+            u: (n d,) displacements of the n nodes in d dimensions.
+        """
         return np.asarray((self.jump_matrix @ u).reshape(-1, self.d) + self.gaps)
 
     def forces(self, w: Array) -> Array:
-        """Return the nodal forces (n d,) of the contact laws; zero at constrained components.
+        """Return the nodal forces (n d,) of the contact laws, for n nodes in d dimensions.
 
-        In the balance of forces they are added to the internal forces of the bodies.
+        They are zero at constrained components. In the balance of forces they are added to the internal forces of the
+        bodies.
 
         Args:
             w: (pairs, d) jumps in the axes `frames`, initial gaps included.
@@ -126,14 +131,15 @@ class ContactPairs:
         return self.on_nodes(self.tractions(w))
 
     def on_nodes(self, t: Array) -> Array:
-        """Return the nodal forces (n d,) of tractions `t` (pairs, d), which are components in the axes `frames`.
+        """Return the nodal forces (n d,) of given tractions on n nodes in d dimensions; zero at constrained components.
 
-        Forces at constrained components are zero.
+        Args:
+            t: (pairs, d) tractions in the axes `frames`.
         """
         return np.where(self.free.ravel(), self._to_nodes @ (t * self.weights[:, None]).ravel(), 0.0)
 
     def tractions(self, w: Array) -> Array:
-        """Return the tractions (pairs, d) of the contact laws, in the axes `frames`.
+        """Return the tractions (pairs, d) of the contact laws in d dimensions, in the axes `frames`.
 
         Args:
             w: (pairs, d) jumps in the same axes, initial gaps included.
@@ -141,7 +147,7 @@ class ContactPairs:
         return self._gather_values(lambda law, w, slip: law.traction(w, slip), w)
 
     def tangents(self, w: Array) -> Array:
-        """Return the derivatives (pairs, d, d) of the tractions with respect to the jumps, in the axes `frames`.
+        """Return the derivatives (pairs, d, d) of the tractions by the jumps in d dimensions, in the axes `frames`.
 
         Args:
             w: (pairs, d) jumps in the same axes, initial gaps included.
@@ -149,11 +155,11 @@ class ContactPairs:
         return self._gather_values(lambda law, w, slip: law.tangent(w, slip), w)
 
     def bonded_tangents(self) -> Array:
-        """Return the stiffness (pairs, d, d), traction per jump, of bonded pairs, which neither open nor slide."""
+        """Return the traction per jump (pairs, d, d) of pairs that neither open nor slide, in d dimensions."""
         return self._gather_values(lambda law, w, _: law.bonded(*w.shape), self.gaps)
 
     def status(self, w: Array) -> npt.NDArray[np.int8]:
-        """Return the contact status (pairs,), an integer of `Status`: separated, sticking or sliding.
+        """Return the contact status (pairs,) as integers of `Status`: separated, sticking or sliding.
 
         Args:
             w: (pairs, d) jumps in the axes `frames`, initial gaps included.
@@ -161,16 +167,16 @@ class ContactPairs:
         return self._gather_values(lambda law, w, slip: law.status(w, slip), w)
 
     def bonded(self) -> tuple[csr_matrix, Array]:
-        """Return the stiffness matrix (n d, n d) and the nodal forces at rest (n d,) of bonded pairs.
+        """Return the stiffness and the nodal forces at rest of pairs as springs that neither open nor slide.
 
-        Bonded pairs neither open nor slide. The forces at rest, for zero displacements, are due to initial gaps and to
-        the slip before the time step.
+        The stiffness is (n d, n d), the forces are (n d,), for n nodes in d dimensions. The forces at rest are those
+        for zero displacements. They are due to initial gaps and to the slip before the time step.
         """
         D = self.bonded_tangents()
         return self.stiffness(D), self.on_nodes(np.einsum("nij,nj->ni", D, self.offsets(self.gaps)))
 
     def stiffness(self, D: Array) -> csr_matrix:
-        """Return the stiffness matrix (n d, n d) of springs between the nodes of each pair.
+        """Return the stiffness matrix (n d, n d), for n nodes in d dimensions, of springs between the nodes of pairs.
 
         Rows and columns of constrained displacements are zero.
 
@@ -189,10 +195,10 @@ class ContactPairs:
         return csr_matrix((blocks.ravel(), indices), shape=(len(self.dofs),) * 2)
 
     def offsets(self, w: Array) -> Array:
-        """Return the jumps (pairs, d) minus the slip at the start of the time step in their tangential components.
+        """Return the jumps (pairs, d), less the slip at the start of the time step in tangential components.
 
         Args:
-            w: (pairs, d) jumps in the axes `frames`.
+            w: (pairs, d) jumps in the axes `frames`, in d dimensions.
         """
         return self._gather_values(lambda law, w, slip: np.column_stack([w[:, :-1] - slip, w[:, -1]]), w)
 
@@ -205,7 +211,7 @@ class ContactPairs:
         components do not move.
 
         Args:
-            K: (n d, n d) stiffness of the bodies, in blocks (d, d) of two nodes.
+            K: (n d, n d) stiffness of the bodies at n nodes in d dimensions, in blocks (d, d).
             g: (n d,) nodal forces of the loads.
             u: (n d,) displacements; overwritten.
             sweeps: number of sweeps.

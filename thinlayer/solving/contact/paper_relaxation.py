@@ -81,14 +81,18 @@ def relax(
     tolerance: float = 1e-8,
     max_sweeps: int = 100_000,
 ) -> Relaxation:
-    """Solve a contact problem by the relaxation of section 8 of the paper: over-relaxed Gauss-Seidel sweeps.
+    """Solve a contact problem A u + f(u) = b by the relaxation of section 8 of the paper.
 
-    A sweep updates one unknown after another, in this way. Let a be the diagonal entry of A in the unknown's row. Let r
-    be the right-hand side minus all other entries of this row times u. An unknown away from S becomes r / a.
+    It consists of over-relaxed Gauss-Seidel sweeps. A sweep updates one unknown after another: it computes a new value
+    with all other unknowns fixed, and moves the unknown towards this value by omega times the difference.
 
-    Let b be the area of a contact node, and rho its friction threshold. Its normal jump becomes r / a if that opens S,
-    else r / (a + b K_N). A tangential jump becomes r / (a + b K_T) if the node sticks, else (r -+ b rho) / a. In three
-    dimensions both tangential jumps are updated together, because their traction lies in a disc.
+    Let a be the diagonal entry of A in the unknown's row. Let r be the right-hand side minus all other entries of this
+    row times u. The new value of an unknown away from S is r / a.
+
+    Now consider a contact node on an area c of S, with the friction threshold rho and the slip s before the step. The
+    new normal jump is r / a if that opens S, else r / (a + c K_N). A tangential jump becomes (r + c K_T s) / (a + c
+    K_T) if the node sticks, else (r -+ c rho) / a. In three dimensions both tangential jumps are updated together,
+    because their traction lies in a disc.
 
     There are two differences from the paper. Friction thresholds follow the contact pressure within the sweeps. Contact
     nodes have a relaxation factor of their own, by default 1, as one factor everywhere fails for many meshes and
@@ -179,9 +183,9 @@ class ContactRelaxation(ContactSolver):
         self._A = self._T.T @ self._K @ self._T
 
     def _order(self) -> Indices:
-        """Return the numbers of the unknowns (N,), sorted by the coordinates of their nodes, of which x varies fastest.
+        """Return the numbers (N,) of the unknowns, sorted by the coordinates of their nodes, of which x varies fastest.
 
-        Sweeps in this order converge well; their convergence depends on the order.
+        The convergence of the sweeps depends on their order.
         """
         nodes = self.part.nodes
         d, x = nodes.dim, nodes.surface.V.tabulate_dof_coordinates()
@@ -189,7 +193,7 @@ class ContactRelaxation(ContactSolver):
         return np.asarray((rows[:, None] * d + np.arange(d)).ravel(), np.int32)
 
     def _change_matrix(self) -> scipy.sparse.csr_matrix:
-        """Return the matrix (N, N) that computes all displacements from the unknowns, if initial gaps are zero.
+        """Return the matrix (N, N) that turns the N unknowns into displacements, if initial gaps are zero.
 
         The unknowns are jumps at the upper nodes of S, in the axes of S, and displacements elsewhere.
         """
@@ -256,7 +260,11 @@ class ContactRelaxation(ContactSolver):
 
 
 def _option(name: str) -> float:
-    """Read the relaxation's option `name` from PETSc's database, with a default; InputError: it is out of range."""
+    """Return the value of the relaxation's option `name` in PETSc's database, or its default.
+
+    Raises:
+        InputError: the value is out of range.
+    """
     options, (default, bound) = PETSc.Options(PREFIX + "relaxation_"), RELAXATION_OPTIONS[name]
     value: float = (options.getInt if isinstance(default, int) else options.getReal)(name, default)
     if not 0 < value < bound:
