@@ -91,7 +91,8 @@ class History:
     def snaps(self) -> list[Snap]:
         """Snaps of layers with phases, in order of time: one for each table row with dt = 0, except the first row.
 
-        The first row may contain changes of phase under a sudden load at the start, which are not snaps.
+        A phase is a branch of a law whose stress is not monotone. The first row may contain changes of phase under a
+        sudden load at the start, which are not snaps.
         """
         if not self.table.rows:
             return []

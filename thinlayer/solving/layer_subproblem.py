@@ -347,8 +347,8 @@ class LayerSubproblem(DirichletLayers):
     def compliance(self, r: Array) -> tuple[Array, float]:
         """Return the face displacements (n,) of the linearised layers under face forces, and the work of these forces.
 
-        The work is infinite if rounding errors hide it. This may happen because a layer of length L that can bend
-        freely is (L/eps)^4 times as soft as under tension across it.
+        The work is infinite if rounding errors hide it. They may do so in bending: a layer of length L and thickness
+        eps is then about (L/eps)^4 times as soft as under tension across it.
 
         Args:
             r: (n,) face forces, without a resultant on any piece of the layers.
@@ -497,7 +497,9 @@ def _local_cells(model: Model, joint: Joint) -> IntArray:
 
 
 def _facet_dofs(model: Model, cells: IntArray, joint: Joint, cell: int, facet: int) -> Iterator[tuple[int, IntArray]]:
-    """Yield each node on a facet of a cell, with the vertices of the vertex, edge or face to which it belongs.
+    """Yield the nodes on a facet of a cell, as pairs (number of a node, numbers of vertices).
+
+    The vertices are those of the vertex, edge or face of the cell to which the node belongs, as numbered in the joint.
 
     Args:
         model: the model with the nodes.

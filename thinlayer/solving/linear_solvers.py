@@ -127,12 +127,12 @@ def least_pivot(pc: PETSc.PC) -> float:
 
 
 def mark_symmetry(A: PETSc.Mat, model: Model, *, saddle: bool) -> None:
-    """Set PETSc's flags of a tangent: symmetric, and positive definite.
+    """Tell PETSc whether a tangent is symmetric and whether it is positive definite.
 
     Args:
         A: the tangent.
         model: its model.
-        saddle: whether the tangent may have eigenvalues of both signs; it is then not marked as positive definite.
+        saddle: whether the tangent may have eigenvalues of both signs, so that it is not positive definite.
     """
     A.setOption(PETSc.Mat.Option.SYMMETRIC, model.symmetric)
     A.setOption(PETSc.Mat.Option.SPD, model.symmetric and model.linear and not saddle)
@@ -211,7 +211,7 @@ class Factor:
 
 
 class SharedMatrices:
-    """Matrices that the solvers of similar models, in one `ModelFamily`, use one after the other.
+    """Matrices that the solvers of similar models, those of one `ModelFamily`, use one after the other.
 
     Attributes:
         bodies: parts of the balance that depend on the mesh and the bodies alone; empty before they are created.
@@ -244,7 +244,7 @@ class SharedMatrices:
         return shared
 
     def release(self, model: Model) -> None:
-        """Leave the matrices to the next solver of a model of the same `ModelFamily`."""
+        """Leave the matrices to the next solver of `model`, or of a similar model in its `ModelFamily`."""
         for part in self.bodies:
             vars(part).pop("interval", None)  # its state refers to a model of the family
         model.family.release(self)

@@ -270,7 +270,7 @@ class PartSum:
         return sizes
 
     def failure(self) -> str:
-        """Say which part failed in the last evaluation and where; "" if none failed."""
+        """Say which part failed in the last call of `forces`, and where; "" if none failed."""
         return next(filter(None, [part.failure() for part in self.parts]), "")
 
     def blocks(self, relative_residual: float = 0.0) -> list[Block]:
@@ -297,14 +297,16 @@ class PartSum:
     def excess(self) -> float:
         """Largest energy that a column of a layer would gain by changing its phase; <= 0 if none would gain energy.
 
-        A column is a facet of S, or in a meshed layer the cells above the facet. The value is -inf without phases.
+        A phase is a branch of a law whose stress is not monotone. A column is a facet of S, or in a meshed layer the
+        cells above the facet. The value is -inf without phases.
         """
         return max((part.excess() for part in self.parts if isinstance(part, SwitchesPhases)), default=-math.inf)
 
     def switch(self) -> bool:
         """Change the phase of each column to that of lowest energy in the last evaluation; return whether any changes.
 
-        A column is a facet of S, or in a meshed layer the cells above the facet.
+        A phase is a branch of a law whose stress is not monotone. A column is a facet of S, or in a meshed layer the
+        cells above the facet.
         """
         return any([part.switch() for part in self.parts if isinstance(part, SwitchesPhases)])
 

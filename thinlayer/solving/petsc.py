@@ -122,7 +122,7 @@ def require_all_read(solver: str, ours: Collection[str]) -> None:
 def chosen_options(ours: Options, user_options: Options | None = None) -> Iterator[None]:
     """Within a `with` block, set options in PETSc's database, and translate PETSc's errors.
 
-    Options that the user has set in the database stay. Next come those of a script, then this package's defaults.
+    If an option has several values, that in the database counts first, then that of a script, then the default.
 
     Args:
         ours: defaults of this package, {name without prefix: value}.
@@ -147,7 +147,7 @@ def chosen_options(ours: Options, user_options: Options | None = None) -> Iterat
 
 @cache
 def c_function(name: str) -> Callable[..., int]:
-    """Return a function of PETSc's C library.
+    """Return a function of PETSc's C library; its result is PETSc's error code.
 
     Args:
         name: name of the function, a key of `C_ARGUMENTS`.

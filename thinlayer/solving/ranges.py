@@ -49,6 +49,8 @@ CAVITATION_STRESS_RATIO = 2.5
 def warn_of_model(model: Model, durations: Sequence[float] = ()) -> None:
     """Warn once, before a solve, if elements lock or an interface law is outside its range. Collective.
 
+    Elements lock if they are far too stiff, as linear ones are for nearly incompressible bodies.
+
     Args:
         model: the model.
         durations: times since the loads began, > 0, at which results are wanted. (): the loads are sudden.
@@ -77,10 +79,10 @@ def warn_of_model(model: Model, durations: Sequence[float] = ()) -> None:
 
 
 def _model_remarks(model: Model, layer: SeamLayer, durations: Sequence[float]) -> Iterator[Remark]:
-    """Yield pairs (key, text) of warnings about a layer that follow from the model alone, before it is solved.
+    """Yield warnings about a layer that follow from the model alone, as pairs (key that identifies the warning, text).
 
     Args:
-        model: the model.
+        model: the model, which need not be solved yet.
         layer: the layer.
         durations: times since the loads began, > 0, at which results are wanted. (): the loads are sudden.
     """
@@ -152,7 +154,7 @@ def warn_of_strains(states: Sequence[State]) -> None:
 
 
 def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | None) -> Iterator[Remark]:
-    """Yield pairs (key, text) of warnings about a layer that follow from states of its model.
+    """Yield warnings about a layer that follow from states, as pairs (key that identifies the warning, text).
 
     Args:
         states: states of one model.
@@ -178,10 +180,10 @@ def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | Non
 
 
 def _jumps_tell_more(layer: SeamLayer, sublayers: list[RestingSublayer]) -> bool:
-    """Whether the jumps in the states, rather than the model alone, tell if a layer's pressure needs a warning.
+    """Whether a layer's pressure is judged by the jumps in solved states, rather than by the model alone.
 
-    This holds for layers of one sublayer, with a linear law without memory and with a shear stiffness. Such a layer is
-    tested for the pressure at free ends only after its jumps have led to no warning.
+    This holds for layers of one sublayer, with a linear law without memory and with a shear stiffness. Only if their
+    jumps lead to no warning, a test of the pressure at free ends of S follows.
 
     Args:
         layer: the layer.

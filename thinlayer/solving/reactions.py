@@ -33,7 +33,9 @@ INDEPENDENCE_TOLERANCE = 1e-6  # least singular value of motions of a piece that
 
 
 class SupportReactions:
-    """Forces and moments that a model's supports, rigid plates and rigid bases exert. All methods are collective.
+    """Forces and moments that supports, rigid plates and rigid bases exert on a model. All methods are collective.
+
+    A rigid base is fixed ground below a layer that has a body on its upper side only.
 
     Args:
         model: the model.
@@ -75,9 +77,10 @@ class SupportReactions:
         return np.asarray((now - (1 - theta) * before) / theta)
 
     def _mpc_loads(self, new: float, old: float, theta: float) -> Array:
-        """Return the nodal forces (n,) of loads on multi-point constraints, such as rigid plates, at n displacements.
+        """Return the nodal forces (n,) of loads on multi-point constraints in the balance of a time step.
 
-        They are those in the balance of a time step. They do not count as reactions.
+        Such constraints are rigid plates, for example. The forces are theta times those at its end plus 1 - theta times
+        those at its start, at n displacements. They do not count as reactions.
 
         Args:
             new: time at the end of the step.
@@ -202,9 +205,10 @@ class RigidMotions:
 
     @cached_property
     def _allowed(self) -> scipy.sparse.csc_matrix:
-        """Sparse matrix (c, k) whose columns are the k motions that supports allow.
+        """The k rigid motions that supports allow, as the columns of a sparse matrix (c, k).
 
-        They are combinations of the c rigid motions of pieces and plates.
+        The rows are their coefficients as combinations of the c rigid motions of all pieces of the bodies and all
+        plates.
         """
         gram = self._motions(np.unique(self.model.constraints.prescribed.conditions.indices))[1]
         unit, touched = scipy.sparse.eye(gram.shape[0], format="csc"), gram.diagonal() > 0

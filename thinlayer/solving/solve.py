@@ -237,7 +237,8 @@ class Solver(AbstractContextManager["Solver"]):
             method: name of the method.
 
         Returns:
-            Pairs of the method's name and PETSc options of a linear solver, {name without prefix: value}.
+            Pairs of the method's name and the PETSc options of a linear solver, {name without prefix: value}. Methods
+                of contact choose their options themselves: for them there is one pair without options.
         """
         if method in SOLVER_OF_METHOD:
             return [(method, {})]

@@ -219,17 +219,17 @@ class StepProblem(PartSum):
         self._interval = None
 
     def _form_force_norm(self) -> float:
-        """Return the norm of the form's tangent times u, which measures nodal forces that balance each other.
+        """Return the norm of the form's tangent times the displacements u, as a measure of the forces in the form.
 
-        Thermal stresses cause such forces, for example.
+        Their sum may be much smaller, as for nodal forces of thermal stresses, which balance each other.
         """
         tangent = TangentMatrix(self.comm, self._matrix.sizes).fill(self.parts[0].tangents(0.0))
         return float((tangent * self._u.x.petsc_vec).norm())
 
     def switch(self) -> bool:
-        """Change the layers' phases, facet by facet of S, to those of lowest energy; return whether any changes.
+        """Change the phases of layers to those of lowest energy, facet by facet of S; return whether any changes.
 
-        If so, solve the step again.
+        A phase is a branch of a law whose stress is not monotone. If any changes, solve the step again.
         """
         self._evaluate(self._forces)
         return super().switch()

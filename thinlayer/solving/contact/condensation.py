@@ -132,14 +132,14 @@ def oblique_order(x: Array, normal: Array, A: CsrRows) -> IntArray:
 
 
 class SchurFactor:
-    """Factor of the stiffness of some pieces of the bodies, and its Schur complement on the kept unknowns.
+    """Factor of the stiffness of some connected pieces of the bodies, and its Schur complement on the kept unknowns.
 
     Springs at the kept unknowns make the factorised matrix definite, also for pieces without supports. They are
     subtracted again from the complement.
 
     Args:
-        A: row starts, columns and entries (CSR) of the stiffness of all pieces of the bodies, without supports.
-        is_fixed: mask of the constrained unknowns of all pieces. Of their rows and columns only the diagonal entry is
+        A: row starts, columns and entries (CSR) of the stiffness of all bodies, without supports.
+        is_fixed: mask of the constrained unknowns of all bodies. Of their rows and columns only the diagonal entry is
             used.
         d: number of dimensions, which is the number of unknowns of a node.
         nodes: (n,) numbers of the nodes of these pieces, in the order in which MUMPS gets them.
@@ -189,10 +189,10 @@ class SchurFactor:
         return np.asarray(self.complement @ kept + self._springs * kept)
 
     def condense(self, b: Array) -> Array:
-        """Return the forces (c,) on the kept unknowns that are equivalent to forces on all unknowns of these pieces.
+        """Return forces (c,) on the kept unknowns that are equivalent to forces on all unknowns of the factorised pieces.
 
         Args:
-            b: forces on the unknowns of all pieces, also of those without this factor.
+            b: forces on the unknowns of all bodies, also on those that this factor does not contain.
         """
         if not len(self._kept):
             return np.empty(0)
@@ -202,12 +202,12 @@ class SchurFactor:
         return self._condensed
 
     def expand(self, b: Array, out: Array) -> None:
-        """Compute the unknowns of these pieces, under given forces, from the values of the kept unknowns.
+        """Compute the unknowns of the factorised pieces, under given forces, from the values of the kept unknowns.
 
         Args:
-            b: forces on the unknowns of all pieces, as in the last call of `condense`.
-            out: unknowns of all pieces. The values of the kept unknowns are read from it, and those of these pieces
-                written.
+            b: forces on the unknowns of all bodies, as in the last call of `condense`.
+            out: unknowns of all bodies. The values of the kept unknowns are read from it. The other unknowns of the
+                factorised pieces are overwritten.
         """
         forces, kept = b[self._unknowns], out[self._all_kept]
         if len(kept):

@@ -75,11 +75,11 @@ class CondensedContact(ContactSolver):
         return CondensedSystem(self._condensation.stiffness, self.pairs, x, lines)
 
     def solve(self, has_guess: bool) -> tuple[int, float]:
-        """Solve for the displacements `x`, in place.
+        """Solve for the displacements in the attribute `x`, in place.
 
         Args:
             has_guess: whether `x` already contains a guess of the jumps. If not, Newton's method starts from the
-                solution on a coarser set of nodes, or of a problem with bonded nodes.
+                solution with fewer nodes on S, or with pairs of nodes that neither open nor slide.
 
         Returns:
             Number of Newton steps, and norm of the residual relative to the reference forces.
@@ -159,7 +159,7 @@ class CondensedSystem:
 
     @cached_property
     def _rounding(self) -> float:
-        """Norm of the rounding errors of the nodal forces, per unit of displacement."""
+        """Estimated norm of the rounding errors of the nodal forces, for displacements of size 1."""
         springs = self.pairs.bonded()[0]
         largest = max(float(matrix.diagonal().max(initial=0.0)) for matrix in (self._stiffness, springs))
         return MACHINE_EPSILON * SUMMATION_FACTOR * math.sqrt(len(self.pairs.nodes)) * largest

@@ -52,11 +52,11 @@ class ContactSolver(EquilibriumSolver):
         return A
 
     def solve_step(self, start: PETSc.Vec | None = None) -> StepSolution:
-        """Solve for the displacements at the end of the step.
+        """Solve for the displacements at the end of the time step.
 
         Args:
-            start: initial guess of the unknowns. None: the displacements of `like` in the first step, and in later
-                steps those before the step.
+            start: initial guess of the displacements. None: those before the step, or in the first step those of the
+                state `like` that the constructor was given.
 
         Raises:
             SolveError: no convergence.
@@ -82,7 +82,7 @@ class ContactSolver(EquilibriumSolver):
 
     @abstractmethod
     def solve(self, has_guess: bool) -> tuple[int, float]:
-        """Solve for the displacements `x`, in place, starting from the values in `x`.
+        """Solve for the displacements in the attribute `x`, in place, starting from its values.
 
         These initial values already have the prescribed displacements at constrained dofs.
 
@@ -95,7 +95,7 @@ class ContactSolver(EquilibriumSolver):
         """
 
     def relative_residual(self) -> float:
-        """Return the norm of the residual at the displacements `x`, relative to the reference forces.
+        """Return the norm of the residual at the displacements in the attribute `x`, relative to the reference forces.
 
         It is the residual of the full balance of forces, not of a condensed one.
         """

@@ -72,7 +72,7 @@ class ContactTangent:
         return np.asarray(softer / (NODE_STIFFNESS * nodes.weights))
 
     def _clipped_tangents(self, start: Array | None) -> Array:
-        """Return the stiffness (n, d, d) of the hierarchy's springs at n pairs of nodes in d dimensions.
+        """Return the stiffness (n, d, d) of the preconditioner's springs at n pairs of nodes in d dimensions.
 
         It is the diagonal of the contact tangent, in the axes of S, within certain limits. They are proportional to the
         stiffness E/h of the bodies: Young's modulus over cell size.
@@ -90,7 +90,11 @@ class ContactTangent:
         return out
 
     def _build(self, equations: Equations) -> None:
-        """Build the multigrid hierarchy of the bodies' stiffness plus springs, with the supports of `equations`."""
+        """Build the multigrid hierarchy for the stiffness of the bodies plus springs between the sides of S.
+
+        Args:
+            equations: the balance of forces of the model, for its supports and rigid motions.
+        """
         springs, pattern = self.nodes.stiffness(self._springs), PETSc.Mat.Structure
         M, based = self._A.copy(), self.nodes.lower is None
         M.axpy(1.0, springs, pattern.SUBSET_NONZERO_PATTERN if based else pattern.DIFFERENT_NONZERO_PATTERN)

@@ -22,8 +22,8 @@ def default_method(model: Model) -> str:
     "newton" is chosen in any of these cases: bodies that are not linear, user-defined contact laws, inclined supports,
     rigid plates, periodic joints, or seams without contact.
 
-    Otherwise "condensed" is chosen on one rank if S has few displacements. If several seams share bodies, the
-    displacements on S are counted for each body alone. In all other cases "multigrid" is chosen.
+    Otherwise "condensed" is chosen on one rank if there are few displacement unknowns on S. If several seams share
+    bodies, the unknowns are counted for each body alone. In all other cases "multigrid" is chosen.
     """
     joint = model.joint
     n_nodes = len(np.unique(joint.surface)) * (1 if joint.rigid_base else 2)

@@ -65,8 +65,8 @@ class MultigridContact(ContactSolver):
     bodies.
 
     If the contact status of a node has changed, Gauss-Seidel sweeps over the nodes of S precede the next Newton step.
-    Each rank sweeps its own nodes alone. If Newton's method fails from the initial jumps, it starts again from bonded
-    nodes.
+    Each rank sweeps its own nodes alone. If Newton's method fails from the initial jumps, it starts again with pairs of
+    nodes that neither open nor slide.
 
     PETSc options begin with -thinlayer_: snes_ and ksp_ for Newton's method, pc_ and mg_ for the hierarchy. Tolerances
     of linear solves are chosen here unless ksp_rtol is set.
@@ -81,11 +81,11 @@ class MultigridContact(ContactSolver):
         self._forces = equations.vector()
 
     def solve(self, has_guess: bool) -> tuple[int, float]:
-        """Solve for the displacements `x`, in place.
+        """Solve for the displacements in the attribute `x`, in place.
 
         Args:
-            has_guess: whether `x` already contains a guess of the jumps. If not, Newton's method starts from bonded
-                nodes.
+            has_guess: whether `x` already contains a guess of the jumps. If not, Newton's method starts with pairs of
+                nodes that neither open nor slide.
 
         Returns:
             Number of Newton steps, and norm of the residual relative to the reference forces.
@@ -176,8 +176,8 @@ class _NewtonRun:
 
         Args:
             u: initial displacements; overwritten.
-            start: (n, d) jumps of the n pairs of nodes at which the first step takes the contact tangents. None: the
-                first step treats the pairs as bonded.
+            start: (n, d) jumps of n pairs of nodes in d dimensions, at which the first step takes the contact tangents.
+                None: in the first step the pairs neither open nor slide.
 
         Returns:
             PETSc's number of the reason why the method stopped; positive after convergence.
@@ -262,13 +262,14 @@ class _NewtonRun:
             snes.getKSP().setTolerances(rtol=rtol)
 
     def _first_tangents(self, u: PETSc.Vec, f: PETSc.Vec) -> Array:
-        """Return the contact tangents (n, d, d) of the n pairs of nodes for the first Newton step.
+        """Return the contact tangents (n, d, d) of n pairs of nodes in d dimensions for the first Newton step.
 
-        They are taken at the jumps `start` of `run`, or are those of bonded nodes.
+        They are taken at the jumps `start` of `run`. If `start` is None, they are those of pairs that neither open nor
+        slide.
 
         Args:
             u: displacements before the step.
-            f: residual at `u`. It is changed to that of a contact law linearised at these jumps.
+            f: residual at `u`. It is changed to the residual with contact laws linearised at these jumps.
         """
         pairs, jumps, start = self.pairs, self.nodes.separation(u), self._start
         if start is None:
@@ -283,9 +284,12 @@ class _NewtonRun:
         return tangents
 
     def _next_tangents(self, u: PETSc.Vec) -> Array:
-        """Return the contact tangents (n, d, d) of the n pairs at displacements `u`, for a Newton step after the first.
+        """Return the contact tangents (n, d, d) of n pairs of nodes for a Newton step after the first.
 
-        Also choose the relative residual at which the linear solve of this step ends.
+        The method also chooses the relative residual at which the linear solve of this step ends.
+
+        Args:
+            u: displacements before the step.
         """
         relative = self._relative
         if self._swept:

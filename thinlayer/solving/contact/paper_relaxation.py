@@ -210,10 +210,10 @@ class ContactRelaxation(ContactSolver):
         return scipy.sparse.csr_matrix((np.concatenate(values), places), shape=(n, n))
 
     def solve(self, has_guess: bool) -> tuple[int, float]:
-        """Solve for the displacements `x`, in place.
+        """Solve for the displacements in the attribute `x`, in place, by sweeps.
 
-        If the changes of u in a sweep meet their tolerance, but forces do not balance yet, sweeps go on with smaller
-        tolerances.
+        If the change of the unknowns in a sweep meets its tolerance, but forces do not balance yet, sweeps go on with
+        smaller tolerances.
 
         Args:
             has_guess: not used, as the relaxation always starts from zero.
@@ -223,7 +223,8 @@ class ContactRelaxation(ContactSolver):
                 forces.
 
         Raises:
-            SolveError: no convergence. Its attribute `residuals` has the relative changes of u in the sweeps.
+            SolveError: no convergence. Its attribute `residuals` has the relative changes of the unknowns in the
+                sweeps.
         """
         equations, nodes, x = self.equations, self.part.nodes, self.x
         fixed, moving, tolerance = self._fixed, ~self._fixed_jumps.all(axis=1), _option("tolerance")
