@@ -113,7 +113,8 @@ class Adjoint(AbstractContextManager["Adjoint"]):
     def load_weights(self) -> PETSc.Vec:
         """Return the vector q of nodal forces of the loads, for which q . u is their work in displacements u.
 
-        Loads on rigid plates are included. Loads on the layers are not, see `layer_loads`.
+        Loads on rigid plates, and loads of parts on their own unknowns, are included. Loads on the layers are not, see
+        `layer_loads`.
         """
         loads = self.equations.loads.copy()
         loads.array[:] -= self.layer_loads
@@ -136,7 +137,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
     def reaction_motions(self, place: Place, direction: Array) -> PETSc.Vec:
         """Return the vector g for which -g . r is a component of the reaction of a support or a rigid plate.
 
-        Here r are the nodal reactions at constrained dofs. Entries of g at all other dofs are zero.
+        Here r is the residual on the unknowns, whose entries at constrained dofs are the reactions there.
 
         Args:
             place: name of the support's facet set, or coordinates of its point.
@@ -298,7 +299,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
     def work(self, parts: Sequence[Part], z: Configuration) -> Array:
         """Return the work (m,) of stresses in the displacements of `z`, as shares of this rank's m displacement dofs.
 
-        The stresses are those of the last evaluation of the parts. The sum of the shares is the work.
+        The stresses are those of the last evaluation of the parts. The sum of all ranks' shares is the work.
         """
         out = fem.Function(self.model.V)
         for part in parts:

@@ -58,7 +58,7 @@ class Equations(PartSum):
         bc_dofs: local numbers of the constrained unknowns of this rank.
         prescribed: values of the unknowns `bc_dofs` at the end of the step.
         constraints: the constraints u = T y of the displacements.
-        mean_stiffness: mean diagonal entry of the bodies' stiffness at rest.
+        mean_stiffness: mean diagonal entry of the stiffness at rest: of K, and of those bodies that are not in K.
         homotopy_parameter: parameter that chooses a law between the given law (0) and an elastic law (1).
         factor: linear solver with the factor of the last tangent, which may be that of another model of the
             `ModelFamily`.

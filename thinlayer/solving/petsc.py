@@ -1,6 +1,6 @@
 """PETSc options, with errors for those that no solver reads; solves by PETSc; functions that petsc4py lacks.
 
-These functions are called in PETSc's C library, for example:
+Functions that petsc4py lacks are called in PETSc's C library, for example:
 
 - `keep_unknowns` and `schur_complement`: Schur complements by MUMPS. Without them the condensation of a bar of 256
   square cells needs 514 more solves.

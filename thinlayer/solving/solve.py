@@ -176,8 +176,8 @@ class Solver(AbstractContextManager["Solver"]):
         model: the model.
         options: {name of a PETSc option without its prefix: value}.
         method: name of the method, see `solve`; None: the default for the model.
-        like: a state of an interface model of the same joint, from whose displacements the first step starts; None: the
-            first step starts from the state before it.
+        like: a state of an interface model of the same joint, whose displacements are the initial guess; None: the
+            guess is the state before a step.
 
     Attributes:
         yields: whether a law bounds stresses, so that loads may have a limit.

@@ -189,7 +189,7 @@ class SchurFactor:
         return np.asarray(self.complement @ kept + self._springs * kept)
 
     def condense(self, b: Array) -> Array:
-        """Return forces (c,) on the kept unknowns that are equivalent to forces on all unknowns of these pieces.
+        """Return forces (c,) on the kept unknowns that are equivalent to forces on all unknowns of this factor.
 
         Args:
             b: forces on the unknowns of all bodies, also on those that this factor does not contain.
