@@ -33,26 +33,45 @@ SLIDING_TOLERANCE = 1e-2  # relative distance from the threshold at which a node
 
 
 def blocks(h: float, path: LoadPath) -> Problem:
-    """The blocks of `pressed`, of elements Q1; return their joint and the arguments of their `Structure`.
+    """Two blocks under the loads of `pressed`, with bilinear quadrilaterals (Q1) for the displacements.
 
-    Contact acts at the nodes of S, a meshed frictional layer at its quadrature points.
+    With this element a contact law acts at the nodes of S, a meshed frictional layer at its quadrature points.
 
     Args:
-        h: cell size.
-        path: time -> loads p, r and q of `pressed`.
+        h: cell size, a length without unit.
+        path: time -> coefficients (p, r, q) of the traction on top, see `pressed`.
+
+    Returns:
+        The joint, and the arguments of its `Structure`.
     """
     joint, setup = pressed(h, path)
     return joint, setup | {"element": "Q1"}
 
 
 def along_s(state: State, surface: Surface) -> dict[str, Array]:
-    """Return x along S, pressure and shear traction at the nodes of S in a state, by name."""
+    """Return the tractions of a state at the nodes of S, as columns for a table and a picture.
+
+    Args:
+        state: a state of the full or the interface model.
+        surface: the surface S.
+
+    Returns:
+        "x" (coordinate along S), "pressure" and "shear traction over E/100" -> values (m,) at the m nodes of S.
+    """
     x, t = surface.profile(surface.frame(surface.traction(state)))
     return {"x": x[:, 0], "pressure": -t[:, 1], "shear traction over E/100": t[:, 0]}
 
 
 def zones(full: Solution, limit: Solution) -> dict[str, float]:
-    """Lengths of S that are separated and that slide, in the meshed layer and under contact, from nodal tractions."""
+    """Measure the length of S that is separated and the length that slides, in both models, from nodal tractions.
+
+    Args:
+        full: solution with the meshed layer ("band").
+        limit: solution with the contact law ("contact").
+
+    Returns:
+        "separated_band", "sliding_band", "separated_contact", "sliding_contact" -> length, of the total 2.
+    """
     surface, row = Surface(last(limit).model), dict[str, float]()
     for name, solution in (("band", full), ("contact", limit)):
         x, p, shear = along_s(last(solution), surface).values()
@@ -64,7 +83,14 @@ def zones(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def same_zones(record: Record, tables: Tables) -> None:
-    """Check that S sticks, slides and separates, on lengths that nearly agree between thinnest layer and contact."""
+    """Check that S has a sticking, a sliding and a separated zone, nearly as long in the layer as under contact.
+
+    The lengths are those of the thinnest layer. They may differ from those of contact by two cells and the thickness.
+
+    Args:
+        record: record of the run, which receives the checks.
+        tables: name of a row of the study -> its table, with a line for each thickness.
+    """
     for name in ("friction", "friction history"):
         table, h = tables[name], record.parameters[name]["h"]
         sizes = {zone: table[f"{zone}_contact"][-1] for zone in ("separated", "sliding")}
@@ -76,9 +102,14 @@ def same_zones(record: Record, tables: Tables) -> None:
 
 
 def sine_leaves_an_error(record: Record, tables: Tables) -> None:
-    """Check that contact with the friction coefficient sin(Omega) is wrong for this layer, and tan(Omega) right.
+    """Check that contact with the friction coefficient sin(Omega) errs at least twice as much as with tan(Omega).
 
-    A layer of the law `MohrCoulomb` under lasting shear has sin(Omega); this layer slips only along S.
+    The error is that of the jump for the thinnest layer, whose friction angle is Omega. This layer slips only along S.
+    A layer of the law `MohrCoulomb` under lasting shear would have the friction coefficient sin(Omega).
+
+    Args:
+        record: record of the run, which receives the check.
+        tables: name of a row of the study -> its table, with a line for each thickness.
     """
     sine, tangent = (tables[name]["error_jump"][-1] for name in ("friction sine", "friction"))
     record.check("friction sin(Omega) on S: last error of the jump over that with tan(Omega)", sine / tangent, low=2)

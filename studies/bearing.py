@@ -26,10 +26,12 @@ MODELS = {"meshed": "meshed layer", "rubber": "law Rubber, order 1", "order_0": 
 def run(record: Record, *, nu: Sequence[float] = POISSON_RATIOS, quick: bool = False) -> None:
     """Pull the upper plate by 0.01 mm, and compare the force in three models with a closed form for rigid plates.
 
+    The models are the meshed rubber, the law `Rubber` of order 1, and `LinearElastic` of order 0.
+
     Args:
-        record: folder of the results.
+        record: record of the run: its folder, tables and checks.
         nu: Poisson's ratios of the rubber, in (0, 1/2].
-        quick: every other ratio, fewer cells, and two shape factors.
+        quick: every other ratio, fewer cells, and two of the three shape factors.
     """
     shapes, ratios = (SHAPE_FACTORS[:2], sorted({*nu[::2], *nu[-2:]})) if quick else (SHAPE_FACTORS, nu)
     structures = {shape: _structure(shape, quick=quick) for shape in shapes}
@@ -84,7 +86,10 @@ def _model(structure: Structure, name: str, eps: float, nu: float) -> Model:
 
 
 def draw(record: Record) -> None:
-    """Draw stiffnesses over those of the closed form against Poisson's ratio, from table.csv."""
+    """Draw the stiffness of each model, divided by that of the closed form, over lambda/mu of the rubber.
+
+    The stiffnesses are read from table.csv in the folder of `record`; the picture is stiffness.svg.
+    """
     parts = {}
     for shape, part in record.load("table.csv").split("shape").items():
         at = part["nu"] < 0.5

@@ -33,14 +33,14 @@ INTERFACE, FULL, CLOSED_FORM = "interface law", "meshed layer", "closed form"
 
 @dataclass(frozen=True)
 class Pull:
-    """One of the two ways to load a column.
+    """A load on a column, along S or across S; `PULLS` has one of each.
 
     Attributes:
         name: "sheared" or "pulled".
-        axis: component of the load, 0 along S (shear) or 1 across S.
-        stress: traction on top in creep, constant from t = 0 on.
-        end: displacement of the top in relaxation, constant from t = 0 on.
-        share: squared norm of the strain sym([u] (x) n) over |[u]|^2, 1/2 in shear and 1 across S.
+        axis: component of the load: 0 along S (shear), 1 across S.
+        stress: traction on top in creep tests, applied at t = 0 and then constant.
+        end: displacement of the top in relaxation tests, applied at t = 0 and then constant.
+        share: squared norm of the strain sym([u] (x) n), divided by |[u]|^2: 1/2 for shear, 1 across S.
     """
 
     name: str
@@ -50,7 +50,11 @@ class Pull:
     share: float
 
     def modulus(self, lmbda: float, mu: float) -> float:
-        """Stress over strain of a column with Lamé's moduli lmbda and mu; with viscosities, stress over strain rate."""
+        """Return the modulus that resists this load: `mu` under shear, `lmbda` + 2 `mu` across S.
+
+        `lmbda` and `mu` are Lamé's moduli, and the result is stress over strain. If they are viscosities, it is stress
+        over strain rate.
+        """
         return lmbda + 2 * mu if self.axis else mu
 
 
@@ -59,13 +63,13 @@ PULLS = (Pull("sheared", 0, 0.5, 0.05, 0.5), Pull("pulled", 1, 1.0, 0.02, 1.0))
 
 @dataclass(frozen=True)
 class CreepCase:
-    """A layer's law and a way of loading.
+    """A creep or relaxation test of one layer, with its closed form.
 
     Attributes:
         law: the layer's law.
-        exact: closed form, from the way of loading and times t > 0, of the measured jump or traction.
-        relaxes: True: the displacement of the top is prescribed and the traction measured. False: the traction is
-            prescribed and the jump measured.
+        exact: function of the load and of times t > 0 that returns the quantity measured at these times in closed form.
+        relaxes: True: the displacement of the top is prescribed, and the traction on S is measured. False: the traction
+            on top is prescribed, and the jump is measured.
     """
 
     law: BulkLaw
@@ -74,27 +78,44 @@ class CreepCase:
 
 
 def kelvin_voigt(pull: Pull, t: Array) -> Array:
-    """Closed form of the jump of a Kelvin-Voigt layer at times t under a constant traction."""
+    """Closed form of the jump of a Kelvin-Voigt layer under a constant traction.
+
+    `pull` is the load, `t` the times (n,) after its application; the jumps (n,) are along the load, over the height.
+    """
     K, G = pull.modulus(LMBDA, MU), pull.modulus(LMBDA * THETA_LMBDA, MU * THETA_MU)
     return pull.stress / K * (1 - np.exp(-K / G * t))
 
 
 def maxwell(pull: Pull, t: Array) -> Array:
-    """Closed form of the jump of a Maxwell layer at times t under a constant traction."""
+    """Closed form of the jump of a Maxwell layer under a constant traction.
+
+    `pull` is the load, `t` the times (n,) after its application; the jumps (n,) are along the load, over the height.
+    """
     return pull.stress / pull.modulus(LMBDA, MU) * (1 + t / T1)
 
 
 def relaxation(pull: Pull, t: Array) -> Array:
-    """Closed form of the traction at times t of a Maxwell layer between elastic bodies under a fixed displacement."""
+    """Closed form of the traction on a Maxwell layer between elastic bodies, under a constant displacement of the top.
+
+    `pull` is the load, `t` the times (n,) after its application; the tractions (n,) are along the load.
+    """
     K = pull.modulus(LMBDA, MU)
     ratio = 1 + K / pull.modulus(BODY.lmbda, BODY.mu)  # the bodies are 1 high together
     return pull.end * K / ratio * np.exp(-t / (T1 * ratio))
 
 
 def norton(law: Norton, pull: Pull, t: Array) -> Array:
-    """Closed form of the jump of a Norton layer at times t under a constant traction.
+    """Closed form of the jump of a Norton layer under a constant traction.
 
     For exponents p > 2 the creep ends at a finite time.
+
+    Args:
+        law: the layer's law.
+        pull: the load.
+        t: (n,) times after its application.
+
+    Returns:
+        (n,) jumps along the load, over the height of the column.
     """
     K, q = pull.modulus(LMBDA, MU), 1 / (law.p - 1)
     rate = (law.eta * pull.share ** (law.p / 2)) ** -q
@@ -103,7 +124,11 @@ def norton(law: Norton, pull: Pull, t: Array) -> Array:
 
 
 def series(pull: Pull, t: Array) -> Array:
-    """Closed form of the jump of a layer, half Maxwell and half Kelvin-Voigt in series, under a constant traction."""
+    """Closed form of the jump under a constant traction of a layer of two sublayers, one Maxwell, one Kelvin-Voigt.
+
+    Each is half as thick as the layer. `pull` is the load, `t` the times (n,) after its application; the jumps (n,) are
+    along the load.
+    """
     return (maxwell(pull, t) + kelvin_voigt(pull, t)) / 2
 
 
@@ -120,13 +145,13 @@ CASES = {
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Shear and pull columns by a sudden constant load, and measure errors of both models against closed forms.
+    """Shear and pull columns by a sudden constant load, and compare both models with closed forms.
 
-    Curves over time are computed by the midpoint rule. The error at t = 1 is measured with decreasing time steps for
-    the rates of convergence of the time schemes.
+    The curves over time are computed by the midpoint rule. Rates of convergence of the time schemes come from errors of
+    the interface law at t = 1, for decreasing time steps.
 
     Args:
-        record: folder of the results.
+        record: record of the run: its folder, tables and checks.
         quick: longer and fewer steps.
     """
     steps = TIME_STEPS[:2] if quick else TIME_STEPS
@@ -151,10 +176,15 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def check_printed(record: Record, curves: dict[str, Array]) -> None:
-    """Check by which factor jumps of two laws as printed in the paper differ from those of the meshed layer.
+    """Check how much jumps by Eqs. (19) and (23) as printed in the paper differ from those of the meshed layer.
 
-    Eq. (19) has half of the right tangential compliance, and a negative normal compliance. In Eq. (23) the modulus bars
-    are around the rate: for shear that is another viscosity, as |v (x)_s n| = |v|/sqrt(2).
+    Eq. (19), Maxwell's law, has half of the right tangential compliance, and a negative normal compliance. In Eq. (23),
+    Norton's law, the norm is that of the jump's rate v, not of its strain rate. In shear this is another viscosity, as
+    |v (x)_s n| = |v|/sqrt(2).
+
+    Args:
+        record: record of the run, which receives the checks.
+        curves: columns of table.csv: "t", and "CASE: MODEL, LOAD" -> values at these times.
     """
     (sheared, pulled), E, nu = PULLS, MU * (3 * LMBDA + 2 * MU) / (LMBDA + MU), LMBDA / (2 * (LMBDA + MU))
     jumps = {("Maxwell, creep", sheared): sheared.stress * (1 + nu) / E * (1 + ERROR_TIME / T1)}
@@ -168,17 +198,17 @@ def check_printed(record: Record, curves: dict[str, Array]) -> None:
 
 
 def until(end: float, dt: float) -> list[float]:
-    """Ends of equal time steps dt from 0 to `end`."""
+    """Return the times dt, 2 dt, ..., `end` at which equal time steps of the length `dt` from 0 end."""
     return [(k + 1) * dt for k in range(round(end / dt))]
 
 
 class Column:
-    """A column of two bodies with a layer between them, under one way of loading.
+    """A column of two bodies with a layer between them, under one load.
 
     Attributes:
-        record: folder of the results.
-        case: law of the layer, and what is measured.
-        pull: way of loading.
+        record: record of the run, which keeps the solver's reports.
+        case: law of the layer, and whether the test is creep or relaxation.
+        pull: the load.
         models: "interface law" and "meshed layer" -> model.
     """
 
@@ -194,21 +224,30 @@ class Column:
         self.models: dict[str, Model] = {INTERFACE: structure.interface(layer), FULL: structure.full(layer)}
 
     def follow(self, model: Model, times: Sequence[float], theta: float = 0.5) -> Array:
-        """March a model, and return the jump, in relaxation the traction, in the direction of the load at these times.
+        """March a model from rest, and return the measured component along the load at the end of each step.
 
         Args:
             model: the model.
-            times: ends of the time steps.
-            theta: fraction of a time step after which forces balance, 1/2 for the midpoint rule.
+            times: (n,) ends of the time steps.
+            theta: fraction of a time step after which forces balance; 1/2 is the midpoint rule, 1 backward Euler.
+
+        Returns:
+            (n,) mean jump on S in creep, mean traction on S in relaxation.
         """
         history, surface = self.record.solved(march(model, times, theta=theta)), Surface(self.models[INTERFACE])
         field = surface.traction if self.case.relaxes else surface.jump
         return np.array([surface.integral(surface.frame(field(history.at(t)))[self.pull.axis]) for t in times])
 
     def errors(self, steps: Sequence[float]) -> dict[str, float | None]:
-        """Return the closed form at t = 1, relative errors of the interface law there, and last rates of convergence.
+        """Measure the relative errors of the interface law at t = 1 for decreasing time steps, by both time schemes.
 
-        `steps` are decreasing lengths of time steps.
+        Args:
+            steps: decreasing lengths of the time steps.
+
+        Returns:
+            A table row: "exact" (closed form at t = 1); "SCHEME DT" (relative error with the step DT) and "SCHEME
+            order" (last rate of convergence; None if the last error is only rounding) for the schemes "Euler" and
+            "midpoint".
         """
         exact = float(self.case.exact(self.pull, np.array(ERROR_TIME)))
         row: dict[str, float | None] = {"exact": exact}
@@ -222,7 +261,10 @@ class Column:
 
 
 def draw(record: Record) -> None:
-    """Draw the curves from table.csv."""
+    """Draw jumps (creep) and tractions (relaxation) of both models and of the closed forms over time.
+
+    The curves are read from table.csv in the folder of `record`.
+    """
     table, times = record.load("table.csv"), np.append(np.linspace(0.0, END_TIME, 201), np.nan)
     panels: dict[str, dict[str, tuple[Array, Array]]] = {title: {} for title in CASES}
     styles, colours = {CLOSED_FORM: "--"}, {CLOSED_FORM: "black"}

@@ -28,14 +28,16 @@ Springs = Sequence[tuple[float, float] | None]  # between neighbours: normal and
 class Cylinders:
     """Closed form of concentric elastic cylinders in plane strain, with u = (a x, b y) on the outermost radius.
 
-    The innermost cylinder is solid. In polar coordinates u_r = u_0 + u_2 cos(2 theta) and u_theta = v_2 sin(2 theta);
-    stresses on circles have the same form. In each cylinder mode 0 is u_0 = A r + B / r. Mode 2, with u_2 and v_2,
-    follows from Muskhelishvili's potentials, combinations of z^3 and 1/z, and of z and 1/z^3.
+    The innermost cylinder is solid. In polar coordinates u_r = u_0(r) + u_2(r) cos(2 theta) and u_theta = v_2(r) sin(2
+    theta); the stresses s_rr and s_rtheta have the same form. Terms without theta are mode 0, with u_0 = A r + B / r.
+    Terms with 2 theta are mode 2. They follow from Muskhelishvili's potentials, combinations of z^3 and 1/z, and of z
+    and 1/z^3.
 
     Attributes:
-        laws: laws of the cylinders, the innermost first.
-        radii: their outer radii, increasing.
-        coefficients: number of the mode, 0 or 2 -> (cylinders, 2 or 4) coefficients of its independent solutions.
+        laws: law of each cylinder, the innermost first.
+        radii: outer radius of each cylinder, increasing.
+        coefficients: number of the mode, 0 or 2 -> (cylinders, n) factors of its n independent solutions in each
+            cylinder; n is 2 for mode 0, 4 for mode 2.
     """
 
     laws: tuple[LinearElastic, ...]
@@ -46,15 +48,14 @@ class Cylinders:
     def stretched(
         cls, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs, stretch: tuple[float, float]
     ) -> Self:
-        """Return the closed form for a displacement (a x, b y) prescribed on the outermost radius.
-
-        It solves for the coefficients of mode 0 (axisymmetric) and mode 2 (radial displacements as cos(2 theta)).
+        """Solve for cylinders whose outermost boundary has the displacement (a x, b y).
 
         Args:
-            laws: laws of the cylinders, the innermost first.
-            radii: their outer radii, increasing.
-            springs: for each interface, normal and tangential stiffness, stress per length; None: bonded.
-            stretch: a and b in the displacement (a x, b y) on the outermost radius.
+            laws: law of each cylinder, the innermost first.
+            radii: outer radius of each cylinder, increasing.
+            springs: for each interface between neighbours (normal, tangential) stiffness, stress per length; None:
+                bonded.
+            stretch: a and b of this displacement.
         """
         a, b = stretch
         rim = {0: ((a + b) / 2, 0.0), 2: ((a - b) / 2, (b - a) / 2)}
@@ -62,16 +63,25 @@ class Cylinders:
         return cls(tuple(laws), tuple(radii), coefficients)
 
     def fields(self, mode: int, k: int, r: float) -> Array:
-        """Amplitudes (4,) of u_r, u_theta and the stresses s_rr, s_rtheta of mode 0 or 2 in cylinder k, at a radius."""
+        """Return the amplitudes (4,) of u_r, u_theta, s_rr and s_rtheta of one mode at the radius `r`.
+
+        `mode` is 0 or 2, `k` the number of the cylinder, 0 for the innermost one.
+        """
         return np.asarray(_solutions(mode, self.laws[k], r) @ self.coefficients[mode][k])
 
     def displacement(self, k: int, r: float, theta: float) -> Array:
-        """Displacements u_r and u_theta in cylinder k, at polar coordinates."""
+        """Return the displacements (2,) u_r and u_theta at the polar coordinates `r` and `theta` (radians).
+
+        `k` is the number of the cylinder, 0 for the innermost one.
+        """
         mode_0, mode_2 = (self.fields(mode, k, r)[:2] for mode in MODES)
         return mode_0 + mode_2 * [np.cos(2 * theta), np.sin(2 * theta)]
 
     def jumps(self, k: int) -> Array:
-        """Amplitudes (2, 2), for both modes, of the jumps of u_r and u_theta from cylinder k to the next cylinder."""
+        """Return the amplitudes (2, 2) of the jumps from cylinder `k` (0: the innermost) to the next cylinder.
+
+        The first index is the mode, 0 or 2; the second one the component, u_r or u_theta.
+        """
         r = self.radii[k]
         return np.array([(self.fields(mode, k + 1, r) - self.fields(mode, k, r))[:2] for mode in MODES])
 
@@ -84,9 +94,10 @@ class Cylinders:
 
 
 def _solutions(mode: int, law: LinearElastic, r: float) -> Array:
-    """Amplitudes (4, n) of u_r, u_theta, s_rr, s_rtheta of the n independent solutions of a mode at a radius.
+    """Return the independent solutions of a mode at the radius `r`, for a cylinder of the law `law`.
 
-    The solutions that are regular at r = 0 are first.
+    `mode` is 0 or 2. In the array (4, n) each column has the amplitudes of u_r, u_theta, s_rr and s_rtheta of a
+    solution; n is 2 for mode 0, 4 for mode 2. The first half of the columns is regular at r = 0.
     """
     mu, kappa = law.mu, (law.lmbda + 3 * law.mu) / (law.lmbda + law.mu)
     if mode == 0:
@@ -97,9 +108,18 @@ def _solutions(mode: int, law: LinearElastic, r: float) -> Array:
 
 
 def _between(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs) -> Array:
-    """Matrix (interfaces, 4, cylinders, n) of the conditions at interfaces, for the n coefficients of each cylinder.
+    """Return the matrix of the conditions at interfaces between cylinders, applied to the coefficients of one mode.
 
-    They say that displacement jumps equal the extensions of the springs, and that tractions are continuous.
+    The conditions say that jumps of u_r and u_theta are the extensions of the springs, and tractions are continuous.
+
+    Args:
+        mode: 0 or 2.
+        laws: law of each cylinder, the innermost first.
+        radii: radius of each interface, increasing.
+        springs: for each interface (normal, tangential) stiffness, stress per length; None: bonded.
+
+    Returns:
+        (interfaces, 4, cylinders, n): four conditions at each interface, for n coefficients in each cylinder.
     """
     conditions = np.zeros((len(radii), 4, len(laws), _solutions(mode, laws[0], 1.0).shape[1]))
     for k, (spring, r) in enumerate(zip(springs, radii, strict=True)):
@@ -111,10 +131,17 @@ def _between(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], s
 
 
 def _solved(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs, rim: Array) -> Array:
-    """Coefficients (cylinders, n) of a mode that meet the conditions at interfaces and are regular at r = 0.
+    """Solve for the coefficients of one mode in cylinders, the innermost of which is solid.
 
-    `rim` are the amplitudes of u_r and u_theta on the outermost radius; other arguments are those of
-    `Cylinders.stretched`.
+    Args:
+        mode: 0 or 2.
+        laws: law of each cylinder, the innermost first.
+        radii: outer radius of each cylinder, increasing.
+        springs: for each interface (normal, tangential) stiffness, stress per length; None: bonded.
+        rim: (2,) prescribed amplitudes of u_r and u_theta on the outermost radius.
+
+    Returns:
+        (cylinders, n) coefficients of the n independent solutions in each cylinder.
     """
     conditions = _between(mode, laws, radii[:-1], springs)
     n, size = conditions.shape[3], conditions[0, 0].size
@@ -132,7 +159,7 @@ class Lame:
     """Closed form of concentric tubes under inner pressure, without axial strain (Lamé).
 
     Attributes:
-        laws: laws of the tubes, the innermost first.
+        laws: law of each tube, the innermost first.
         coefficients: (tubes, 2) A and B of the radial displacement A r + B/r in each tube.
     """
 
@@ -140,22 +167,22 @@ class Lame:
     coefficients: Array
 
     def displacement(self, k: int, r: float) -> float:
-        """Radial displacement of tube k, counted from inside, at a radius."""
+        """Return the radial displacement at the radius `r` in tube `k`, 0 for the innermost one."""
         return float(self.coefficients[k] @ _solutions(0, self.laws[k], r)[0])
 
     def stress(self, k: int, r: float) -> float:
-        """Radial stress in tube k, counted from inside, at a radius."""
+        """Return the radial stress at the radius `r` in tube `k`, 0 for the innermost one."""
         return float(self.coefficients[k] @ _solutions(0, self.laws[k], r)[2])
 
 
 def lame(radii: Sequence[float], laws: Sequence[LinearElastic], springs: Sequence[float | None], p: float) -> Lame:
-    """Solve for concentric tubes under inner pressure.
+    """Return the closed form of concentric tubes under inner pressure; the outer side is free.
 
     Args:
         radii: increasing radii of the bore, of the interfaces and of the outer side.
-        laws: laws of the tubes, the innermost first.
+        laws: law of each tube, the innermost first.
         springs: normal stiffness of each interface, stress per length; None: bonded.
-        p: pressure in the bore; the outer side is free.
+        p: pressure in the bore.
     """
     between = _between(0, laws, radii[1:-1], [None if k is None else (k, k) for k in springs])[:, ::2]  # radial rows
     end_rows = np.zeros((2, 2 * len(laws)))
@@ -172,9 +199,13 @@ COATING = LinearElastic(lmbda=0.6, mu=0.7)  # at the thickness 1
 
 
 def coated_fibre(h: float) -> Problem:
-    """A fibre in a disc of resin whose rim is stretched; return its joint and the arguments of its `Structure`.
+    """A fibre in a disc of resin whose rim is stretched along x; the thin layer is the coating.
 
-    Lengths and stresses have no units; h is the cell size.
+    Args:
+        h: cell size; lengths and stresses have no units.
+
+    Returns:
+        The joint, and the arguments of its `Structure`.
     """
     joint = fibre(RADIUS, RIM, h, cell="quadrilateral", degree=2)
     rim: Support = {"x": lambda x, t: STRETCH * x[0], "y": 0.0}
@@ -182,9 +213,15 @@ def coated_fibre(h: float) -> Problem:
 
 
 def against_cylinders(full: Solution, limit: Solution) -> dict[str, float]:
-    """Compare with closed forms: relative L2 difference of the jumps of both models, error of the full model's energy.
+    """Compare the coated fibre with closed forms at one thickness of its coating.
 
-    The difference is that between the closed forms with a layer and with springs; the error is relative.
+    Args:
+        full: solution with the meshed coating.
+        limit: solution with the interface law.
+
+    Returns:
+        "closed_form" -> relative L2 difference of the jumps in two closed forms, one with a coating, one with springs;
+        "energy" -> relative error of the full model's energy.
     """
     eps = float(layer_of(full).eps)
     springs = (COATING.lmbda + 2 * COATING.mu, COATING.mu)
@@ -201,7 +238,14 @@ def against_cylinders(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def as_cylinders(record: Record, tables: Tables) -> None:
-    """Check that the jumps of both models differ as in closed form, and check the energy of the full model."""
+    """Check the error of the interface law's jump, and the energy of the full model, against closed forms.
+
+    The jumps of both models must differ as much as those of the closed forms with springs and with a coating.
+
+    Args:
+        record: record of the run, which receives the checks.
+        tables: name of a row of the study -> its table, with a line for each thickness.
+    """
     ratio = tables["fibre"]["error_jump"] / tables["fibre"]["closed_form"]
     record.check("error of the jump over that of the closed forms, less 1", abs(ratio - 1).max(), high=2e-3)
     record.check("energy of the meshed model, relative error", max(tables["fibre"]["energy"]), high=5e-5)
@@ -220,13 +264,16 @@ PUSH_LOADS: StructureArguments = {"supports": {"RIGHT/UPPER": 0.0}, "tractions":
 
 
 def tubes(h: float, loads: StructureArguments) -> Problem:
-    """A tube glued into another tube, in section; return its joint and the arguments of its `Structure`.
+    """A tube glued into another tube, in an axisymmetric section.
 
-    The section is axisymmetric: x is the radius, the side "BOTTOM" is the bore, "LEFT" the upper end.
+    In the section x is the radius and y the axis. The facet set "BOTTOM" is the bore, "LEFT" the upper end.
 
     Args:
         h: cell size, mm.
         loads: supports and tractions.
+
+    Returns:
+        The joint, and the arguments of its `Structure`.
     """
     bore, on_S, rim = RADII
     section = sandwich(HEIGHT, on_S - bore, rim - on_S, h, cell="quadrilateral", structured=True)
@@ -235,7 +282,16 @@ def tubes(h: float, loads: StructureArguments) -> Problem:
 
 
 def against_lame(full: Solution, limit: Solution) -> dict[str, float]:
-    """Relative errors of both models against their closed forms: displacement of the bore, mean traction on S."""
+    """Measure the relative errors of both models of the tubes against their closed forms.
+
+    Args:
+        full: solution with the meshed layer ("meshed"), compared with a closed form of three tubes.
+        limit: solution with the interface law ("law"), compared with a closed form of two tubes and springs.
+
+    Returns:
+        "law_bore", "meshed_bore" -> error of the bore's displacement; "law_traction", "meshed_traction" -> error of the
+        mean traction on S.
+    """
     eps, (bore, on_S, rim) = float(layer_of(limit).eps), RADII
     radii, laws = (bore, on_S - eps / 2, on_S + eps / 2, rim), (SHAFT, GLUE.scaled(eps / GLUE_EPS), HUB)
     layer = lame(radii, laws, (None, None), PRESSURE)
@@ -252,7 +308,12 @@ def against_lame(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def as_lame(record: Record, tables: Tables) -> None:
-    """Check both models under inner pressure against their closed forms."""
+    """Check both models of the tubes under inner pressure against their closed forms.
+
+    Args:
+        record: record of the run, which receives the checks.
+        tables: name of a row of the study -> its table, with a line for each thickness.
+    """
     high = 16 * LAME_ERROR if record.options.get("quick") else LAME_ERROR
     for name in ("meshed", "law"):
         max_error = max(max(tables["tubes"][f"{name}_{what}"]) for what in ("bore", "traction"))

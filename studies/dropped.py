@@ -1,8 +1,9 @@
 """Cases of the study `may_i_drop`, structures with thin layers: from another program, further ones, random ones.
 
-Some cases are taken from another program, as far as these are described. Some data are not described and are chosen
-here: the layer's modulus and the load on unequal bodies with nu = 0.45, the load on the bearing, the size of the cubic
-term. Also chosen are the strength and hardening of the plastic layer, and the moduli and heights of the box.
+Authors of another program have published results for some of these cases, without all the data. The missing data are
+chosen here: the layer's modulus and the load on unequal bodies with nu = 0.45, the load on the bearing, and the
+coefficient of the law `Hardening`. Also chosen are the strength and hardening of the plastic layer, and the moduli and
+heights of the box in 3D.
 """
 
 from __future__ import annotations
@@ -68,13 +69,19 @@ STEEL, SOFT_BODY = young(E=1e4, nu=0.3), young(E=70.0, nu=0.3)
 # ---------------------------------------------------------------- structures; `_`: the mesh suits any thickness
 # fmt: off
 def rollers(_: float) -> Structure:
-    """Two blocks between rollers, under a traction with one half-wave (`studies.problems.fourier`)."""
+    """Make a structure of two blocks between rollers, under a traction with one half-wave (`studies.problems.fourier`).
+
+    The argument, the layer's thickness, is not used, as the mesh suits all thicknesses.
+    """
     joint, setup = fourier(1 / 16, cell="quadrilateral")
     return Structure(joint, **setup)
 
 
 def box(_: float) -> Structure:
-    """Two blocks in 3D between rollers on four sides, under tractions with half a wave along x and a wave along z."""
+    """Make a structure of two blocks in 3D between rollers on four sides, under wavy tractions on top.
+
+    The tractions have half a wave along x and a full wave along z. The argument, the layer's thickness, is not used.
+    """
     joint = sandwich(1.0, 0.5, 0.5, 1 / 8, depth=0.5, cell="hexahedron", structured=True)
     k1, k3, k = pi, 2 * pi, (pi**2 + (2 * pi) ** 2) ** 0.5
 
@@ -93,10 +100,10 @@ def free(
     eps: float, load: Load = (0.3, -1.0), heights: Heights = (0.5, 0.5), *,
     lower: LinearElastic = FOURIER_BODY, upper: LinearElastic = FOURIER_BODY, plane: str = "strain",
 ) -> Structure:
-    """Two blocks, 1 wide, with free sides, clamped below, under a traction on top.
+    """Make a structure of two blocks, 1 wide, with free sides, clamped below, under a traction on top.
 
     Args:
-        eps: thickness of the layer, by which cells at the free ends of S are scaled.
+        eps: thickness of the layer, 8 times the cell size at the free ends of S.
         load: the traction.
         heights: heights of the lower and the upper block.
         lower, upper: laws of the blocks.
@@ -106,25 +113,37 @@ def free(
 
 
 def displaced(eps: float) -> Structure:
-    """Two stiff blocks with free sides, the upper one pressed down by 0.01."""
+    """Make a structure of two stiff blocks with free sides, the upper one pressed down by 0.01.
+
+    `eps` is the thickness of the layer, 8 times the cell size at the free ends of S.
+    """
     return free_blocks(_ends(eps), h_S=ALONG, body=STEEL, supports=CLAMPED | {"TOP": {"x": 0.0, "y": -0.01}}, tractions={})
 
 
 def tilted(eps: float) -> Structure:
-    """Two blocks of unequal heights with free sides, rotated by 0.5 rad, under a traction that is not rotated."""
+    """Make a structure of two blocks with free sides, rotated by 0.5 rad, under a traction that is not rotated.
+
+    The blocks have unequal heights. `eps` is the thickness of the layer, 8 times the cell size at the free ends of S.
+    """
     joint = sandwich(1.0, 0.4, 0.7, 1 / 8, h_S=ALONG, h_ends=_ends(eps), cell="quadrilateral")
     return loaded(joint.rotated(TILT_ANGLE), (-0.7, 0.4), body=young(E=150.0, nu=0.2))
 
 
 def channel(_: float) -> Structure:
-    """Two unequal blocks between rollers, under a traction that is quadratic in x."""
+    """Make a structure of two unequal blocks between rollers, under a traction that is quadratic in x.
+
+    The argument, the layer's thickness, is not used, as the mesh suits all thicknesses.
+    """
     joint = sandwich(WIDTH, 0.4, 0.6, 1 / 16, cell="quadrilateral", structured=True)
     body = {"LOWER": young(E=120.0, nu=0.25), "UPPER": young(E=80.0, nu=0.35)}
     return loaded(joint, lambda x, t: (x[0] * (WIDTH - x[0]), x[0] ** 2 - 0.3), body=body, supports=WALLS)
 
 
 def rings(_: float) -> Structure:
-    """A ring around another ring; the inner one is fixed inside, the outer one pushed down on its upper half."""
+    """Make a structure of a ring in another ring, fixed inside, and pushed down on the upper half of its outside.
+
+    The argument, the layer's thickness, is not used, as the mesh suits all thicknesses.
+    """
     joint = ring(1.0, 1.5, 2.2, 1 / 6, h_S=1 / 12, cell="quadrilateral", degree=2)
     body = {"INNER": young(E=200.0, nu=0.3), "OUTER": young(E=70.0, nu=0.33)}
     loads = {"OUTSIDE": lambda x, t: (0.0, -ufl.conditional(x[1] > 0, x[1], 0.0))}
@@ -132,43 +151,67 @@ def rings(_: float) -> Structure:
 
 
 def on_base(eps: float) -> Structure:
-    """A block with free sides on a rigid base."""
+    """Make a structure of a block with free sides, pressed and sheared on a rigid base.
+
+    `eps` is the thickness of the layer below the block, 8 times the cell size at the free ends of S.
+    """
     joint = block(1.0, 0.6, 1 / 8, h_S=ALONG, h_ends=_ends(eps), cell="quadrilateral")
     return loaded(joint, lambda x, t: (0.4, -0.5 - x[0]), body=young(E=90.0, nu=0.2), supports={})
 
 
 def tube(_: float) -> Structure:
-    """Two tubes, one on top of the other, between smooth walls: an axisymmetric section from r = 0.4 to 1.4."""
+    """Make a structure of two tubes, one on top of the other, between smooth walls.
+
+    It is an axisymmetric section from r = 0.4 to 1.4. The argument, the layer's thickness, is not used, as the mesh
+    suits all thicknesses.
+    """
     joint = sandwich(1.0, 0.5, 0.5, 1 / 12, cell="quadrilateral", structured=True).moved((0.4, 0.0))
     body = young(E=100.0, nu=0.25)
     return loaded(joint, lambda x, t: (0.0, 1 - x[0] ** 2), body=body, supports=WALLS, plane="axisymmetric")
 
 
 def disc(eps: float) -> Structure:
-    """Two discs, one on top of the other, pressed most at the axis: an axisymmetric section from r = 0 to 1."""
+    """Make a structure of two discs, one on top of the other, pressed most at the axis.
+
+    It is an axisymmetric section from r = 0 to 1. `eps` is the thickness of the layer, 8 times the cell size at the
+    free end of S.
+    """
     return free_blocks(_ends(eps), lambda x, t: (0.0, x[0] ** 2 - 1), h_S=ALONG, plane="axisymmetric")
 
 
 def plated(eps: float) -> Structure:
-    """Two blocks with free sides, on springs, under a rigid plate that may rotate."""
+    """Make a structure of two blocks with free sides: springs support the lower one, a rigid plate loads the upper one.
+
+    The plate may rotate. `eps` is the thickness of the layer, 8 times the cell size at the free ends of S.
+    """
     parts = [Springs("BOTTOM", normal=300.0, tangential=200.0), RigidPlate("TOP", force=(0.3, -1.0), moment=0.1)]
     return free_blocks(_ends(eps), h_S=ALONG, supports={}, tractions={}, parts=parts)
 
 
 def two_seams(eps: float) -> Structure:
-    """Three blocks with free sides, on top of each other, with two seams."""
+    """Make a structure of three blocks with free sides, on top of each other, with the seams "LOW" and "HIGH".
+
+    `eps` is the thickness of the layer on "LOW", 8 times the cell size at the free ends of S.
+    """
     cuts = {"LOW": ((-0.1, 0.4), (1.1, 0.4)), "HIGH": ((-0.1, 0.8), (1.1, 0.8))}
     return loaded(faults(1.0, 1.2, cuts, 1 / 8, h_S=ALONG, h_ends=_ends(eps)), (0.3, -1.0))
 
 
 def heated(eps: float) -> Structure:
-    """Two blocks with free sides; the upper block has an isotropic eigenstrain of 0.01."""
+    """Make a structure of two blocks with free sides, whose upper block has an isotropic eigenstrain of 0.01.
+
+    `eps` is the thickness of the layer, 8 times the cell size at the free ends of S.
+    """
     body = {"LOWER": FOURIER_BODY, "UPPER": young(E=80.0, nu=0.2)}
     return free_blocks(_ends(eps), h_S=ALONG, body=body, tractions={}, eigenstrain={"UPPER": 0.01})
 
 
 def corner(eps: float) -> Structure:
-    """A quarter of two plates in 3D, with two free sides that meet at a corner, pressed and sheared."""
+    """Make a structure of a quarter of two plates in 3D, pressed and sheared.
+
+    Two free sides of the plates meet at a corner. `eps` is the thickness of the layer, 3 times the cell size at the
+    free ends of S.
+    """
     joint = sandwich(1.0, 0.5, 0.5, 1 / 4, depth=DEPTH, h_S=1 / 6, h_ends=eps / 3, cell="hexahedron")
     supports = CLAMPED | {"LEFT": {"x": 0.0}, "BACK": {"z": 0.0}}
     return loaded(joint, lambda x, t: (0.2 * x[0], -1.0 + 0.5 * x[2], 0.1), supports=supports)
@@ -177,16 +220,16 @@ def corner(eps: float) -> Structure:
 # ---------------------------------------------------------------- cases
 @dataclass(frozen=True)
 class DroppedCase:
-    """A structure with thin layers whose meshes may be left out, and the quantities whose change is estimated.
+    """A structure with thin layers, for which the study estimates the error of replacing the layers by interface laws.
 
     Attributes:
-        name: group of the case and a few words about it, "group: words".
+        name: name of the case: its group, a colon and a few words, as "free ends: thin bodies".
         structure: function of the thickness that returns the structure, with a mesh fine enough for such a layer.
         layers: function of the thickness that returns the layers; their interface laws have order 0.
-        bodies: "kept" or "extended" bodies, for both models.
+        bodies: "kept" or "extended" bodies of the full and the interface model.
         step: length of the only time step, from rest; 0: a static solve.
-        asked: goals whose change is estimated in addition to traction and jump on S.
-        inner: whether changes are measured only on the inner half of S, |x - 1/2| < 1/4, where this is possible.
+        asked: goals whose change is estimated, in addition to traction and jump on S.
+        inner: whether changes of traction and jump are measured only on the inner half of S, |x - 1/2| < 1/4.
         solid: whether the structure is in 3D.
     """
 
@@ -201,7 +244,10 @@ class DroppedCase:
 
 
 def unwarned() -> warnings.catch_warnings[None]:
-    """Context that hides warnings about laws outside their range of validity, as the estimate reports such errors."""
+    """Return a context manager that hides warnings about laws used outside their range of validity.
+
+    The study hides them because it estimates just the errors of which they warn.
+    """
     return warnings.catch_warnings(action="ignore", category=RangeWarning)
 
 
@@ -213,7 +259,12 @@ STRAIN_STEP = 0.01
 
 @dataclass(frozen=True)
 class Hardening(BulkLaw):
-    """Isotropic elastic law with the additional stress c (e:e) e of the strain e, for Lamé's moduli lmbda and mu."""
+    """Isotropic elastic law whose stress grows faster than the strain e: Hooke's stress plus c (e:e) e.
+
+    Attributes:
+        lmbda, mu: Lamé's moduli, a stress.
+        c: coefficient of the additional stress, a stress.
+    """
 
     lmbda: float
     mu: float
@@ -221,11 +272,11 @@ class Hardening(BulkLaw):
     powers: ClassVar = {"lmbda": 1, "mu": 1, "c": 3}
 
     def stress(self, step: Step) -> Expr:
-        """Stress at the strain of a step."""
+        """Return the stress (3, 3) at the strain `step.e` of a time step."""
         return lame_stress(self.lmbda, self.mu, step.e) + self.c * ufl.inner(step.e, step.e) * step.e
 
     def energy(self, step: Step) -> Expr:
-        """Elastic energy per volume at the strain of a step."""
+        """Return the elastic energy per volume at the strain `step.e` of a time step."""
         square = ufl.inner(step.e, step.e)
         return self.lmbda / 2 * ufl.tr(step.e) ** 2 + self.mu * square + self.c / 4 * square**2
 
@@ -234,14 +285,14 @@ def soft(mu: float, nu: float) -> LayerOfThickness:
     """Return a function from the thickness to an elastic layer whose moduli are proportional to the thickness.
 
     Args:
-        mu: shear modulus over the thickness.
+        mu: shear modulus divided by the thickness: the tangential stiffness of the interface law.
         nu: Poisson's ratio.
     """
     return of(LinearElastic.shear(mu, nu))
 
 
 def published_cases() -> list[DroppedCase]:
-    """The cases for which the authors of another program have published results."""
+    """Return the cases for which the authors of another program have published results."""
     work, R = goals.Compliance(), Rubber.shear
     roller_case = partial(DroppedCase, structure=rollers, asked=(work, goals.Displacement((0.3, 0.4), (0.0, 1.0))))
     ended = partial(DroppedCase, structure=free, asked=(work, goals.Displacement((0.3, 0.4), (0.6, 0.8))), inner=True)
@@ -286,12 +337,15 @@ FIBRE_LAW = Anisotropic(np.diag([200.0, 60.0, 90.0, 25.0, 30.0, 40.0]) + 20.0 * 
 
 
 def _plies(*laws: BulkLaw) -> LayerOfThickness:
-    """Return a function from the thickness to a layer of equally thick plies with these laws, the lowest first."""
+    """Return a function from the thickness to a layer of equally thick plies.
+
+    `laws` are the laws of the plies, the lowest ply first.
+    """
     return of(Stack(*((1 / len(laws), law) for law in laws)))
 
 
 def further_cases() -> list[DroppedCase]:
-    """The cases of `may_i_drop` that were chosen for it; unlike `published_cases`, without published results."""
+    """Return the cases that were chosen for this study, in addition to those of `published_cases`."""
     work, moved = goals.Compliance(), goals.Displacement((0.3, 0.35), (0.6, 0.8))
     end_goals, middle_goals = (work, moved), (work, moved, goals.MeanTraction((1.0, 0.0)))
     unlike_blocks = partial(free, load=(-0.6, 0.4), heights=(0.4, 0.7), lower=young(50.0, 0.2), upper=young(200.0, 0.35))
@@ -332,9 +386,10 @@ def further_cases() -> list[DroppedCase]:
 
 # ---------------------------------------------------------------- at random
 def random_case(seed: int) -> tuple[float, DroppedCase]:
-    """Return a random thickness and a random case.
+    """Return a random thickness and a random case; the same `seed` always gives the same ones.
 
-    It has two blocks, 1 wide and 1.5 to 40 thicknesses high, and a layer of one to three plies.
+    The case has two blocks, 1 wide and 1.5 to 40 thicknesses high, and a layer of one to three plies. Lengths and
+    stresses have no units.
     """
     rng = np.random.default_rng(seed)
     eps = 10 ** rng.uniform(-2.0, -0.9)
@@ -357,7 +412,11 @@ def random_case(seed: int) -> tuple[float, DroppedCase]:
 
 
 def _random_ply(rng: np.random.Generator) -> LinearElastic | Anisotropic:
-    """Law of a random ply, Young's modulus 0.1 to 100 (bodies >= 100); every second one has fibres at random angles."""
+    """Draw the law of a ply from the generator `rng`.
+
+    Young's modulus is between 0.1 and 100, that of the bodies at least 100. With the probability 1/2 the ply also has
+    fibres in a random direction.
+    """
     ply, d, stiff = young(10 ** rng.uniform(-1.0, 2.0), rng.uniform(0.0, 0.45)), rng.normal(size=3), rng.uniform(0.0, 2.0)
     if rng.random() < 0.5:
         return ply
