@@ -28,10 +28,10 @@ Springs = Sequence[tuple[float, float] | None]  # between neighbours: normal and
 class Cylinders:
     """Closed form of concentric elastic cylinders in plane strain, with u = (a x, b y) on the outermost radius.
 
-    The innermost cylinder is solid. In polar coordinates u_r = u_0(r) + u_2(r) cos(2 theta) and u_theta = v_2(r) sin(2
-    theta); the stresses s_rr and s_rtheta have the same form. Terms without theta are mode 0, with u_0 = A r + B / r.
-    Terms with 2 theta are mode 2. They follow from Muskhelishvili's potentials, combinations of z^3 and 1/z, and of z
-    and 1/z^3.
+    The innermost cylinder is solid. In polar coordinates u_r = u_0(r) + u_2(r) cos(2 theta) and u_theta = v_2(r)
+    sin(2 theta); the stresses s_rr and s_rtheta have the same form. Terms without theta are mode 0, with u_0 = A r + B
+    / r. Terms with 2 theta are mode 2. They follow from Muskhelishvili's potentials, combinations of z^3 and 1/z, and
+    of z and 1/z^3.
 
     Attributes:
         laws: law of each cylinder, the innermost first.

@@ -49,17 +49,17 @@ UNEQUAL = {"LOWER": LinearElastic.young(E=20.0, nu=0.2), "UPPER": FOURIER_BODY}
 # ---------------------------------------------------------------- structures
 @dataclass(frozen=True)
 class EndCase:
-    """A structure whose layer has free ends, and the rates of convergence that errors of its laws must have.
+    """A structure whose layer has free ends, and the rates of convergence that errors of interface laws must have.
 
     Attributes:
         name: name of the structure.
-        structure: function of the thickness and the number of cells per thickness near the ends of S that returns the
-            structure.
+        structure: function of the thickness, and of the number of cells per thickness near the ends of S, that returns
+            the structure.
         law: law of the layer.
-        inner: function of the coordinates that says whether a point lies far from the ends.
-        lowest: rate of convergence that the last errors must at least have if the law corrects the ends.
-        low: errors ("traction", "jump", "work") whose rate must be low if the law ignores the ends. Other errors may
-            change sign.
+        inner: function of the coordinates that is true at points far from the ends, where errors are measured.
+        lowest: least allowed rate of convergence, between the two smallest thicknesses, if the law corrects the ends.
+        low: errors ("traction", "jump", "work") whose rate must not exceed 1.3 if the law ignores the ends. Errors that
+            are not listed may change sign.
     """
 
     name: str
@@ -71,7 +71,7 @@ class EndCase:
 
     @property
     def file(self) -> str:
-        """Name of the csv file of its errors."""
+        """Name of the csv file with the errors for all thicknesses."""
         return f"{self.name.replace(', ', '_').replace(' ', '_')}.csv"
 
 
@@ -99,7 +99,7 @@ RUBBER = [EndCase(f"rubber, nu = {nu:g}", _blocks, law, lowest=1.6, low=("jump",
 
 
 def graded(length: float, first: float, last: float) -> Array:
-    """Coordinates of nodes from 0 to `length`, whose distances grow approximately from `first` to `last`."""
+    """Return coordinates (n,) from 0 to `length`, whose distances grow nearly geometrically from `first` to `last`."""
     count, sizes = 1, np.array([first])
     while sizes.sum() < length:
         count += 1
@@ -108,7 +108,12 @@ def graded(length: float, first: float, last: float) -> Array:
 
 
 def grid(*places: Array, cell: str = "hexahedron") -> Joint:
-    """Joint of a block on a rigid base, meshed on a tensor grid with these coordinates of nodes along x, y and z."""
+    """Return the joint of a block on a rigid base in 3D, meshed on a tensor grid.
+
+    Args:
+        places: increasing coordinates of the grid's planes along x, along y and along z.
+        cell: "hexahedron" or "tetrahedron".
+    """
     nx, ny, nz = (len(nodes) - 1 for nodes in places)
     joint = block(nx, ny, 1.0, depth=nz, cell=cell, structured=True)
     x = [np.interp(joint.points[:, k], np.arange(len(nodes)), nodes) for k, nodes in enumerate(places)]
@@ -116,9 +121,9 @@ def grid(*places: Array, cell: str = "hexahedron") -> Joint:
 
 
 def edge(eps: float, cells: float, cell: str = "hexahedron") -> Structure:
-    """A block on a rigid base in 3D with a free edge at x = 0, along which loads vary.
+    """Make a structure of a block on a rigid base in 3D, whose layer has one free edge, along x = 0.
 
-    The other lateral sides are planes of symmetry.
+    The loads on top vary along the edge. The other lateral sides are planes of symmetry.
 
     Args:
         eps: thickness of the layer.
@@ -143,10 +148,13 @@ EDGE = EndCase("edge in 3D", edge, LinearElastic.shear(8.0, 0.3), inner=lambda x
 def run(record: Record, *, nu: Sequence[float] = POISSON_RATIOS, quick: bool = False) -> None:
     """Compute the constants of free ends, compare them with the package's table, and measure errors of laws of order 1.
 
+    The constants (`FreeEnd`) describe how much less a layer bears near a free end. The package has a table of them,
+    with which laws of order 1 correct their free ends.
+
     Args:
-        record: folder of the results.
+        record: record of the run: its folder, tables and checks.
         nu: Poisson's ratios of the layer, from 0 to 0.5.
-        quick: every other ratio, without the rows of the package's table, three structures with two thicknesses.
+        quick: every other ratio, three structures with two thicknesses; the table's own rows are not computed anew.
     """
     table = record.table("table.csv")
     for ratio in track(nu[::2] if quick else nu, "free_ends", "nu = {:g}"):
@@ -164,21 +172,27 @@ def run(record: Record, *, nu: Sequence[float] = POISSON_RATIOS, quick: bool = F
 
 
 def _row(end: FreeEnd) -> dict[str, float]:
-    """Table row with the constants of a free end and their ratios; NaN where they are infinite or undefined."""
+    """Return a line of table.csv: the constants of `end` and some of their ratios.
+
+    NaN stands for constants that are infinite and ratios that are undefined.
+    """
     normal = {"c_N": end.c_N, "m_N/c_N": end.m_N / end.c_N if 0 < end.nu < 0.5 else math.nan, "rho_N": end.rho_N}
     finite = {name: value if math.isfinite(value) else math.nan for name, value in normal.items()}
     return {"nu": end.nu, **finite, "c_T": end.c_T, "m_T/c_T": end.m_T / end.c_T, "kappa": end.kappa}
 
 
 def _difference(end: FreeEnd) -> float:
-    """Largest relative difference of the constants of a free end from those in the package's table."""
+    """Return the largest relative difference of the constants in `end` from those in the package's table."""
     table = free_end(end.nu)
     pairs = [(getattr(end, name), getattr(table, name)) for name in (*TABLE_COLUMNS[1:], "kappa")]
     return max(abs(a / b - 1) for a, b in pairs if 0 < b < math.inf)
 
 
 def _check_table(record: Record) -> None:
-    """Compute the rows of the package's table of constants, write them in its format, and check the table."""
+    """Compute the rows of the package's table of constants anew, and check them against the table.
+
+    `record` writes the rows to nodes.csv, in the table's format.
+    """
     table = record.table("nodes.csv")
     for ratio in track(list(chebyshev_ratios(N_TABLE_ROWS)), "free_ends", "row of the table, nu = {:g}"):
         end = half_strip(float(ratio))
@@ -189,15 +203,18 @@ def _check_table(record: Record) -> None:
 
 
 def _errors(record: Record, case: EndCase, cells: int, eps: float) -> dict[str, float]:
-    """Table row with errors of laws of order 1 that correct the ends, and of laws that ignore them.
-
-    They are the relative errors of traction and jump on the inner part of S, and of the work of the loads on top.
+    """Measure errors of interface laws of order 1, with and without correction of free ends, at one thickness.
 
     Args:
-        record: folder of the results.
+        record: record of the run, which keeps the solver's reports.
         case: the structure.
         cells: number of cells through the layer, and per thickness near the ends.
         eps: thickness.
+
+    Returns:
+        Table row with "eps" and the errors relative to the meshed layer. "error_QUANTITY" is with correction,
+        "error_QUANTITY, ignored" without. A quantity is "traction" or "jump", on the inner part of S, or "work", that
+        of the loads on top.
     """
     structure, row, law = case.structure(eps, cells), {"eps": eps}, case.law
     full = record.solved(solve(structure.full(ThinLayer(law, eps, at=1.0), cells_through=cells)))
@@ -211,9 +228,9 @@ def _errors(record: Record, case: EndCase, cells: int, eps: float) -> dict[str, 
 
 
 def _work_on_top(state: State) -> float:
-    """Work of the loads on top in the displacements of a state.
+    """Return the work of the tractions on "TOP" in the displacements of `state`.
 
-    The work of other loads is left out: a load on the layer's side does work that no law on S includes.
+    Other loads are left out, as a load on the layer's lateral side does work that no law on S includes.
     """
     model = state.model
     top = model.with_loads(tractions={"TOP": (model.structure.tractions or {})["TOP"]})
@@ -228,9 +245,9 @@ def _check_rates(record: Record, cases: Sequence[EndCase], sizes: Sequence[float
     """Write the errors of structures with free ends for decreasing thickness, and check their rates of convergence.
 
     Args:
-        record: folder of the results.
+        record: record of the run, which gets a table for each structure, and the checks.
         cases: the structures.
-        sizes: the thicknesses.
+        sizes: the thicknesses, decreasing.
         cells: number of cells through the layer, and per thickness near the ends.
     """
     rows = Table()
@@ -248,13 +265,13 @@ def _check_rates(record: Record, cases: Sequence[EndCase], sizes: Sequence[float
 
 
 def _check_contrasts(record: Record, ratios: Sequence[float], thicknesses: Sequence[float]) -> None:
-    """Write the factors by which the correction of ends changes errors, for bodies not much stiffer than the layer.
+    """Check the least stiffness of bodies at which the package allows the correction of free ends.
 
-    The package refuses the correction if the bodies' Young's modulus over the layer's shear modulus is below
-    `MIN_STIFFNESS_CONTRAST`. This limit is checked here.
+    The package refuses the correction if the bodies' Young's modulus, divided by the layer's shear modulus, is below
+    `MIN_STIFFNESS_CONTRAST`. Above this limit the correction must not increase any error; below it, it doubles some.
 
     Args:
-        record: folder of the results.
+        record: record of the run, which gets contrasts.csv: errors with correction, and their ratios to those without.
         ratios: Poisson's ratios of the layer.
         thicknesses: thicknesses of the layer.
     """
@@ -276,7 +293,10 @@ def _check_contrasts(record: Record, ratios: Sequence[float], thicknesses: Seque
 
 
 def draw(record: Record) -> None:
-    """Draw errors over the thickness, and constants over Poisson's ratio with those of the package's table as lines."""
+    """Draw errors over the thickness, and constants over Poisson's ratio, from the tables in the folder of `record`.
+
+    Lines show the constants of the package's table.
+    """
     for case in (CASES[0], *RUBBER):
         table, errors = record.load(case.file), {}
         for kind in EDGE_OPTIONS:

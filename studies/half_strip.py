@@ -36,12 +36,15 @@ SPLIT = -0.5  # first Lame modulus over mu of the stress without the pressure, w
 
 
 def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> FreeEnd:
-    """Compute the constants of a layer's free end.
+    """Compute the constants of a layer's free end by finite elements on the half strip.
 
     Args:
         nu: Poisson's ratio, in [0, 0.5].
         degree: polynomial degree of the displacements, >= 3.
         levels: number of times that the size of cells decreases by the factor 0.2 towards the corner.
+
+    Returns:
+        The constants; lengths are relative to the thickness, stresses to the shear modulus.
 
     Raises:
         InputError: nu out of range.
@@ -73,14 +76,15 @@ def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> FreeEnd
     faces = dofs(W.sub(0), lambda x: (x[1] < 1e-13) | np.isclose(x[0], x[0].max()))
 
     def loaded(traction: Expr, odd: int) -> tuple[float, Callable[[Expr], float]]:
-        """Solve the half strip with fixed faces under a traction on its end.
+        """Solve the half strip with fixed faces under a traction on its end x = 0.
 
         Args:
-            traction: the traction.
-            odd: component of the displacement that is zero on the middle line, by symmetry.
+            traction: the traction (2,), a function of the place.
+            odd: number of the displacement component that is zero on the middle line by symmetry, 0 for x, 1 for y.
 
         Returns:
-            The work of the traction, and a function that integrates an expression in the stress over the half strip.
+            The work of the traction in its displacements; and a function that integrates f(stress) over the solved half
+            of the strip, where f maps the stress (2, 2) to a UFL scalar.
         """
         load = fem.assemble_vector(fem.form(ufl.inner(traction, v) * end)).array
         bc_dofs = np.union1d(faces, dofs(W.sub(0).sub(odd), lambda x: np.isclose(x[1], MIDDLE)))
@@ -107,9 +111,10 @@ def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> FreeEnd
 
 
 def _mesh(levels: int, length: float, longest: float) -> dolfinx.mesh.Mesh:
-    """Mesh of the lower half of the strip up to x = `length`, with cells that shrink towards the corner (0, 0).
+    """Mesh the half of the strip below its middle line, from x = 0 to `length`.
 
-    `levels` is the number of times that cells shrink, `longest` the largest length of cells far from the end.
+    Cells shrink `levels` times by the factor 0.2 towards the corner (0, 0). Far from the end x = 0 they are at most
+    `longest` long. Lengths are relative to the strip's height.
     """
     points, cells = [(0.0, 0.0)], []
     for size in MIDDLE * RATIO ** np.arange(levels, -1, -1.0):  # a square, then pairs of trapezoids around it

@@ -44,16 +44,17 @@ ERRORS = ("jump", "inner_jump", "inner_traction", "energy")
 
 @dataclass(frozen=True)
 class JunctionCase:
-    """A network of layers, clamped at the bottom and displaced at the top.
+    """A network of layers between elastic bodies, clamped at the bottom and displaced at the top.
 
     Attributes:
         joint: function of the thickness eps that returns the joint.
-        layers: name of a seam -> its layer's law at the thickness 1, and its thickness over eps.
-        bodies: "kept" or "extended", bodies of the full model.
-        distance: least distance of the inner part of S from junctions and free ends, a length.
-        stiff: whether junctions of the full model have the bodies' stiffness in addition to that of a layer.
-        refined: whether the cells of bodies at junctions are as small as eps.
-        coarsest: largest eps.
+        layers: name of a seam -> law of its layer, with the moduli at the thickness 1, and its thickness divided by
+            eps.
+        bodies: "kept" or "extended" bodies of the full model.
+        distance: distance from junctions and free ends beyond which a point belongs to the inner part of S.
+        stiff: whether the bodies' stiffness is added to that of the layer in junctions of the full model.
+        refined: whether the cells of bodies at junctions are about as small as eps.
+        coarsest: largest thickness eps of the study.
         quick: whether the case is run with --quick.
     """
 
@@ -67,40 +68,59 @@ class JunctionCase:
     quick: bool = False
 
     def thin(self, eps: float) -> dict[str, ThinLayer]:
-        """Name of a seam -> its layer, whose thickness is eps times the seam's factor."""
+        """Return the layers of the network for the thickness `eps`, by the names of their seams.
+
+        Each layer is as thick as `eps` times the factor of its seam.
+        """
         return {name: ThinLayer(law, share * eps, at=1.0) for name, (law, share) in self.layers.items()}
 
     def structure(self, joint: Joint, *, meshed: bool) -> Structure:
-        """Make the structure of the network; only that of the meshed model (`meshed`) has stiff junctions."""
+        """Make the structure of the network on `joint`.
+
+        `meshed` says whether it is for the full model; only then do junctions have additional stiffness, if `stiff` is
+        set.
+        """
         supports: dict[str, Support] = {"BOTTOM": 0.0, "TOP": dict(zip("xyz", SHIFT[: joint.dim], strict=False))}
         parts = [UflPart(energy=stiff_fill)] if meshed and self.stiff else []
         return Structure(joint, body=BODY, supports=supports, parts=parts)
 
 
 def bond(eps: float) -> Joint:
-    """Joint of a brick wall in running bond, two courses high and two bricks long."""
+    """Return the joint of a brick wall in running bond, two courses high and two bricks long.
+
+    The thickness `eps` of layers is not used, as the mesh suits all thicknesses.
+    """
     return wall(2, 2, (1.0, 0.5), H, cell="triangle")
 
 
 def bond_in_space(eps: float) -> Joint:
-    """Joint of the brick wall in 3D, as deep as the bricks are high; junctions are lines."""
+    """Return the joint of the wall of `bond` in 3D, as deep as the bricks are high; junctions are lines.
+
+    The thickness `eps` of layers is not used, as the mesh suits all thicknesses.
+    """
     return wall(2, 2, (1.0, 0.5), 1 / 8, depth=0.5, cell="hexahedron")
 
 
 def refined_bond(eps: float) -> Joint:
-    """Joint of the brick wall with cells of the size 2 eps at junctions and free ends."""
+    """Return the joint of the wall of `bond`, with cells of the size 2 `eps` at junctions and free ends."""
     heads = {f"HEAD {k}": ((x, y), (x, y + 0.5)) for k, (x, y) in enumerate(((1.0, 0.0), (0.5, 0.5), (1.5, 0.5)), 1)}
     return faults(2.0, 1.0, {"BED": ((0.0, 0.5), (2.0, 0.5)), **heads}, H, h_ends=min(2 * eps, H))
 
 
 def star(eps: float) -> Joint:
-    """Joint of a square with five layers that meet at its centre."""
+    """Return the joint of a square in which five layers run from the centre to the boundary.
+
+    The thickness `eps` of layers is not used, as the mesh suits all thicknesses.
+    """
     ends = {f"L{k}": (1 + 2 * cos(radians(a)), 1 + 2 * sin(radians(a))) for k, a in enumerate(RAYS)}
     return faults(2.0, 2.0, {name: ((1.0, 1.0), end) for name, end in ends.items()}, h=0.15, h_S=0.1)
 
 
 def polycrystal(eps: float) -> Joint:
-    """Joint of a square of seven grains with layers between them."""
+    """Return the joint of a square of seven grains with layers between them.
+
+    The thickness `eps` of layers is not used, as the mesh suits all thicknesses.
+    """
     return grains(1.0, 1.0, 7, H, seed=1)
 
 
@@ -121,13 +141,14 @@ CASES = {
 def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> None:
     """Measure relative differences between meshed layers and interface laws in networks as eps -> 0.
 
-    The differences are O(eps) away from junctions and free ends. If cells of the bodies at junctions and ends are as
-    small as eps, they are O(eps) on all of S. On other meshes jumps on all of S, and energies, converge at a lower rate
-    until eps is much smaller than the cells. If junctions are as stiff as the bodies, nothing converges, as they tie
-    the corners of the bodies together. With cells as small as eps this effect decreases as 1 / (c - log eps).
+    The differences are O(eps) away from junctions and free ends. They are O(eps) on all of S if cells of the bodies at
+    junctions and ends are about as small as eps. On coarser meshes jumps on all of S, and energies, converge at a lower
+    rate. If junctions are as stiff as the bodies, they tie the bodies' corners together, and the differences do not
+    converge. If cells are also as small as eps, the difference of the energies decreases as 1 / (c - log eps), with a
+    constant c.
 
     Args:
-        record: folder of the results.
+        record: record of the run: its folder, tables and checks.
         eps: thicknesses; the networks are 1 to 2 wide.
         quick: fewer networks.
     """
@@ -141,7 +162,11 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
 
 
 def compared(record: Record, name: str, sizes: Sequence[float]) -> list[Row]:
-    """Table rows of the network `name` for all thicknesses `sizes`, with observed rates of convergence."""
+    """Solve both models of the network `name` for the thicknesses `sizes`, and return a table row for each.
+
+    The rows have the differences of the models and the observed rates of convergence. `record` keeps the solver's
+    reports and gets a picture of some networks.
+    """
     case, rows = CASES[name], list[Row]()
     for eps in sizes:
         joint = case.joint(eps)
@@ -158,9 +183,15 @@ def compared(record: Record, name: str, sizes: Sequence[float]) -> list[Row]:
 def differences(case: JunctionCase, full: State, by_law: State) -> dict[str, float]:
     """Compare the states of the full and the interface model of a network.
 
+    Args:
+        case: the network.
+        full: state with meshed layers.
+        by_law: state with interface laws.
+
     Returns:
-        Relative L2 differences on S of jump and traction, relative difference of the stored energies, and fraction of
-        the energy in junctions, by name.
+        "jump" (on all of S), "inner_jump" and "inner_traction" (far from junctions) -> relative difference in the L2
+        norm; "energy" -> relative difference of the stored energies; "in_junctions" -> fraction of the energy in
+        junctions.
     """
     surface, energy = Surface(by_law.model), stored_in(full)
     on_s, inner = partial(difference, surface, state=full, reference=by_law), far_from_junctions(surface, case.distance)
@@ -170,13 +201,16 @@ def differences(case: JunctionCase, full: State, by_law: State) -> dict[str, flo
 
 
 def stored_in(state: State) -> float:
-    """Total stored energy in a state, without the work of the loads."""
+    """Return the energy stored in bodies and layers in `state`; the work of the loads is left out."""
     skipped = {"loads", *(str(Key(LAYER_KIND, seam)) for seam in state.model.joint.seams)}
     return sum(energy for key, energy in state.energies().items() if key not in skipped)
 
 
 def check(record: Record, name: str, rows: Table) -> None:
-    """Check the rates of convergence of the network `name`."""
+    """Check the rates of convergence of the network `name`.
+
+    `rows` is its table, with a row for each thickness; `record` receives the checks.
+    """
     case, orders = CASES[name], {error: rows[f"order_{error}"][1:] for error in ERRORS}
     if case.stiff and case.refined:
         growth = np.diff(1 / rows["energy"]) / -np.diff(np.log(rows["eps"]))
@@ -197,7 +231,10 @@ def check(record: Record, name: str, rows: Table) -> None:
 
 
 def far_from_junctions(surface: Surface, distance: float) -> Array:
-    """Field (n, q) on S, 1 on facets farther than `distance` from junctions and ends of S, else 0."""
+    """Return weights (n, q) at q points of n facets of S: 1 far from junctions and ends of S, else 0.
+
+    A facet of `surface` is far if its midpoint is farther than `distance` from all of them.
+    """
     joint = surface.joint
     on_s = np.unique(joint.table.vertices[joint.surface_rows])
     outer = joint.table.vertices[joint.table.cells[:, 1] < 0]
@@ -208,18 +245,24 @@ def far_from_junctions(surface: Surface, distance: float) -> Array:
 
 
 def stored(law: LinearElastic, u: Expr) -> Expr:
-    """Stored energy per volume of a law at displacements u."""
+    """Return the stored energy per volume of a material of the law `law` at the displacements `u`, a UFL scalar."""
     e = ufl.sym(ufl.grad(u))
     return law.lmbda / 2 * ufl.tr(e) ** 2 + law.mu * ufl.inner(e, e)
 
 
 def stiff_fill(u: Expr, model: Model) -> Expr:
-    """Energy that the junctions of a full model would store if they consisted of the bodies' material."""
+    """Return the energy, a UFL form, that is added to the full model `model` so that its junctions are stiff.
+
+    It is the energy of the bodies' material in the junctions at the displacements `u`.
+    """
     return stored(BODY, u) * model.dx(model.domain.cell_values(f"{LAYER}/{JUNCTIONS}"))
 
 
 def in_junctions(case: JunctionCase, state: State) -> float:
-    """Energy that the layers' materials store in the junctions, in a state of the full model."""
+    """Return the energy stored in the layers' material at the junctions, in a state of the full model.
+
+    `case` is the network, `state` the state.
+    """
     model, total = state.model, 0.0
     band = model.domain.joint.band
     assert band is not None, "of a full model"
@@ -230,7 +273,7 @@ def in_junctions(case: JunctionCase, state: State) -> float:
 
 
 def draw(record: Record) -> None:
-    """Draw the errors from table.csv."""
+    """Draw the differences of the models over the thickness, from table.csv in the folder of `record`."""
     cases, parts = record.load("table.csv").split("case"), {}
     for error, title in DRAWN.items():
         lines = {name: (rows["eps"], rows[error]) for name, rows in cases.items()}

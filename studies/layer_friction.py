@@ -35,10 +35,12 @@ DAVIS = tuple(f"lasting value (Davis), {DILATANT[psi]}" for psi in DILATANCIES i
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Compute the apparent friction t_T/|t_N| of a layer without cohesion over its shear, for several paths and laws.
+    """Compute the apparent friction t_T/|t_N| of a layer without cohesion as it is sheared.
+
+    The study compares several paths of shear and normal loading, and several laws.
 
     Args:
-        record: folder of the results.
+        record: record of the run: its folder, tables and checks.
         quick: longer steps.
     """
     steps, law = 100 if quick else 400, MohrCoulomb(LMBDA, MU, 0.0, OMEGA)
@@ -70,51 +72,66 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def ratio(history: PointHistory) -> Array:
-    """Apparent friction t_T/|t_N| at all times of a history of one point; NaN without pressure."""
+    """Return the apparent friction (steps,) t_T/|t_N| at a point after each step of `history`; NaN without pressure."""
     t_T, t_N = history.tractions.T
     return np.where(t_N < 0, t_T / np.where(t_N < 0, -t_N, 1.0), np.nan)
 
 
 def tangent() -> float:
-    """Friction coefficient tan(Omega) of Coulomb's law."""
+    """Return the friction coefficient tan(Omega) of Coulomb's law, for the layer's friction angle Omega."""
     return float(np.tan(np.radians(OMEGA)))
 
 
 # ---------------------------------------------------------------- paths
 def shears(steps: int, end: float) -> Array:
-    """Tangential jumps w_T at the ends of equal steps from 0; `end` is mu w_T over the pressure at the last step."""
+    """Return the tangential jumps w_T, over the thickness, at the ends of equal steps from zero.
+
+    `steps` is the number of steps. `end` is the value of mu w_T, divided by the pressure at the start, after the last
+    one.
+    """
     return np.linspace(0, end * PRESSURE / MU, steps + 1, dtype=np.float64)[1:]
 
 
 def fixed_jump(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
-    """Path of a layer that is closed, then sheared at a constant normal jump.
+    """Return a path on which a layer is closed, then sheared at a constant normal jump.
 
     Args:
         steps: number of steps of the shear.
-        end: mu w_T over the pressure at the last step.
+        end: mu w_T, divided by the pressure at the start, after the last step.
+
+    Returns:
+        For each step the prescribed jumps {"w_T": value, "w_N": value}, over the thickness.
     """
     return [{"w_T": 0.0, "w_N": CLOSING}, *({"w_T": w, "w_N": CLOSING} for w in shears(steps, end))]
 
 
 def fixed_stress(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
-    """Path of a layer that is compressed, then sheared under a constant normal stress.
+    """Return a path on which a layer is compressed, then sheared under a constant normal stress.
 
     Args:
         steps: number of steps of the shear.
-        end: mu w_T over the pressure at the last step.
+        end: mu w_T, divided by the pressure at the start, after the last step.
+
+    Returns:
+        For each step the prescribed tangential jump, over the thickness, and normal traction, {"w_T": value, "t_N":
+        value}.
     """
     return [{"w_T": 0.0, "t_N": -PRESSURE}, *({"w_T": w, "t_N": -PRESSURE} for w in shears(steps, end))]
 
 
 def radial_path(steps: int) -> list[dict[str, float]]:
-    """Path of a layer whose normal closing and shear grow in proportion."""
+    """Return a path on which closing and shear of a layer grow in proportion, in `steps` equal steps.
+
+    Each step is {"w_T": value, "w_N": value}, prescribed jumps over the thickness.
+    """
     return [{"w_T": w, "w_N": -w / np.tan(np.radians(DIRECTION))} for w in shears(steps, SHEAR)]
 
 
 def unloaded_path(steps: int) -> list[dict[str, float]]:
-    """Path of a layer that is sheared under a constant normal stress, opened, and sheared further.
+    """Return a path on which a layer is sheared under a constant normal stress, opened, and sheared further.
 
-    It is opened by the fraction LOOSENED of its closing.
+    It is opened by the fraction `LOOSENED` of its closing. Each of these three parts has steps/2 steps. A step
+    prescribes "w_T" and either "w_N" (jumps over the thickness) or "t_N" (normal traction).
     """
     first = fixed_stress(steps // 2, SHEAR / 2)
     w_T, w_N = drive(MohrCoulomb(LMBDA, MU, 0.0, OMEGA), first).jumps[-1]
@@ -124,7 +141,7 @@ def unloaded_path(steps: int) -> list[dict[str, float]]:
 
 
 def draw(record: Record) -> None:
-    """Draw the curves from table.csv."""
+    """Draw the apparent friction over the shear for all paths and laws, from table.csv in the folder of `record`."""
     curves = record.load("table.csv").split("path")
     tan, sin = tangent(), float(np.sin(np.radians(OMEGA)))
     davis = [formulas.apparent_friction(OMEGA, psi) for psi in DILATANCIES if psi < OMEGA]

@@ -20,10 +20,11 @@ SLIDING_JUMP, SLIDING_TRACTION = -5.45899860e-3, 0.574377539927  # amplitudes of
 def run(record: Record, *, quick: bool = False) -> None:
     """Solve two blocks with an elastic interface law that becomes stiff, and one that loses its tangential stiffness.
 
-    First K_N = K_T = kappa -> infinity, compared with bonded bodies, then K_T -> 0 at fixed K_N, compared with sliding.
+    In the first part both stiffnesses K_N = K_T = kappa grow, and results are compared with bonded bodies. In the
+    second part K_T tends to zero at a fixed K_N, and results are compared with bodies that slide without friction.
 
     Args:
-        record: folder of the results.
+        record: record of the run: its folder, tables and checks.
         quick: coarser mesh, and fewer stiffnesses.
     """
     joint, setup = fourier(1 / 16 if quick else 1 / 48, cell="quadrilateral")
@@ -42,7 +43,11 @@ def run(record: Record, *, quick: bool = False) -> None:
         return row | {"traction_difference_times_kappa": difference * kappa}
 
     def sliding(k_t: float) -> dict[str, float]:
-        """Table row with the amplitudes of [u_T] and t_T, proportional to sin(pi x), and of t_N, to cos(pi x)."""
+        """Solve with the tangential stiffness `k_t`, and return a row of sliding.csv.
+
+        The row has `k_t` ("K_T") and amplitudes of waves on S: "jump_T" and "traction_T" of sin(pi x), "traction_N" of
+        cos(pi x).
+        """
         state, surface = interface(K_N, k_t)
         sine, cosine = 2 * np.sin(np.pi * surface.x[0]), 2 * np.cos(np.pi * surface.x[0])
         jump, traction = surface.frame(surface.jump(state)), surface.frame(surface.traction(state))
@@ -62,7 +67,10 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def draw(record: Record) -> None:
-    """Draw the approach to the bonded bodies from table.csv."""
+    """Draw how jump and traction of a stiff interface law approach those of bonded bodies, from table.csv.
+
+    The table is in the folder of `record`; the picture is bonded.svg.
+    """
     table = record.load("table.csv")
     kappa = table["kappa"]
     lines = {"|[u]| over the width": (kappa, table["jump_times_kappa"] / kappa)}

@@ -23,12 +23,16 @@ def maps(parts: Mapping[str, Panel], x: Axis, y: Axis, ranges: dict[str, float],
     """Draw values over two axes as coloured cells, in panels in two columns with one legend.
 
     Args:
-        parts: title of a panel -> values of its cells (rows, columns), the first row lowest, and texts of the cells;
-            NaN stays white.
-        x, y: label of the axis, and labels of the columns or rows along it.
-        ranges: name of a range of values -> its upper end; at most five, in increasing order.
+        parts: title of a panel -> its values (rows, columns), the first row at the bottom, and the texts in its cells
+            (rows, columns). Cells with the value NaN stay white.
+        x: label of the horizontal axis, and a label for each column.
+        y: label of the vertical axis, and a label for each row.
+        ranges: name of a range of values with one colour -> its upper end; at most five, in increasing order.
         title: text over the picture.
-        save: name of a file to save the picture to.
+        save: path of the file to which the picture is written.
+
+    Returns:
+        The picture.
     """
     columns = min(2, len(parts))
     rows = -(-len(parts) // columns)

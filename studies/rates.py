@@ -51,23 +51,45 @@ ONE_BRANCH_FLOOR, GAIN_FLOOR = {"traction": (0.12, 0.16), "jump": (0.29, 0.35)},
 
 
 def early(_: Solution, limit: Solution) -> dict[str, float]:
-    """L2 norms on S of the interface law's traction and jump at the time `EARLY`, by name."""
+    """Return the L2 norms on S of traction and jump of the interface law at the time `EARLY`.
+
+    The first argument, the full model's solution, is not used.
+
+    Args:
+        limit: history of the interface model.
+
+    Returns:
+        "early_traction" and "early_jump" -> norm; problems of this study have no units.
+    """
     assert isinstance(limit, History)
     state, surface = limit.at(EARLY), Surface(limit.model)
     return {f"early_{field.__name__}": surface.norm(field(state)) for field in (surface.traction, surface.jump)}
 
 
 def spectral(record: Record, tables: Tables) -> None:
-    """Check the norms of `early` for the Norton layer against a spectral solution."""
+    """Check the norms of `early`, for the Norton layer with p = 1.5, against a solution by another, spectral method.
+
+    Args:
+        record: record of the run, which receives the checks.
+        tables: name of a row of the study -> its table, with a line for each thickness.
+    """
     for name, value in SPECTRAL.items():
         norm, tolerance = tables["norton"][f"early_{name}"][-1], 5e-4 if record.options.get("quick") else 1e-4
         record.check(f"{name} at t = {EARLY:g}, from a spectral solution", abs(norm / value - 1), high=tolerance)
 
 
 def normal_jumps(full: Solution, limit: Solution) -> dict[str, float]:
-    """L2 norms on S of the normal jump in both models, over the norm of the interface model's jump, by name.
+    """Measure the normal jump on S in both models, relative to the interface model's jump, in L2 norms.
 
-    The normal jump is projected to functions linear on each facet, as the Lagrange multiplier of the interface law is.
+    The normal jump is first projected to functions linear on each facet, the space of the interface law's Lagrange
+    multiplier.
+
+    Args:
+        full: solution with the meshed layer.
+        limit: solution with the interface law.
+
+    Returns:
+        "normal_jump_full" and "normal_jump_interface" -> relative norm.
     """
     surface = Surface(last(limit).model)
     size = surface.norm(surface.jump(last(limit)))
@@ -79,7 +101,12 @@ def normal_jumps(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def no_normal_jump(record: Record, tables: Tables) -> None:
-    """Check that the normal jump of incompressible layers is zero on S, and O(eps) in the meshed layer."""
+    """Check the normal jump of incompressible layers: zero with the interface law, O(eps) in the meshed layer.
+
+    Args:
+        record: record of the run, which receives the checks.
+        tables: name of a row of the study -> its table, with a line for each thickness.
+    """
     table = tables["incompressible"]
     record.check("largest [u_N]/[u] of the interface law, projected", table["normal_jump_interface"].max(), high=1e-10)
     if len(table) > 1:
@@ -88,12 +115,16 @@ def no_normal_jump(record: Record, tables: Tables) -> None:
 
 
 def less_fraction(record: Record, tables: Tables) -> None:
-    """Check that the error of pulled frictional layers is larger for a smaller elastic fraction h.
+    """Check that the interface law errs more, for pulled frictional layers, if the elastic fraction h is smaller.
 
-    With cohesion c and friction angle Omega, only the elastic fraction h resists shear where the tension exceeds
-    c cot(Omega). There the layer contracts along S as it is pulled along n. The interface law assumes that strains
-    along S are small against strains along n. This holds only if eps is small against sqrt(h) times the length of S (an
+    With cohesion c and friction angle Omega, only the elastic fraction h resists shear where the tension exceeds c
+    cot(Omega). There the layer contracts along S as it is pulled along n. The interface law assumes that strains along
+    S are small against strains along n. This holds only if eps is small against sqrt(h) times the length of S (an
     estimate).
+
+    Args:
+        record: record of the run, which receives the checks.
+        tables: name of a row of the study -> its table, with a line for each thickness.
     """
     for name in ERROR_COLUMNS:
         less, more = (tables[f"monodirectional {case}"][f"error_{name}"][-1] for case in ("pulled_less", "pulled"))
@@ -102,9 +133,14 @@ def less_fraction(record: Record, tables: Tables) -> None:
 
 
 def third_order(record: Record, tables: Tables) -> None:
-    """Check that the traction's rate of convergence tends to 3 from below for layers that may be as hard as the bodies.
+    """Check that the traction converges almost as eps^3 for layers about as hard as the bodies.
 
-    It does so as eps E_layer/E_body becomes small against the width.
+    The rate of convergence tends to 3 from below as eps E_layer/E_body becomes small against the width. The last rate
+    must be at least 2.5 if this ratio is below 0.05, else at least 2.
+
+    Args:
+        record: record of the run, which receives the checks.
+        tables: name of a row of the study -> its table, with a line for each thickness.
     """
     for name, law in HARD.items():
         if len(table := tables[name]) > 1:
@@ -113,7 +149,16 @@ def third_order(record: Record, tables: Tables) -> None:
 
 
 def dissipated(_: Solution, limit: Solution) -> dict[str, float]:
-    """Energies dissipated in bodies and layer in a march of the interface model, over the energy stored at the end."""
+    """Return the energies dissipated in a march of the interface model, divided by the energy stored at its end.
+
+    The first argument, the full model's solution, is not used.
+
+    Args:
+        limit: history of the interface model.
+
+    Returns:
+        "bodies" and "joint" (the interface law) -> dissipated over stored energy.
+    """
     assert isinstance(limit, History)
     whole, bodies = (float(limit.table[name].sum()) for name in ("dissipated", "dissipated bodies"))
     stored = limit.last.audit.total
@@ -121,7 +166,12 @@ def dissipated(_: Solution, limit: Solution) -> dict[str, float]:
 
 
 def both_yield(record: Record, tables: Tables) -> None:
-    """Check that the bodies and the layer both dissipate energy."""
+    """Check that bodies and layer each dissipate at least 1 % of the stored energy, if both are plastic.
+
+    Args:
+        record: record of the run, which receives the checks.
+        tables: name of a row of the study -> its table, with a line for each thickness.
+    """
     for name in ("bodies", "joint"):
         dissipation = tables["mohr_coulomb metal"][name][-1]
         record.check(f"energy dissipated in the {name}, over the stored energy", dissipation, low=0.01)
@@ -129,21 +179,35 @@ def both_yield(record: Record, tables: Tables) -> None:
 
 # ---------------------------------------------------------------- problems
 def bar(sizes: tuple[float, float, float]) -> Problem:
-    """The bar of Fig. 2 under the loads R1, in mm and MPa; return its joint and the arguments of its `Structure`.
+    """The bar of Fig. 2 of the paper, on a rigid base, under the loads R1 of `fig3_mohr_coulomb`, in mm and MPa.
 
-    `sizes` are those of cells inside the bar, at S and at the ends of S, mm.
+    Args:
+        sizes: sizes of cells inside the bar, at S and at the ends of S, mm.
+
+    Returns:
+        The joint, and the arguments of its `Structure`.
     """
     return fig3.meshed(sizes), fig3.READINGS["R1"].setup
 
 
 def of_metal(h: float) -> Problem:
-    """The blocks of `sheared`, of hardening metal; return their joint and the arguments of their `Structure`."""
+    """The blocks of `studies.problems.sheared`, made of a metal with the law `VonMises`, which hardens.
+
+    Args:
+        h: cell size, a length without unit.
+
+    Returns:
+        The joint, and the arguments of its `Structure`.
+    """
     joint, setup = sheared(h)
     return joint, setup | {"body": VonMises(FOURIER_BODY.lmbda, FOURIER_BODY.mu, strength=3.0, hardening=20.0)}
 
 
 def wedge(x: Array) -> Array:
-    """Thickness over mean thickness at points x: three times as large at the right end as at the left end."""
+    """Return the thickness of a tapered layer over its mean thickness at the points `x`.
+
+    Its first row x[0] has the coordinates along S, 0 to 1, between which the thickness grows from 1/2 to 3/2.
+    """
     return 0.5 + x[0]
 
 
@@ -187,10 +251,10 @@ at_once, to_and_fro = (partial(bands.blocks, path=path) for path in (bands.DIREC
 
 
 def switches(case: str, label: str) -> Row:
-    """Return a row of the study for a layer of a non-monotone law, whose material changes phase under the loads.
+    """Return a row of the study for a layer of the law `NonMonotone`, whose material changes phase under the loads.
 
     Args:
-        case: name in `phases.CASES` of the law and the amplitudes of shear and pull.
+        case: key of `phases.CASES`, which has the law and the amplitudes of shear and pull.
         label: text that distinguishes the row from other rows of its law.
     """
     law, shear, pull = phases.CASES[case]
@@ -199,13 +263,13 @@ def switches(case: str, label: str) -> Row:
 
 
 def switches_wrongly(case: str, label: str, law: TractionLaw, floors: Floors) -> Row:
-    """Return a row for a layer with phases that has a wrong law on S, to show the error that the law leaves.
+    """Return a row that compares a meshed layer with phases to a wrong interface law, to show the error of this law.
 
     Args:
-        case: name of the layer in `phases.CASES`.
+        case: key of `phases.CASES`, which has the law of the meshed layer and the amplitudes of the loads.
         label: text that names the row in pictures.
         law: the wrong law.
-        floors: "traction" or "jump" -> range of the relative error.
+        floors: "traction" or "jump" -> smallest and largest relative error that is expected of it.
     """
     return replace(switches(case, label), instead=law, floors=floors, orders=None, more=None, along=None)
 
@@ -296,7 +360,8 @@ def run(
     """Compare meshed layers with their interface laws for decreasing thickness, and check the rates of convergence.
 
     Args:
-        record: folder of the results; table_LAW.csv is of a law's first layer, table_LAW_OTHER.csv of another one.
+        record: record of the run. It writes table_LAW.csv for the first layer with a law, table_LAW_OTHER.csv for other
+            ones.
         law: law whose layers are compared, or all.
         eps: thicknesses, in place of those chosen for each layer.
         quick: coarser meshes, fewer steps and pictures, without the longest rows.
@@ -314,7 +379,10 @@ def run(
 
 
 def draw(record: Record) -> None:
-    """Draw the errors over the thickness from the tables that exist."""
+    """Draw the errors of the interface laws over the thickness.
+
+    They are read from the folder of `record`; laws without a table there are left out.
+    """
     for law in LAWS:
         rows = {row.label: name for name, row in ROWS.items() if name.split()[0] == law and record.has(table_of(name))}
         title = f"meshed against law on S: {law}" + (f", eps in {ROWS[law].unit}" if ROWS[law].unit else "")
