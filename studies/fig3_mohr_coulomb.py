@@ -45,12 +45,13 @@ class Loads:
     """One of the two readings of the paper's loads, and how its results are drawn.
 
     Attributes:
-        pressure, shear: the two loads, each as side of the bar and traction (MPa).
-        supports: side of the bar -> component -> prescribed displacement.
-        expected: expected result, as text in the picture.
+        pressure: side of the bar that is pressed, and the traction there (MPa).
+        shear: side of the bar at which the load along S acts, and the traction there (MPa).
+        supports: side of the bar -> component -> prescribed displacement, mm.
+        expected: where the layer should yield, as text in the picture.
         scale: factor of the displacements in the picture of the layer's left end.
-        shown: smallest and largest ratio t_T/u_T in the picture, 10^3 N/mm^3; ratios at the free ends of the meshed
-            layer lie outside.
+        shown: smallest and largest t_T/u_T on the axis of the picture, 10^3 N/mm^3; ratios at the free ends of the
+            meshed layer lie outside.
     """
 
     pressure: tuple[str, tuple[float, float]]
@@ -62,7 +63,7 @@ class Loads:
 
     @property
     def setup(self) -> StructureArguments:
-        """Arguments of the bar's `Structure`."""
+        """Arguments of the bar's `Structure` under these loads: body, supports, tractions and finite element."""
         tractions = dict([self.pressure, self.shear])
         return {"body": STEEL, "supports": self.supports, "tractions": tractions, "element": "S2"}
 
@@ -77,11 +78,11 @@ def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: 
     """Solve the bar of Fig. 2 with the interface law and with the layer meshed.
 
     The loads are applied in one step, for reading R1 also in many steps. Without cohesion the free end of a meshed
-    layer has no strength: an elastic fraction h makes the problem well posed. The interface law needs none; it is
-    solved with and without it.
+    layer has no strength: an elastic fraction h makes the problem well posed. The interface law is well posed without
+    an elastic fraction; it is solved for both values, h = 0 and that of the meshed layer.
 
     Args:
-        record: folder of the results.
+        record: record of the run: its folder, tables and checks.
         loads: reading of the paper's loads, "R1", "R4m" or "both".
         quick: coarser meshes.
     """
@@ -104,12 +105,15 @@ def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: 
 
 
 def glue(h: float) -> MohrCoulomb:
-    """Mohr-Coulomb law of the glue of Fig. 2 with the elastic fraction h."""
+    """Return the Mohr-Coulomb law of the glue of Fig. 2; `h` is its elastic fraction."""
     return MohrCoulomb(GLUE.lmbda, GLUE.mu, cohesion=0.0, friction_angle=FRICTION_ANGLE, elastic_fraction=h)
 
 
 def meshed(sizes: tuple[float, float, float]) -> Joint:
-    """Joint of the bar of Fig. 2; `sizes` are those of cells inside, at S and at the ends of S, mm."""
+    """Return the joint of the bar of Fig. 2, a square on a rigid base.
+
+    `sizes` are the sizes of cells inside the bar, at S and at the ends of S, mm.
+    """
     return block(SIDE, SIDE, sizes[0], h_S=sizes[1], h_ends=sizes[2], cell="quadrilateral")
 
 
@@ -117,8 +121,8 @@ class YieldingBar:
     """The bar of Fig. 2 under one reading of the loads.
 
     Args:
-        record: folder of the results.
-        name: name of the reading.
+        record: record of the run, which receives reports and checks.
+        name: name of the reading, "R1" or "R4m".
         loads: the reading.
         sizes: sizes of cells inside the bar, at S and at the ends of S, mm.
     """
@@ -129,7 +133,7 @@ class YieldingBar:
         self.surface = Surface(self.model(Structure.interface, 0.0))
 
     def model(self, make_model: Callable[..., Model], h: float, **changed: Unpack[StructureArguments]) -> Model:
-        """Make a model of the bar.
+        """Make the interface or the full model of the bar.
 
         Args:
             make_model: `Structure.interface` or `Structure.full`.
@@ -139,20 +143,27 @@ class YieldingBar:
         return make_model(Structure(self.joint, **self.loads.setup | changed), ThinLayer(glue(h), EPS))
 
     def solved(self, make_model: Callable[..., Model], h: float) -> State:
-        """Solve a model under all loads in one step; `make_model` is `Structure.interface` or `Structure.full`."""
+        """Solve the interface or the full model under all loads in one step.
+
+        `make_model` is `Structure.interface` or `Structure.full`, `h` the elastic fraction of the layer.
+        """
         return self.record.solved(solve(self.model(make_model, h)))
 
     def sheared(self, steps: int) -> State:
-        """Solve the interface model with the pressure in one step and then the shear in this number of equal steps."""
+        """Solve the interface model for a constant pressure and a shear that grows in equal steps.
+
+        `steps` is the number of steps. The law has no elastic fraction. The state at the end is returned.
+        """
         side, (x_part, y_part) = self.loads.shear
         tractions: dict[str, Load] = {**dict([self.loads.pressure]), side: lambda x, t: (t * x_part, t * y_part)}
         times = [float(t) for t in np.linspace(0, 1, steps + 1)[1:]]
         return march(self.model(Structure.interface, 0.0, tractions=tractions), times, keep="last").last
 
     def profile(self, state: State) -> Table:
-        """Table along S of the elastic fraction h, x, the jump, the traction and the ratio t_T/u_T.
+        """Return a table of jump, traction and their tangential ratio at the nodes along S in `state`.
 
-        Ratios are empty where |u_T| is below a tenth of its largest value.
+        Its columns are "h" (the elastic fraction), "x_mm", "u_T_mm", "u_N_mm", "t_T_MPa", "t_N_MPa" and "ratio",
+        t_T/u_T in N/mm^3. Where |u_T| is below a tenth of its largest value, "ratio" is empty.
         """
         (law,), surface = (layer.law for layer in state.model.layers.values()), self.surface
         x, u = surface.profile(surface.frame(surface.jump(state)))
@@ -163,13 +174,16 @@ class YieldingBar:
         return Table.of(columns | {"t_T_MPa": t[:, 0], "t_N_MPa": t[:, 1], "ratio": ratio})
 
     def shear_force(self, state: State) -> float:
-        """Integral over S of the tangential traction in a state, N/mm."""
+        """Return the integral over S of the tangential traction in `state`, N/mm."""
         return self.surface.integral(self.surface.frame(self.surface.traction(state))[0])
 
     def check(self, states: dict[str, State]) -> None:
-        """Check numbers against an independent code (R1), and the elastic ratio t_T/u_T where Fig. 3 shows it (R4m).
+        """Check results of the interface law: for R1 against those of an independent code, for R4m against Fig. 3.
 
-        `states` are the states of the models by label, the interface law without elastic fraction first.
+        In Fig. 3 the layer stays elastic away from its left end, so that t_T/u_T is mu over the thickness there.
+
+        Args:
+            states: label of a model -> its state; the first one is of the interface law without elastic fraction.
         """
         record, mu, limit = self.record, GLUE.mu / EPS, next(iter(states.values()))
         record.results[f"{self.name}: shear force on S, N/mm"] = {k: self.shear_force(s) for k, s in states.items()}
@@ -190,12 +204,13 @@ class YieldingBar:
 
 
 def refine(record: Record, bar: YieldingBar, counts: Sequence[int]) -> None:
-    """Compute the shear force on S with the pressure first and then the shear in more and more steps.
+    """Compute the shear force on S for a constant pressure and a shear that grows in more and more steps.
 
-    The force depends on the path of loads more than on the mesh.
+    The numbers of steps and the forces are written to steps.csv, and the last force is checked. The force depends on
+    the path of loads more than on the mesh.
 
     Args:
-        record: folder of the results.
+        record: record of the run, which receives table and check.
         bar: the bar under the loads R1.
         counts: increasing numbers of steps.
     """
@@ -208,7 +223,7 @@ def refine(record: Record, bar: YieldingBar, counts: Sequence[int]) -> None:
 
 
 def draw(record: Record) -> None:
-    """Draw the ratio t_T/u_T along S, from table.csv."""
+    """Draw the ratio t_T/u_T along S for both readings of the loads, from table.csv in the folder of `record`."""
     panels, ranges = {}, {}
     for name, of_loads in record.load("table.csv").split("loads").items():
         title = f"{name}: {READINGS[name].expected}"

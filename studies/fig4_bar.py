@@ -38,10 +38,10 @@ RTOL = 1e-9  # largest relative error against closed forms
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Move the end of the bar up and down, with the layer meshed and with its interface law, against closed forms.
+    """Move the end of the bar up and down, with the layer meshed and with its interface law, and check closed forms.
 
     Args:
-        record: folder of the results.
+        record: record of the run: its folder, tables and checks.
         quick: coarser mesh, longer steps.
     """
     cells, steps = (2, 10) if quick else (4, 20)
@@ -61,8 +61,8 @@ class Strip:
     """The bar as a strip, 1 wide, on a meshed layer or with the interface law.
 
     Args:
-        record: folder of the results.
-        eps: thickness of the meshed layer over the length; 0: the interface law.
+        record: record of the run, which receives reports and checks.
+        eps: thickness of the meshed layer over the length of the bar; 0: the interface law.
         cells: number of cells along each side.
     """
 
@@ -80,12 +80,13 @@ class Strip:
         return structure.full(layer, bodies="extended", cells_through=3) if bar.eps else structure.interface(layer)
 
     def march(self, law: type[Phases], steps: int) -> History:
-        """March with the end displaced up to 2, and back to 0; observe U and sigma.
+        """March while the upper end moves up to delta = 2 and back to 0.
 
-        U is the integral of the normal jump over S, sigma the force at the end that moves.
+        The table of the history has two more columns than usual: "U", the integral of the normal jump over S, and
+        "sigma", the force at the end that moves.
 
         Args:
-            law: law of the layer, with relaxed or with pure phases.
+            law: class of the layer's law: `NonMonotone` (relaxed phases) or `NonMonotoneUnrelaxed` (pure phases).
             steps: number of equal steps in each direction.
         """
         model, times = self._model(self.bar, law), [END_DELTA * k / steps for k in range(1, 2 * steps + 1)]
@@ -96,7 +97,12 @@ class Strip:
         return self.record.solved(march(model, times, observe=measured, keep="last"))
 
     def rows(self, history: History) -> Table:
-        """Table with a row for each state: delta, U, sigma, energy, phase, and energy lost in a snap to this state."""
+        """Return a table with a row for each state of a march of this strip.
+
+        Its columns are "eps", "delta" (prescribed displacement), "U" (elongation of the layer), "sigma" (force) and
+        "energy". Two more are "phase" (fraction of the layer in phase 1) and "lost" (energy lost in a snap to this
+        state, else empty).
+        """
         lost = {snap.row: snap.lost for snap in history.snaps}
         states, delta = history.table, moved(history.t)
         columns = {name: states[name] for name in ("U", "sigma", "energy")} | {"phase": states["plus"]}
@@ -104,9 +110,13 @@ class Strip:
         return Table.of({"eps": self.bar.eps, "delta": delta, **columns, "lost": lost_at})
 
     def least(self, history: History) -> Table:
-        """Table of a march with relaxed phases, on the way up, with the phase boundary and the closed forms.
+        """Check a march with relaxed phases against closed forms, and return the table of its first half, the way up.
 
-        The way up and the way down are checked against the closed forms.
+        The table has the columns of `rows`, except "lost", and "boundary", the height of the boundary between the
+        phases. The column "NAME_exact" is the closed form of the column NAME.
+
+        Args:
+            history: march with `NonMonotone`.
         """
         rows = self.rows(history)
         delta, bar = rows["delta"], self.bar
@@ -121,9 +131,15 @@ class Strip:
         return Table.of({"eps": bar.eps, "delta": delta[up], **{name: column[up] for name, column in columns.items()}})
 
     def thresholds(self, relaxed: History, unrelaxed: History) -> dict[str, float]:
-        """Check and return the displacements delta where the response changes, and the energy lost in a cycle.
+        """Check the displacements delta at which the response changes, and the energy lost in a cycle of pure phases.
 
-        With relaxed phases these are the ends of the mixture's branch, with pure phases the snaps up and down.
+        Args:
+            relaxed: march with relaxed phases.
+            unrelaxed: march with pure phases.
+
+        Returns:
+            "eps" and the checked numbers: "delta_0" and "delta_1", where relaxed phases begin and end to mix; "up" and
+            "down", where pure phases snap; and "loop_area", the energy lost.
         """
         delta, sigma = moved(relaxed.t), relaxed.table["sigma"]
         line_0, mixed, line_1 = (regression(delta, sigma, (delta >= low) & (delta <= high)) for low, high in BRANCHES)
@@ -142,9 +158,15 @@ class Strip:
 
 
 def check_energies(record: Record, strip: Strip, relaxed: History, unrelaxed: History) -> None:
-    """Check that the least energy of a layer in one pure phase lies between the computed energies.
+    """Check that the least energy of a layer in one pure phase lies between the energies of two marches.
 
-    It is at most the energy with pure phases, which may be a local minimum, and at least that with relaxed phases.
+    Pure phases may be in a local minimum, of more than this energy. Relaxed phases have at most this energy.
+
+    Args:
+        record: record of the run, which receives the checks.
+        strip: the strip of both marches.
+        relaxed: march with relaxed phases.
+        unrelaxed: march with pure phases.
     """
     bar, delta, energy = strip.bar, moved(unrelaxed.t), unrelaxed.table["energy"]
     excess = energy - bar.layouts(delta, 1).least().energy
@@ -155,7 +177,15 @@ def check_energies(record: Record, strip: Strip, relaxed: History, unrelaxed: Hi
 
 
 def check_digits(record: Record, table: Table, limit: Table) -> None:
-    """Check known numbers of the bar, that its thresholds are linear in eps, and that U as printed is wrong."""
+    """Check digits of the bar's results, and that its thresholds are linear in eps.
+
+    Also check that the paper's formula for U before Eq. (47) is wrong.
+
+    Args:
+        record: record of the run, which receives the checks.
+        table: rows of `Strip.least` for all thicknesses.
+        limit: a row of `Strip.thresholds` for each thickness.
+    """
     for eps, digits in PRINTED_DIGITS.items():
         for name, value in zip(NAMES, digits, strict=True):
             record.check_near(f"{name} of the bar, eps = {eps:g}", limit[name][EPS.index(eps)], value, RTOL)
@@ -171,17 +201,20 @@ def check_digits(record: Record, table: Table, limit: Table) -> None:
 
 
 def moved(t: Array) -> Array:
-    """Prescribed displacement delta of the end at times t of a march up and down."""
+    """Return the prescribed displacement delta (n,) of the bar's end at the times `t` (n,): up to 2 and back to 0."""
     return END_DELTA - np.abs(t - END_DELTA)
 
 
 def regression(x: Array, y: Array, inside: BoolArray) -> Array:
-    """Slope and value at x = 0 of the line fitted to those of the points (x, y) where `inside` is true."""
+    """Fit a line to those points (x, y) at which `inside` is true.
+
+    All arguments are arrays (n,). The result (2,) is the slope of the line and its value at x = 0.
+    """
     return np.polyfit(x[inside], y[inside], 1)
 
 
 def meet(a: Array, b: Array) -> float:
-    """Abscissa at which two lines a and b, given as (slope, value at 0), meet."""
+    """Return the abscissa at which the lines `a` and `b` meet, each given as (slope, value at 0)."""
     return float((b[1] - a[1]) / (a[0] - b[0]))
 
 
@@ -193,14 +226,20 @@ DELTAS = np.linspace(0.0, END_DELTA, 401, dtype=np.float64)
 
 
 def draw(record: Record) -> None:
-    """Draw energies and forces over the elongation, and force over displacement."""
+    """Draw energies and forces over the layer's elongation, and force over displacement.
+
+    The data are read from the tables in the folder of `record`; the pictures are energies.svg and response.svg.
+    """
     by_eps = record.load("table.csv").split("eps")
     draw_energies(record, by_eps[BAR.eps])
     draw_response(record, by_eps[BAR.eps], record.load("table_loop.csv").split("eps")[BAR.eps])
 
 
 def draw_energies(record: Record, relaxed: Table) -> None:
-    """Draw energies of the layer over its elongation, as in Fig. 4, and their slopes together with the bar's force."""
+    """Draw energies of the layer over its elongation, as in Fig. 4, and their slopes together with the bar's force.
+
+    `record` has the folder of the picture; `relaxed` are the rows of `Strip.least` for one thickness.
+    """
     U = np.linspace(0, 1.35, len(DELTAS), dtype=np.float64)
     (_, least_energy, _), (force, envelope, _) = BAR.layer(U, 0), BAR.layer(U, 1)
     phase_0 = BAR.kbar / BAR.l * U**2 / 2
@@ -221,7 +260,16 @@ def draw_energies(record: Record, relaxed: Table) -> None:
 
 
 def draw_response(record: Record, relaxed: Table, loop: Table) -> None:
-    """Draw force over displacement: least energy, the loop of pure phases, and all equilibria of eight elements."""
+    """Draw the force over the displacement of the bar's end, computed and in closed form.
+
+    There are lines for the least energy, and for pure phases, whose snaps form a loop. All equilibria of a layer of
+    eight elements, each in a pure phase, are in the background.
+
+    Args:
+        record: record of the run, which has the folder of the picture.
+        relaxed: rows of `Strip.least` for one thickness.
+        loop: rows of a march with pure phases for the same thickness.
+    """
     states = BAR.layouts(DELTAS, N_ELEMENTS)
     equilibria = np.where(states.local, states.sigma, np.nan)
     equilibria[-1] = np.nan  # a gap between the lines

@@ -29,8 +29,8 @@ def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: 
     K_T is the tangential stiffness of the interface law.
 
     Args:
-        record: folder of the results.
-        eps: thicknesses (mm) for the second part.
+        record: record of the run: its folder, tables and checks.
+        eps: thicknesses (mm) at which the deviation is computed.
         quick: coarser mesh.
     """
     bar = StratifiedBar(record, *((4.0, 0.5, 0.1) if quick else (2.0, 0.2, 0.02)))
@@ -62,8 +62,10 @@ class StratifiedBar:
     """The bar of Fig. 5 on any layer, and the ratio t_T/u_T along S.
 
     Args:
-        record: folder of the results.
-        h, h_S, h_ends: sizes of cells inside the bar, on S and at the ends of S, mm.
+        record: record of the run, which keeps the solver's reports.
+        h: size of cells inside the bar, mm.
+        h_S: size of cells on S, mm.
+        h_ends: size of cells at the ends of S, mm.
     """
 
     def __init__(self, record: Record, h: float, h_S: float, h_ends: float) -> None:
@@ -74,11 +76,11 @@ class StratifiedBar:
         self.limit, self.surface = record.solved(solve(model)), Surface(model)
 
     def full(self, layer: ThinLayer) -> State:
-        """Solve the bar on a meshed layer."""
+        """Solve the bar on `layer`, which is meshed."""
         return self.record.solved(solve(self.bar.full(layer)))
 
     def stiffness(self, state: State) -> tuple[np.ndarray, np.ndarray]:
-        """Return x and the ratio t_T/u_T at the vertices of S in a state, mm and N/mm^3.
+        """Return x (n,) in mm and the ratio t_T/u_T (n,) in N/mm^3 at vertices of S in `state`.
 
         t_T and u_T are projected to functions linear on each facet. The last mm of S, where both are zero, is left out.
         """
@@ -89,13 +91,17 @@ class StratifiedBar:
         return x[is_free, 0], t[is_free, 0] / u[is_free, 0]
 
     def deviation(self, layer: ThinLayer, k_t: float) -> float:
-        """Relative deviation of the ratio t_T/u_T of a meshed layer from `k_t` at x = 10 mm."""
+        """Solve the bar on the meshed `layer`, and return t_T/u_T at x = 10 mm, divided by `k_t`, minus 1."""
         x, ratio = self.stiffness(self.full(layer))
         return float(np.interp(POINT_X, x, ratio) / k_t - 1)
 
 
 def _deviation(record: Record, bar: StratifiedBar, eps: Sequence[float]) -> Table:
-    """Table of deviations as eps -> 0, with fixed moduli over thickness (K_T fixed), and with fixed moduli."""
+    """Tabulate the deviation of t_T/u_T from K_T for the thicknesses `eps`, with observed rates of convergence.
+
+    There are two series. In "ratios_held" moduli are proportional to the thickness, and K_T is constant. In
+    "moduli_held" moduli are constant, and K_T is proportional to 1/eps. `record` writes the table to deviation.csv.
+    """
     table = Table()
     for e in track(eps, "fig6_stratified", "eps = {:g} mm"):
         row = {"eps_mm": e, "deviation_ratios_held": bar.deviation(ThinLayer(GLUE, e, at=EPS), K_T)}
@@ -107,7 +113,7 @@ def _deviation(record: Record, bar: StratifiedBar, eps: Sequence[float]) -> Tabl
 
 
 def draw(record: Record) -> None:
-    """Draw figure 6 from table.csv."""
+    """Draw Fig. 6, the ratio t_T/u_T along S, from table.csv in the folder of `record`."""
     table = record.load("table.csv")
     x, law = table["x_mm"], table["ratio_interface"] / 1e3
     lines = {"meshed layer": (x, table["ratio_band"] / 1e3), "interface law": (x[::8], law[::8])}

@@ -23,10 +23,12 @@ U_A = (1.456232e-2, 1.458569e-2, 4.094504e-2)  # mm, u_T at A from an independen
 
 
 def run(record: Record) -> None:
-    """Solve the bar for the three stiffnesses of Fig. 8, on two meshes, and check the status of the nodes.
+    """Solve the bar of Fig. 7 for the three stiffnesses of Fig. 8, on two meshes, and check the status of nodes on S.
+
+    The numbers of separated, sliding and sticking nodes must be those of the paper, and almost the same on both meshes.
 
     Args:
-        record: folder of the results.
+        record: record of the run: its folder, tables and checks.
     """
     reports = {}
     for n in (N, N + 1):
@@ -55,13 +57,16 @@ def run(record: Record) -> None:
 
 
 def in_tens(lmbda: float) -> str:
-    """Text for pictures with the stiffness lmbda = 3 mu of the layer, 15 times a power of ten, N/mm^3."""
+    """Return the text "lambda = 3 mu = 15·10^k N/mm³" for the layer's stiffness `lmbda` (N/mm^3)."""
     exponent = round(math.log10(lmbda / 15))
     return f"lambda = 3 mu = 15{f'·10^{exponent}' if exponent else ''} N/mm³"
 
 
 def draw(record: Record) -> None:
-    """Draw figures 7 and 8, nodes as dots, from table.csv."""
+    """Draw status, pressure, friction and displacement of the nodes along S for the three stiffnesses (Figs. 7 and 8).
+
+    The values are read from table.csv in the folder of `record`.
+    """
     panels = {title: Curves() for title in (STATUS, *PANELS)}
     for number, (lmbda, part) in enumerate(record.load("table.csv").split("lmbda").items()):
         status = [str(row["status"]) for row in part.rows]

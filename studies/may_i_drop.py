@@ -41,14 +41,14 @@ DRAWN = "free ends: two stiffnesses"
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Estimate how results with the interface law of order 0 change if the layer is meshed, and measure it.
+    """Estimate how results with the interface law of order 0 change if the layer is meshed, and measure the true change.
 
-    effectivities.csv has the relative true changes of tractions and jumps on S, and their effectivities, estimated over
-    true changes. goals.csv has those of other numbers, random.csv those of random structures. along.csv has the changes
-    along S in one structure.
+    The effectivity of an estimate is the estimated over the true change. effectivities.csv has true changes and
+    effectivities of tractions and jumps on S, goals.csv those of other results. random.csv has those of random
+    structures, along.csv the changes along S in one structure.
 
     Args:
-        record: folder of the results.
+        record: record of the run: its folder, tables and checks.
         quick: without structures in 3D, with fewer random structures.
     """
     _effectivities(record, quick=quick)
@@ -56,7 +56,10 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def _effectivities(record: Record, *, quick: bool) -> None:
-    """Compare estimated and true changes of all cases, and check the estimates of fields on S and of goals."""
+    """Write true changes and effectivities of all cases to two tables of `record`, and check the effectivities.
+
+    effectivities.csv is about fields on S, goals.csv about goals. `quick` leaves out structures in 3D.
+    """
     chosen = [case for case in (*published_cases(), *further_cases()) if not (quick and case.solid)]
     cases = [(case, eps) for case in chosen for eps in THICKNESSES]
     table, goals = record.table("effectivities.csv"), record.table("goals.csv")
@@ -77,7 +80,10 @@ def _effectivities(record: Record, *, quick: bool) -> None:
 
 
 def _at_random(record: Record, *, count: int) -> None:
-    """Compare estimated and true changes of two goals of `count` random structures, and check the estimates."""
+    """Write true changes and effectivities of two goals of random structures to random.csv of `record`, and check them.
+
+    `count` is the number of structures.
+    """
     table = record.table("random.csv")
     for seed in track(range(count), "may_i_drop", "random, {}"):
         eps, case = random_case(seed)
@@ -91,11 +97,11 @@ def _at_random(record: Record, *, count: int) -> None:
 # ---------------------------------------------------------------- measurements
 @dataclass(frozen=True)
 class Dropped:
-    """A case solved both with interface laws, whose errors are estimated, and with meshed layers.
+    """A case solved with interface laws, whose errors are estimated, and with meshed layers.
 
     Attributes:
         case: the case.
-        eps: its thickness.
+        eps: thickness of its layers.
         estimate: the estimated changes from the interface laws of order 0 to meshed layers.
         full: state with meshed layers.
     """
@@ -109,7 +115,10 @@ class Dropped:
     def of(cls, case: DroppedCase, eps: float, record: Record | None = None) -> Dropped:
         """Solve a case with interface laws of order 0, estimate their errors, and solve it with meshed layers.
 
-        Solver's reports are listed in `record`; None: nowhere.
+        Args:
+            case: the case.
+            eps: thickness of its layers.
+            record: record of the run that keeps the solver's reports; None: they are not kept.
         """
         structure = case.structure(eps)
         zero = solved(case, structure.interface(case.layers(eps), bodies=case.bodies))
@@ -125,7 +134,11 @@ class Dropped:
 
     @property
     def truth(self) -> dict[str, float]:
-        """Name -> true change if the layers are meshed: relative for traction and jump on S, absolute for goals."""
+        """True changes if the layers are meshed, by the names "traction" and "jump" and the names of the goals.
+
+        Changes of traction and jump are relative, in L2 norms on S. The change of a goal is absolute: its value with
+        meshed layers minus that with interface laws.
+        """
         model = self.estimate.better.model
         assert isinstance(model, InterfaceModel)
         before = self.estimate.goals
@@ -134,14 +147,19 @@ class Dropped:
 
     @property
     def estimated(self) -> dict[str, float]:
-        """Name -> estimated change if layers are meshed: relative for traction and jump on S, absolute for goals."""
+        """Estimated changes if the layers are meshed, by the names "traction" and "jump" and the names of the goals.
+
+        Changes of traction and jump are relative, in L2 norms on S. The change of a goal is absolute: its value with
+        meshed layers minus that with interface laws.
+        """
         on_s = {name: float(getattr(self.estimate, name)) for name in ESTIMATED_FIELDS}
         return on_s | {name: goal.change for name, goal in self.estimate.goals.items()}
 
     def inner(self, state: State) -> dict[str, float]:
-        """Relative changes of traction and jump on S to a state.
+        """Return the relative changes of "traction" and "jump" on S, in L2 norms, from the estimated state to `state`.
 
-        If the case's `inner` is set, only the inner half of S counts, from x = 1/4 to 3/4.
+        Tractions are those of the bodies' nodal forces. If the case's `inner` is set, only the part of S from x = 1/4
+        to 3/4 counts.
         """
         part = (lambda x: abs(x[0] - 0.5) < INNER) if self.case.inner else 1.0
         return self._on_s(state, part, Surface.reaction)  # as in the other program
@@ -157,16 +175,19 @@ class Dropped:
 
 
 def solved(case: DroppedCase, model: Model) -> Solution:
-    """Solve a model of a case: return the state, or the history if the case has a time step."""
+    """Solve `model`, a model of `case`: return a state, or a history if the case has a time step."""
     with unwarned():
         return march(model, [case.step]) if case.step else solve(model)
 
 
 def effectivities(dropped: Dropped) -> tuple[dict[str, float], list[dict[str, float | str]]]:
-    """Return true changes and effectivities (estimated over true changes) of a case.
+    """Return the true changes and effectivities (estimated over true changes) of a case, solved as `dropped`.
 
     Returns:
-        A table row for traction and jump on S, and a table row for each goal.
+        A table row with "true_traction", "true_jump" (relative changes), "traction" and "jump" (effectivities); and a
+        table row for each goal. This has "goal" (its name), "true" (change over value), "effectivity", and "width" (of
+        the bounds over the true change). It also has the flags "told" (the estimate predicts a change) and "outside"
+        (the true value is not within the bounds).
     """
     truth, asked = dropped.truth, list[dict[str, float | str]]()
     ratios = {name: estimated / truth[name] for name, estimated in dropped.estimated.items()}
@@ -185,15 +206,20 @@ ROUND = 9  # decimal digits to which coordinates are compared
 
 
 def along(dropped: Dropped) -> Table:
-    """Table along S of true and estimated changes of the normal traction and jump, and of the compliance's density.
+    """Compute the true and the estimated change of normal traction, normal jump and compliance along S.
 
-    The density is the change of the compliance per area of S. Bodies are linear, supports are fixed. Let L(u) be the
-    work of the loads in u, t_0 and u_0 the solution of order 0, and u the solution with meshed layers. Then
-    L(u) - L(u_0) = int_S t_0 . [u] - int_layer stress(u) : strain(v) for any v that is u_0 on the faces. Here v is the
-    layer's equilibrium with its faces at u_0. The estimated density is `Estimate.density`.
+    The compliance's density is its change per area of S. Bodies are linear, supports are fixed. Let L(u) be the work of
+    the loads in u, t_0 and u_0 the solution of order 0, and u the solution with meshed layers. Then L(u) - L(u_0) =
+    int_S t_0 . [u] - int_layer stress(u) : strain(v) for any v that is u_0 on the faces. Here v is the layer's
+    equilibrium with its faces at u_0. The estimated density is `Estimate.density`.
 
     Args:
-        dropped: two bodies in 2D, S between them on y = 0, elastic laws without a pressure, under loads only.
+        dropped: a case of two bodies in 2D, with S between them on y = 0, elastic laws without a pressure, and loads
+            only.
+
+    Returns:
+        A table with a row for each node of S: "x"; "true_traction", "estimated_traction", "true_jump",
+        "estimated_jump"; "true_density" and the estimated "density".
     """
     estimate, surface = dropped.estimate, Surface(dropped.estimate.better.model)
     columns = {}
@@ -211,9 +237,16 @@ def along(dropped: Dropped) -> Table:
 
 
 def _of_layer(dropped: Dropped, at: Array) -> Array:
-    """Work of the meshed layer's stress in the strain of v, distributed to the coordinates x in `at`.
+    """Compute the work of the meshed layer's stress in a virtual strain, and distribute it along S.
 
-    v is the equilibrium of the layer under the face displacements of the solution of order 0.
+    The strain is that of the layer in equilibrium with its faces at the displacements of the solution of order 0.
+
+    Args:
+        dropped: the case.
+        at: (m,) coordinates x of the nodes of S.
+
+    Returns:
+        (m,) work that belongs to each node.
     """
     model, state, layers = dropped.full.model, dropped.full, dropped.estimate._layers
     Q, comm = fem.functionspace(model.domain.mesh, ("Lagrange", 1)), model.comm
@@ -237,7 +270,10 @@ PANELS["where the compliance changes"] = "density", "density"
 
 
 def draw(record: Record) -> None:
-    """Draw the effectivities of all cases, and the changes along S of one case, from the tables."""
+    """Draw the effectivities of all cases, and the changes along S of one case.
+
+    The values are read from effectivities.csv and along.csv in the folder of `record`.
+    """
     parts, names = dict[str, dict[str, tuple[list[float], list[int]]]](), dict[str, list[str]]()
     for case, rows in record.load("effectivities.csv").split("case").items():
         group, _, name = case.partition(": ")

@@ -36,15 +36,16 @@ SHARE = 0.15  # least share of S that each phase, and mixtures, must have
 class Formula(TractionLaw):
     """Interface law in 2D of a layer of the law `NonMonotone`, with coefficients that may be changed.
 
-    The traction is mu w_T + K_N w_N n - phase alpha chi n at the jump w.
+    The traction at the jump w = w_T + w_N n is mu w_T + K_N w_N n - phase alpha chi n.
 
     Attributes:
-        mu, K_N: stiffness along and across S, stress per length.
+        mu: stiffness along S, stress per length.
+        K_N: stiffness across S, stress per length.
         alpha: transformation stress.
         C: transformation energy per area of S.
         G: coefficient of the energy alpha^2 G that mixtures gain, as in `NonMonotone`.
         chi_12, chi_22: components along S and along n of chi n, where chi is the direction of the transformation.
-        minus: 1; 0 for Eq. (43) of the paper as printed, which has no phase -1.
+        minus: 1 if the law has the phase -1; 0 for Eq. (43) of the paper as printed, without this phase.
     """
 
     mu: float
@@ -58,14 +59,14 @@ class Formula(TractionLaw):
 
     @classmethod
     def of(cls, layer: NonMonotone, **changed: float) -> Formula:
-        """Make the interface law of a layer, with some coefficients changed; `changed`: name -> value."""
+        """Return the interface law of `layer`, with those coefficients replaced that are named in `changed`."""
         names = {"mu": "mu", "alpha": "alpha", "G": "G", "C": "transformation_energy"}
         same = {name: getattr(layer, parameter) for name, parameter in names.items()}
         same |= {"K_N": layer.lmbda + 2 * layer.mu, "chi_12": layer.chi[0, 1], "chi_22": layer.chi[1, 1]}
         return cls(**same | changed)
 
     def traction(self, step: JumpStep) -> Expr:
-        """Traction (3,) at the jump of a step."""
+        """Return the traction (3,) at the jump of a time step, `step.mid`."""
         w, n = step.mid, step.n
         w_N, tangent = ufl.dot(w, n), ufl.as_vector([n[1], -n[0], 0])
         stress = self.alpha * (self.chi_12 * tangent + self.chi_22 * n)
@@ -81,14 +82,17 @@ SMALL_GAIN = Formula.of(CASES["across"][0], G=1 / 140)
 
 
 def blocks(h: float, shear: float, pull: float, *, moved: bool = False) -> Problem:
-    """Two blocks, 2 wide, 0.5 high, under (shear sin(pi x), pull cos(pi x/2)) on top; return joint and arguments.
+    """Two blocks, 2 wide, 0.5 high, under a sinusoidal load (shear sin(pi x), pull cos(pi x/2)) on top.
 
-    The arguments are those of `Structure`. The lower side is clamped, the lateral sides are on rollers.
+    The lower side is clamped, the lateral sides are on rollers. Lengths and stresses have no units.
 
     Args:
         h: cell size.
         shear, pull: amplitudes of the load on top.
-        moved: False: the load is a traction. True: it is a displacement, multiplied by the time.
+        moved: False: the load is a traction. True: it is a prescribed displacement, proportional to the time.
+
+    Returns:
+        The joint, and the arguments of its `Structure`.
     """
 
     def top(x: Expr, t: Expr) -> tuple[Expr, Expr]:
@@ -102,14 +106,23 @@ def blocks(h: float, shear: float, pull: float, *, moved: bool = False) -> Probl
 
 
 def along_s(state: State, _: Surface) -> dict[str, Array]:
-    """Return x and the phase of the layer at the facets of S in a state, by name."""
+    """Return "x" and "phase", the layer's phase, at the n facets of S, arrays (n,), in a state.
+
+    The second argument, the surface S, is not used.
+    """
     return dict(zip(("x", "phase"), phases_on_s(state), strict=True))
 
 
 def shares(full: Solution, limit: Solution) -> dict[str, float]:
-    """Fractions of S in phase 1 ("plus"), in phase -1 ("minus") and in mixtures ("mixed") with the interface law.
+    """Measure which fractions of S are in each phase, and on how many facets both models differ.
 
-    "differ" is the number of facets of S where the phase of the meshed layer is another one.
+    Args:
+        full: solution with the meshed layer.
+        limit: solution with the interface law.
+
+    Returns:
+        With the interface law: fractions of S in phase 1 ("plus"), in phase -1 ("minus") and in mixtures ("mixed").
+        "differ" is the number of facets of S where the phases of both models differ by more than 1/2.
     """
     state = last(limit)
     (_, on_s), (_, meshed) = (phases_on_s(last(solution)) for solution in (limit, full))
@@ -120,18 +133,28 @@ def shares(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def all_there(record: Record, tables: Tables) -> None:
-    """Check that both phases, and mixtures, occur on at least the fraction 0.15 of S."""
+    """Check that each of the phases 1 and -1, and mixtures, occur on at least the fraction 0.15 of S.
+
+    Args:
+        record: record of the run, which receives the checks.
+        tables: name of a row of the study -> its table, with a line for each thickness.
+    """
     for name in ("non_monotone", "non_monotone across", "non_monotone along"):
         for share in ("plus", "minus", "mixed"):
             record.check(f"share of S, {share}, {name}", tables[name][share][-1], low=SHARE)
 
 
 def snaps(full: Solution, limit: Solution) -> dict[str, float]:
-    """Compare the snaps of both models in marches.
+    """Compare the snaps in marches of both models.
+
+    Args:
+        full: history with the meshed layer.
+        limit: history with the interface law.
 
     Returns:
-        The entries of `shares`, the number of snaps with the interface law, and relative differences of the models: the
-        largest one of the times of snaps, and that of the total energy lost.
+        The entries of `shares`; "snaps", their number with the interface law; "error_times", the largest difference of
+        the times of a snap, over the last such time; "error_lost", the relative difference of the total energies lost.
+        Errors are NaN if both models have not the same number of snaps.
     """
     assert isinstance(full, History)
     assert isinstance(limit, History)
@@ -144,7 +167,14 @@ def snaps(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def same_snaps(record: Record, tables: Tables) -> None:
-    """Check that the meshed layer changes phase where facets of S do, at times that differ by O(eps)."""
+    """Check that the meshed layer changes phase at the same facets of S as the interface law, at almost the same times.
+
+    The difference of the times must be O(eps).
+
+    Args:
+        record: record of the run, which receives the checks.
+        tables: name of a row of the study -> its table, with a line for each thickness.
+    """
     table = tables["non_monotone unrelaxed"]
     record.check("columns in another phase than on S, unrelaxed, any eps", table["differ"].max(), high=0.0)
     record.check("snaps, unrelaxed", table["snaps"].min(), low=5.0)

@@ -38,7 +38,7 @@ SHEAR = 5.0  # largest shear on the upper side in `sheared`, over the pressure t
 
 
 class StructureArguments(TypedDict, total=False):
-    """Arguments of `Structure` in addition to the joint."""
+    """Keyword arguments of `Structure` for a study's problem; the joint is passed separately."""
 
     body: BulkLaw | Mapping[str, BulkLaw]
     supports: ByPlace
@@ -57,13 +57,14 @@ LoadPath = Mapping[float, tuple[float, float, float]]  # time -> p, r and q of `
 
 
 def of(law: BulkLaw, at: float | None = 1.0, order: int = 0, profile: Profile | None = None) -> LayerOfThickness:
-    """Return a function from the thickness to a layer.
+    """Return a function that makes a layer of a given thickness.
 
     Args:
         law: law of the layer.
-        at: thickness at which the law's parameters hold; they are proportional to the thickness. None: they are fixed.
+        at: thickness at which the law's parameters hold; the layer's parameters are proportional to its thickness.
+            None: parameters do not depend on the thickness.
         order: order of the interface law, 0 or 1.
-        profile: thickness over the argument of the function, as a function of the place; None: uniform.
+        profile: function of the place by which the given thickness is multiplied; None: the thickness is uniform.
     """
     return partial(ThinLayer, law, at=at, order=order, profile=profile)
 
@@ -90,14 +91,14 @@ def fourier(h: float, *, cell: str = "triangle") -> Problem:
 class Wave:
     """Exact solution in plane strain of two blocks with a layer between them under sinusoidal tractions.
 
-    The traction on top is (S sin(k x), T cos(k x)); the lower side is clamped. Displacements are
-    (U(y) sin(k x), V(y) cos(k x)). Tractions on planes of constant y are (S(y) sin(k x), T(y) cos(k x)).
+    The lower side is clamped. Displacements are (u_x(y) sin(k x), u_y(y) cos(k x)). Tractions on planes of constant y
+    are (t_x(y) sin(k x), t_y(y) cos(k x)), and so is the load on top.
 
     Attributes:
         k: wave number; a half-wave is pi/k long.
         height: height of each block, without the layer.
         body: Lamé's moduli lmbda and mu of the blocks.
-        load: amplitudes S and T of the traction on top.
+        load: amplitudes t_x and t_y of the traction on top.
     """
 
     k: float
@@ -106,14 +107,21 @@ class Wave:
     load: tuple[float, float]
 
     def across(self, lmbda: float, mu: float, thickness: float) -> Array:
-        """Transfer matrix (4, 4) of the amplitudes (U, V, S, T) through an isotropic layer; lmbda may be infinite."""
+        """Return the transfer matrix (4, 4) of an isotropic layer.
+
+        It maps the amplitudes (u_x, u_y, t_x, t_y) at the lower face to those at the upper face.
+
+        Args:
+            lmbda, mu: Lamé's moduli of the layer; lmbda may be infinite.
+            thickness: thickness of the layer; a block is also such a layer.
+        """
         k, M = self.k, lmbda + 2 * mu
         ratio, along = (1.0, 4 * mu) if math.isinf(lmbda) else (lmbda / M, 4 * mu * (lmbda + mu) / M)
         rows = [[0, k, 1 / mu, 0], [-ratio * k, 0, 0, 1 / M], [along * k**2, 0, 0, ratio * k], [0, 0, -k, 0]]
         return np.asarray(expm(np.array(rows) * thickness))
 
     def solved(self, lmbda: float, mu: float, eps: float) -> tuple[Array, Array, float]:
-        """Solve with a layer of Lamé's moduli lmbda and mu and the thickness eps.
+        """Solve with a layer of Lamé's moduli `lmbda` and `mu` and the thickness `eps` between the blocks.
 
         Returns:
             Amplitudes (2,) of the layer's mean traction, amplitudes (2,) of its jump, and the work of the load over a
@@ -126,12 +134,12 @@ class Wave:
 
 
 def loaded(joint: Joint, top: Load, **more: Unpack[StructureArguments]) -> Structure:
-    """Make a structure of a joint under a traction on top, clamped below, with E = 100 and nu = 0.3.
+    """Make a structure under a traction on top, clamped below, whose bodies have E = 100 and nu = 0.3.
 
     Args:
-        joint: the joint.
-        top: the traction.
-        more: arguments of `Structure` that replace these.
+        joint: joint with the facet sets "BOTTOM" and "TOP".
+        top: traction on top.
+        more: arguments of `Structure`, which replace body, supports and tractions if they have these names.
     """
     setup: StructureArguments = {"body": FOURIER_BODY, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": top}}
     return Structure(joint, **setup | more)
@@ -145,11 +153,11 @@ def free_blocks(
     h_S: float = 1 / 32,
     **more: Unpack[StructureArguments],
 ) -> Structure:
-    """Two blocks, 1 wide, with free sides, clamped below, under a traction on top.
+    """Make a structure of two blocks, 1 wide, with free sides, clamped below, under a traction on top.
 
     Args:
         h_ends: cell size at the ends of S.
-        load: the traction.
+        load: traction on top.
         heights: heights of the lower and the upper block.
         h_S: cell size on S.
         more: further arguments of `Structure`; `body`, `supports` and `tractions` replace those of `loaded`.
@@ -162,13 +170,12 @@ def pressed(h: float, path: LoadPath) -> Problem:
 
     The lower side is clamped. The lateral sides (the layer's too) are on rollers, so that nothing is singular at the
     ends of S. The upper side carries the traction (q sin(pi x/2), -p - r cos(pi x/2)). Lengths and stresses have no
-    units. The bodies have E = 100 and nu = 0.3.
-    With a layer of `FOURIER_LAYER` the pressure on S is p + (0.88 r - 0.36 q) cos(pi x/2). The shear traction is
-    (0.13 r + 0.08 q) sin(pi x/2).
+    units. The bodies have E = 100 and nu = 0.3. With a layer of the law `FOURIER_LAYER` the pressure on S is p + (0.88
+    r - 0.36 q) cos(pi x/2). The shear traction is (0.13 r + 0.08 q) sin(pi x/2).
 
     Args:
         h: cell size; the mesh is a grid of squares.
-        path: time -> coefficients p, r and q of the traction, linear in between.
+        path: time -> coefficients p, r and q of the traction; they are linear in time between these times.
 
     Returns:
         The joint, and the arguments of its `Structure`.
@@ -184,9 +191,13 @@ def pressed(h: float, path: LoadPath) -> Problem:
 
 
 def sheared(h: float) -> Problem:
-    """The blocks of `fourier` under pressure, sheared up to t = 1 and then back; return joint and arguments.
+    """The blocks of `fourier` under a pressure, with a shear that grows until t = 1 and then decreases.
 
-    The arguments are those of `Structure`; h is the cell size.
+    Args:
+        h: cell size, a length without unit.
+
+    Returns:
+        The joint, and the arguments of its `Structure`.
     """
     joint, setup = fourier(h, cell="quadrilateral")
 
@@ -200,14 +211,14 @@ def sheared(h: float) -> Problem:
 def sliding_bar(n: int, *, depth: bool = False, **cells: Unpack[GridArgs]) -> Problem:
     """The bar of Fig. 7, a square of 40 mm in plane strain, pushed along a rigid base AB by 100 MPa, onto it by 50 MPa.
 
-    The right side cannot move along x, and its lower corner B is fixed. The cube's back side is on rollers, and its
-    corner is not fixed.
+    The right side cannot move along x, and its lower corner B is fixed. With `depth` the bar is a cube; its back side
+    is on rollers, and no corner is fixed.
 
     Args:
         n: number of cells along each side; S has n + 1 nodes along x.
-        depth: whether it is a cube.
-        **cells: arguments of `geometry.block` on the type and arrangement of cells; a grid unless `structured` is
-            False.
+        depth: whether the bar is a cube in 3D.
+        **cells: arguments of `geometry.block` on the type and arrangement of cells; the mesh is a grid unless
+            `structured` is False.
 
     Returns:
         The joint, and the arguments of its `Structure`.
@@ -233,9 +244,13 @@ ARCH_RADIUS, MIDDLE = 1.15, 0.1  # m: joints are measured over the middle two th
 
 
 def glued_hub(h: float) -> Problem:
-    """A hollow shaft, fixed inside, glued into a hub pushed down on its upper half; return joint and arguments.
+    """A hollow shaft, fixed inside, glued into a hub that is pushed down on its upper half.
 
-    The arguments are those of `Structure`; h is the cell size, mm.
+    Args:
+        h: cell size, mm.
+
+    Returns:
+        The joint, and the arguments of its `Structure`.
     """
     tractions = {"OUTSIDE": lambda x, t: (0.0, -ufl.conditional(x[1] > 0, 10.0 * x[1] / RADII[2], 0.0))}
     joint, bodies = ring(*RADII, h=h, cell="quadrilateral", degree=2), {"INNER": STEEL, "OUTER": ALUMINIUM}
@@ -243,9 +258,15 @@ def glued_hub(h: float) -> Problem:
 
 
 def arch(element: str) -> Problem:
-    """Five stones, from a mesh file, under their weight and a load on the right half; all four joints are one seam.
+    """An arch of five stones, from a mesh file, under their weight and a load that is larger on the right half.
 
-    It returns the joint and the arguments of its `Structure`; `element` is the finite element of the displacements.
+    The four joints between the stones are one seam.
+
+    Args:
+        element: finite element of the displacements, as "P2".
+
+    Returns:
+        The joint, and the arguments of its `Structure`.
     """
     tractions = {"EXTRADOS": lambda x, t: (0.0, ufl.conditional(x[0] > 0, -0.4, -0.1))}
     setup: StructureArguments = {"body": STONE, "tractions": tractions, "body_force": WEIGHT, "element": element}
@@ -254,12 +275,18 @@ def arch(element: str) -> Problem:
 
 
 def inside_joints(x: Array) -> BoolArray:
-    """Whether points x lie in the middle two thirds of the arch's joints, away from their ends."""
+    """Return which points lie in the middle two thirds of the arch's joints, away from their ends.
+
+    `x` are coordinates of points of S, m, with the components on the first axis; the mask has the shape of x[0].
+    """
     return np.asarray(abs(np.sqrt(x[0] ** 2 + x[1] ** 2) - ARCH_RADIUS) < MIDDLE)
 
 
 def phases_on_s(state: State) -> tuple[Array, Array]:
-    """Return x of the n facets of S in ascending order, and the phases (n,) of the layer there in a state."""
+    """Return the x (n,) of the midpoints of the n facets of S, in ascending order, and the layer's phases (n,) there.
+
+    A phase is -1, 0 or 1, or between them in a mixture. `state` is a state of a model with one such layer.
+    """
     surface = Surface(state.model)
     x, phase = surface.x[0].mean(axis=1), surface.phase(state)[:, 0]
     return np.sort(x), phase[np.argsort(x)]
