@@ -41,7 +41,7 @@ DRAWN = "free ends: two stiffnesses"
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Estimate how results with the interface law of order 0 change if the layer is meshed, and measure the true change.
+    """Estimate how results with the law of order 0 change if the layer is meshed, and measure the true change.
 
     The effectivity of an estimate is the estimated over the true change. effectivities.csv has true changes and
     effectivities of tractions and jumps on S, goals.csv those of other results. random.csv has those of random

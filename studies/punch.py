@@ -35,14 +35,13 @@ PRESSURES = (0.7, 1.0, 1.2, 1.3, 1.35)  # over K; elastic up to 0.75, the limit 
 def run(record: Record, *, quick: bool = False) -> None:
     """Solve a punch and a cylinder of ideally plastic metal, and check them against closed forms.
 
-    punch.csv has the mean pressure of a rough, rigid punch on a block, on finer and finer meshes; the closed form is
-    (2 + pi) k with the shear strength k. By symmetry half of it is solved.
-    cylinder.csv is of a nearly incompressible cylinder (nu = 0.499) under inner pressure, partly plastic, in plane
-    strain and axisymmetric. It has the displacements inside and outside, and the radial stress on S, an almost rigid
-    interface.
+    punch.csv has the mean pressure of a rough, rigid punch on a block, on finer and finer meshes; the closed form is (2
+    + pi) k with the shear strength k. By symmetry half of the block is solved. cylinder.csv is of a nearly
+    incompressible cylinder (nu = 0.499) under inner pressure, partly plastic, in plane strain and axisymmetric. It has
+    the displacements inside and outside, and the radial stress on S, an almost rigid interface.
 
     Args:
-        record: folder of the results.
+        record: record of the run: its folder, tables and checks.
         quick: coarser meshes.
     """
     punched(record, (5, 10) if quick else (5, 10, 16))
@@ -51,9 +50,10 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 # ---------------------------------------------------------------- punch
 def half_space(n: int) -> Joint:
-    """Joint of half of the block, 4 wide and 2 high, with n cells over the half-width 1 of the punch.
+    """Return the joint of half of the block below the punch, 4 wide and 2 high.
 
-    Cells become smaller towards the edge of the punch.
+    There are `n` cells over the half-width 1 of the punch (facet set "PUNCH"); they become smaller towards its edge.
+    The rest of the upper side is the facet set "FREE". S is the lower side, on a rigid base.
     """
     grid = block(4.0, 2.0, 1 / n, structured=True, arrangement="AlternateLeft")
     x, y = grid.points.T
@@ -66,12 +66,15 @@ def half_space(n: int) -> Joint:
 
 
 def pressure(state: State) -> float:
-    """Mean pressure under the punch, whose half-width is 1, in a state."""
+    """Return the mean pressure under the punch, whose half-width is 1, in `state`."""
     return -float(state.reaction("PUNCH").force[1])
 
 
 def punched(record: Record, cells: Sequence[int]) -> None:
-    """Push the punch into the block on meshes with these numbers of cells over its half-width; check its pressure."""
+    """Push the punch into the block on finer and finer meshes, and check its pressure against Prandtl's.
+
+    `cells` are increasing numbers of cells over its half-width. `record` writes the pressures to punch.csv.
+    """
     table, limit = record.table("punch.csv"), formulas.prandtl_pressure(K)
     metal = VonMises.young(E=1000.0, nu=0.45, strength=STRENGTH)
     supports: dict[str, Support] = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "PUNCH": {"x": 0.0, "y": lambda x, t: -t}}
@@ -88,13 +91,13 @@ def punched(record: Record, cells: Sequence[int]) -> None:
 
 # ---------------------------------------------------------------- cylinder
 def cylinders(h: float) -> dict[str, tuple[Joint, StructureArguments, str, str]]:
-    """Make two models of the cylinder, "plane strain" and "axisymmetric", with cells of the size h.
+    """Return the problems of two models of the cylinder, "plane strain" and "axisymmetric", with cells of the size `h`.
 
-    The first is a quarter of the cross section. The second is a section through the axis; its ends do not move along
-    the axis. S is the cylinder of radius `CUT` in both.
+    The first model is a quarter of the cross section. The second one is a section through the axis; its ends do not
+    move along the axis. S is the cylinder of radius `CUT` in both.
 
     Returns:
-        Name of the model -> its joint, arguments of its `Structure`, and names of the inner and the outer side.
+        Name of the model -> its joint, arguments of its `Structure`, and facet sets of the inner and the outer side.
     """
     c = CYLINDER
     quarter = ring(c.a, CUT, c.b, h, angle=math.pi / 2, cell="triangle", degree=2)
@@ -112,7 +115,10 @@ def cylinders(h: float) -> dict[str, tuple[Joint, StructureArguments, str, str]]
 
 
 def inflated(record: Record, h: float) -> None:
-    """Raise the pressure in both models of the cylinder, of cell size h, and check them against the closed form."""
+    """Raise the inner pressure in both models of the cylinder, and check them against the closed form.
+
+    `h` is the cell size, relative to the inner radius. `record` writes the results to cylinder.csv.
+    """
     c, nu, table = CYLINDER, 0.499, record.table("cylinder.csv")
     metal = VonMises.young(E=2 * c.mu * (1 + nu), nu=nu, strength=STRENGTH)
     bond = ThinLayer(LinearElastic(BOND, BOND), 1e-3, at=1.0)
@@ -134,7 +140,10 @@ def inflated(record: Record, h: float) -> None:
 
 
 def moved(state: State, name: str, r: float) -> float:
-    """Mean outward displacement, in a state, of the boundary `name` of the cylinder, whose radius is r."""
+    """Return the mean outward displacement of a side of the cylinder in `state`.
+
+    `name` is the facet set of the side, `r` its radius.
+    """
     mesh, there = state.model.domain.mesh, state.model.ds(state.model.domain.values(name))
     axisymmetric = state.model.plane == "axisymmetric"
     outward = state.u[0] if axisymmetric else ufl.dot(state.u, ufl.SpatialCoordinate(mesh)) / r
@@ -142,7 +151,10 @@ def moved(state: State, name: str, r: float) -> float:
 
 
 def draw(record: Record) -> None:
-    """Draw the pressure under the punch, and displacements and stress of the cylinder, from the tables."""
+    """Draw the pressure under the punch over its depth, and the pressure in the cylinder over its displacements.
+
+    The values are read from punch.csv and cylinder.csv in the folder of `record`.
+    """
     limit, sunk = formulas.prandtl_pressure(K), np.array([0.0, max(SUNK)])
     curves, styles = Curves(), {"(2 + pi) k": ":"}
     for n, part in record.load("punch.csv").split("n").items():

@@ -24,10 +24,10 @@ EXPECTED = {  # sweeps of an independent code on the same meshes: (squares, lmbd
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Count sweeps of relaxation with the factor omega = 1 at contact nodes, then with the same omega everywhere.
+    """Count sweeps of relaxation (SOR) with the factor omega = 1 at contact nodes, then with one omega at all nodes.
 
     Args:
-        record: folder of the results.
+        record: record of the run: its folder, tables and checks.
         quick: two coarse meshes.
     """
     meshes = (8, 16) if quick else (8, 16, 32)
@@ -44,13 +44,16 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def count(n: int, lmbda: float, mu: float, omega: float, omega_contact: float) -> tuple[int, bool]:
-    """Return the number of sweeps until the relaxation converges or fails, and whether it has converged.
+    """Solve the bar of Fig. 7 by relaxation, and count its sweeps.
 
     Args:
         n: number of cells along each side of the bar.
-        lmbda, mu: stiffness of the layer, N/mm^3.
-        omega: factor of the relaxation.
+        lmbda, mu: Lamé's moduli of the layer over its thickness, N/mm^3.
+        omega: factor of the relaxation at all nodes but those in contact.
         omega_contact: its factor at contact nodes.
+
+    Returns:
+        The number of sweeps until the relaxation converges or fails, and whether it has converged.
     """
     joint, setup = sliding_bar(n, arrangement="AlternateLeft")
     options = {"omega": omega, "omega_contact": omega_contact, "tolerance": TOLERANCE, "max_sweeps": MAX_SWEEPS}
@@ -63,7 +66,14 @@ def count(n: int, lmbda: float, mu: float, omega: float, omega_contact: float) -
 
 
 def check(record: Record, table: Table) -> None:
-    """Check known numbers of sweeps, and that the same factor omega everywhere fails in some cases."""
+    """Check numbers of sweeps against an independent code, and that one omega > 1 at all nodes fails in some cases.
+
+    The least number of sweeps over omega must grow with the cells along a side to a power of at most 1.5.
+
+    Args:
+        record: record of the run, which receives the checks.
+        table: a row for each mesh, stiffness and omega, with the columns of table.csv.
+    """
     unit_contact = table["omega_contact"] == 1.0
     for (n, lmbda, omega), expected in EXPECTED.items():
         at = unit_contact & (table["squares"] == n) & (table["lmbda"] == lmbda) & (table["omega"] == omega)
@@ -83,7 +93,7 @@ def check(record: Record, table: Table) -> None:
 
 
 def draw(record: Record) -> None:
-    """Draw the number of sweeps over the factor omega, from table.csv."""
+    """Draw the number of sweeps over the factor omega, from table.csv in the folder of `record`."""
     panels = dict[str, Curves]()
     for lmbda, part in record.load("table.csv").split("omega_contact")[1].split("lmbda").items():
         for n, rows in part.split("squares").items():

@@ -21,12 +21,16 @@ SAME = 0.01  # relative difference of means in three dimensions and in the axisy
 
 
 def rods(sizes: tuple[float, float]) -> Problem:
-    """Two cylinders, glued end to end, under tension and bending; return joint and arguments.
-
-    The arguments are those of `Structure`; `sizes` are those of cells inside and on S, mm.
+    """Two cylinders, glued end to end, under tension and bending, in 3D.
 
     Bending opens one half of S as much as it closes the other half. Means over S and over the top are therefore equal
     to the means under tension alone, which the section through the axis gives, too.
+
+    Args:
+        sizes: sizes of cells inside and on S, mm.
+
+    Returns:
+        The joint, and the arguments of its `Structure`.
     """
     tractions = {"TOP": lambda x, t: (0.0, STRESS + BENDING * x[0] / RADIUS, 0.0)}
     joint = disc(RADIUS, HEIGHT, HEIGHT, sizes[0], h_S=sizes[1], cell="hexahedron", degree=2)
@@ -34,7 +38,10 @@ def rods(sizes: tuple[float, float]) -> Problem:
 
 
 def inside_rods(x: Array) -> BoolArray:
-    """Whether points x of S lie within 3/4 of the radius, away from the free end of the layer."""
+    """Return which points of S are away from the layer's free end: those within 3/4 of the radius.
+
+    `x` are coordinates, mm, with the components on the first axis; the mask has the shape of x[0].
+    """
     return _radius(x) < 0.75 * RADIUS
 
 
@@ -43,10 +50,18 @@ def _radius(x: Array) -> Array:
 
 
 def against_section(full: Solution, limit: Solution) -> dict[str, float]:
-    """Mean rise of the top (mm) and mean normal traction (MPa) of both models, in 3D and as an axisymmetric section.
+    """Compare the cylinders in 3D with an axisymmetric section of them, which is solved here.
 
-    The mean traction is weighted with 1 - r^2/R^2, because equilibrium alone gives the plain mean. In the section x is
-    the radius, and y the axis.
+    The mean traction is weighted with 1 - r^2/R^2 at the distance r from the axis, with the radius R. Equilibrium alone
+    would determine the plain mean. In the section x is the radius, and y the axis.
+
+    Args:
+        full: solution in 3D with the meshed layer ("meshed").
+        limit: solution in 3D with the interface law ("law").
+
+    Returns:
+        "rise_MODEL" -> mean displacement of the top along the axis, mm; "traction_MODEL" -> mean normal traction, MPa.
+        "rise_MODEL_axisymmetric" and "traction_MODEL_axisymmetric" are those of the section.
     """
     layer = layer_of(limit)
     section, load = sandwich(RADIUS, HEIGHT, HEIGHT, 2.0, h_S=0.8, h_ends=0.3), {"TOP": (0.0, STRESS)}
@@ -64,7 +79,12 @@ def against_section(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def in_section(record: Record, tables: Tables) -> None:
-    """Check that the means in 3D are equal to those in the axisymmetric section."""
+    """Check that means in 3D are equal to those in the axisymmetric section, to 1 %.
+
+    Args:
+        record: record of the run, which receives the checks.
+        tables: name of a row of the study -> its table, with a line for each thickness.
+    """
     for name in (f"{what}_{model}" for what in ("rise", "traction") for model in ("meshed", "law")):
         difference = np.abs(tables["butt_joint"][name] / tables["butt_joint"][f"{name}_axisymmetric"] - 1).max()
         record.check(f"{name} in 3D against the axisymmetric section", difference, high=SAME)

@@ -20,10 +20,10 @@ FRICTION = (0.3, 1.0, 2.0)
 def run(record: Record, *, quick: bool = False) -> None:
     """Measure how contact with a stiff layer tends to rigid contact, and count Newton steps.
 
-    The error is measured on one mesh, the steps for several stiffnesses, friction coefficients and meshes.
+    Errors are measured on one mesh. Steps are counted for several stiffnesses, friction coefficients and meshes.
 
     Args:
-        record: folder of the results.
+        record: record of the run: its folder, tables and checks.
         quick: coarser meshes.
     """
     meshes = (32, 64) if quick else (32, 64, 128, 256, 512, 724)
@@ -40,10 +40,10 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def solved(record: Record, n: int, K: float, friction: float) -> tuple[Contact, int]:
-    """Solve the bar, and return its results on S and the number of Newton steps.
+    """Solve the bar of Fig. 7, and return its contact results at the nodes of S and the number of Newton steps.
 
     Args:
-        record: folder of the results.
+        record: record of the run, which keeps the solver's report.
         n: number of cells along each side of the bar.
         K: tangential stiffness of the layer, N/mm^3; the normal stiffness is 5 K.
         friction: friction coefficient.
@@ -54,9 +54,12 @@ def solved(record: Record, n: int, K: float, friction: float) -> tuple[Contact, 
 
 
 def _errors(reports: dict[float, Contact]) -> Table:
-    """Table of relative L2 differences on S from the stiffest layer, with observed rates of convergence in 1/K.
+    """Tabulate how much jump and traction for each stiffness differ from those for the largest stiffness, `LIMIT`.
 
-    `reports`: stiffness K -> results on S.
+    Differences are relative, in L2 norms on S; the table also has their observed rates of convergence in 1/K.
+
+    Args:
+        reports: tangential stiffness K of the layer -> contact results at the nodes of S.
     """
     limit = fields(reports[LIMIT])
 
@@ -72,7 +75,10 @@ def _errors(reports: dict[float, Contact]) -> Table:
 
 
 def fields(report: Contact) -> dict[str, np.ndarray]:
-    """Return "jump" and "traction" (m, 2) at the m nodes of S, tangential components first."""
+    """Return "jump" and "traction" at the m nodes of S, arrays (m, 2), from contact results.
+
+    Tangential components are first. The second ones are the normal jump and the contact pressure.
+    """
     return {"jump": np.column_stack([report.u_T, report.u_N]), "traction": np.column_stack([report.t_T, report.p])}
 
 
@@ -87,7 +93,10 @@ def _check(record: Record, table: Table, steps: Table, meshes: Sequence[int]) ->
 
 
 def draw(record: Record) -> None:
-    """Draw the differences from the stiffest layer over the stiffness, from table.csv."""
+    """Draw the differences of jump and traction from their limits over the stiffness, from table.csv.
+
+    The table is in the folder of `record`; the picture is limit.svg.
+    """
     table = record.load("table.csv")
     K = table["K_T"]
     lines = {name: (K, table[f"error_{name}"]) for name in ("jump", "traction")}

@@ -46,7 +46,9 @@ Motion = Callable[[Expr, Expr], Expr]  # of place and time
 def followed(
     joint: Joint, law: Phases, delta: Motion, times: Sequence[float] | ArcLength, eps: float = 0, keep: str = "all"
 ) -> History:
-    """March the block on its layer under prescribed displacements, and observe the force on its upper side.
+    """March the block on its layer under a prescribed displacement of its upper side.
+
+    The table of the history has the additional column "force", the force that belongs to this displacement.
 
     Args:
         joint: joint of the block.
@@ -69,25 +71,31 @@ def followed(
 
 
 def cycle(joint: Joint, steps: int, eps: float = 0) -> History:
-    """March a layer of pure phases, up to the displacement 2.4 in equal steps and back.
+    """March the block on a layer of pure phases, up to the displacement 2.4 in equal steps and back.
 
     Args:
         joint: joint of the block.
         steps: number of steps in each direction.
         eps: thickness of the meshed layer; 0: the interface law.
+
+    Returns:
+        The history, with all states.
     """
     times = [END * k / steps for k in range(1, 2 * steps + 1)]
     return followed(joint, NonMonotoneUnrelaxed(*SNAPPING), piecewise({0: 0, END: END, 2 * END: 0}), times, eps)
 
 
 def path(joint: Joint, r: float, first: float, *, back: bool = False) -> Table:
-    """Follow equilibria by arc length for a law whose mixtures of phases gain less energy; return their table.
+    """Follow equilibria by arc length for a law whose mixtures of phases gain less energy than in `NonMonotone`.
 
     Args:
         joint: joint of the block.
-        r: part of the energy gain of mixtures that the law has.
+        r: fraction of the energy gain of mixtures that the law keeps, 0 to 1.
         first: length of the first step.
-        back: False: from delta = 0 to 2.4; True: from 2.4 to 0.
+        back: False: start at delta = 0, and end at 2.4; True: the other way.
+
+    Returns:
+        Table of the equilibria, as of `rows`.
     """
     law, arc = NonMonotone(*SNAPPING, mixing=r), ArcLength(end=END, first=first)
     history = followed(joint, law, lambda x, t: END - t if back else t, arc, keep="last")
@@ -95,31 +103,43 @@ def path(joint: Joint, r: float, first: float, *, back: bool = False) -> Table:
 
 
 def rows(curve: str, history: History, delta: Array) -> Table:
-    """Table of displacement, force, energy and fraction of S in phase 1 of all states of a march.
+    """Return a table with a row for each state of a march.
+
+    Its columns are "curve", "delta" (prescribed displacement), "force", "energy" and "phase" (fraction of S in phase
+    1).
 
     Args:
-        curve: name of the curve, a column of the table.
-        history: the march.
-        delta: prescribed displacements of the states.
+        curve: name of the curve, the same in all rows.
+        history: the march, with the column "force".
+        delta: (states,) prescribed displacements of the states.
     """
     force, energy, phase = (history.table[name] for name in ("force", "energy", "plus"))
     return Table.of({"curve": curve, "delta": delta, "force": force, "energy": energy, "phase": phase})
 
 
 def moved(t: npt.ArrayLike) -> Array:
-    """Prescribed displacement delta at times t of a march up and back."""
+    """Return the prescribed displacements delta at the times `t` of a march up to 2.4 and back."""
     return np.asarray(END - np.abs(np.asarray(t, float) - END))
 
 
 def switches(history: History) -> Array:
-    """Displacements (facets, 2) at which the layer at each facet of S changes to phase 1, and back, in a `cycle`."""
+    """Return the displacements at which the layer changes phase in a `cycle`, on its way up and on its way back.
+
+    `history` is the cycle. The array (facets, 2) has a row for each facet of S. Its first number is for the change to
+    phase 1, the second one for the change back.
+    """
     phases = np.array([phases_on_s(state)[1] for state in history]) > 0.5
     first, last = phases.argmax(axis=0), len(phases) - phases[::-1].argmax(axis=0)
     return np.column_stack([history.t[first], 2 * END - history.t[last]])
 
 
 def distance(points: Array, vertices: Array) -> Array:
-    """Distances (n,) of points (n, d) from a polygon with vertices (m, d); coordinates are scaled by their ranges."""
+    """Return the distances (n,) of points from a polygonal line, with coordinates scaled by the line's extents.
+
+    Args:
+        points: (n, d) points in d dimensions.
+        vertices: (m, d) vertices of the line, in their order.
+    """
     size = np.ptp(vertices, axis=0)
     vectors = vectors_from_segments(points / size, vertices[:-1] / size, vertices[1:] / size)
     return np.asarray(np.linalg.norm(vectors, axis=2).min(axis=1))
@@ -130,7 +150,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     """Move the upper side of the block up and down, and follow its equilibria by arc length from both ends.
 
     Args:
-        record: folder of the results.
+        record: record of the run: its folder, tables and checks.
         quick: coarser mesh, a path with a smaller snap-back.
     """
     cells, steps, r, step = (12, 12, 0.4, 0.06) if quick else (32, 48, 0.3, 0.02)
@@ -156,18 +176,20 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def follow(record: Record, joint: Joint, relaxed: History, r: float, step: float, *, quick: bool) -> Table:
-    """Follow the equilibria by arc length, check the path, and return its table.
+    """Follow the equilibria by arc length, and check the path against other computations.
 
-    The path is compared with the one from the other end, with one of shorter steps, and at its end with the relaxed
-    law.
+    These are the path from the other end, a path of shorter steps and, at the end, the relaxed law.
 
     Args:
-        record: folder of the results.
+        record: record of the run, which receives the checks.
         joint: joint of the block.
         relaxed: march of the relaxed law.
-        r: part of the energy gain of mixtures that the law has.
+        r: fraction of the energy gain of mixtures that the law keeps, 0 to 1.
         step: length of the first step.
         quick: whether to leave out the path of shorter steps.
+
+    Returns:
+        Table of the path, as of `rows`.
     """
     first, name = path(joint, r, step), f"r = {r:g}"
     others = {"from the other end": path(joint, r, step, back=True)}
@@ -185,7 +207,16 @@ def follow(record: Record, joint: Joint, relaxed: History, r: float, step: float
 
 
 def check_energies(record: Record, pure: History, relaxed: History) -> None:
-    """Check that snaps lose the energy of the loop's area, and that relaxed energies do not exceed pure phases'."""
+    """Check the energies of two marches: those lost in snaps, and those of pure against relaxed phases.
+
+    All snaps together lose the area of the loop of force over displacement. At no displacement do relaxed phases have
+    more energy than pure phases.
+
+    Args:
+        record: record of the run, which receives the checks.
+        pure: march with pure phases, up and back.
+        relaxed: march with the relaxed law, at the same displacements.
+    """
     area = float(np.trapezoid(pure.table["force"], moved(pure.t)))
     lost = sum(snap.lost for snap in pure.snaps)
     record.check_near("energy lost in all snaps over the area of the loop", lost / area, 1.0, ROUNDING)
@@ -196,7 +227,10 @@ def check_energies(record: Record, pure: History, relaxed: History) -> None:
 
 # ---------------------------------------------------------------- pictures
 def draw(record: Record) -> None:
-    """Draw force over displacement."""
+    """Draw the force on the block over the displacement of its upper side, for all laws.
+
+    The values are read from table_response.csv in the folder of `record`; the picture is response.svg.
+    """
     response = record.load("table_response.csv").split("curve")
     meshed = f"{PURE}, layer meshed, eps = {EPS[0]:g}"  # thinner layers would hide one another
     shown = [curve for curve in response if curve == meshed or "meshed" not in curve]

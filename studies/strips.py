@@ -35,10 +35,10 @@ NEAR_ENDS = 0.95  # share of the half length in which shear stresses are compare
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Solve the shear lag and the bending, each with the layer meshed and as an interface law.
+    """Solve two strips that are held flat (shear lag) and that bend, with the layer meshed and as an interface law.
 
     Args:
-        record: folder of the results.
+        record: record of the run: its folder, tables and checks.
         quick: coarser meshes.
     """
     shear_lag(record, 5.0 if quick else 2.5)
@@ -66,17 +66,19 @@ def strips(h: float, mu: float, supports: Mapping[Place, Support]) -> dict[str, 
 
 
 def difference() -> float:
-    """Free expansion of the upper strip minus the free expansion of the lower strip, in plane strain."""
+    """Return the free thermal strain of the upper strip minus that of the lower strip, in plane strain."""
     return (1 + NU) * (ALPHA["UPPER"] - ALPHA["LOWER"]) * COOLING
 
 
 def compliances(eps: float = 0.0) -> tuple[float, float]:
-    """Compliances of the strips against axial forces at their inner sides, from stretching and from bending.
+    """Return the two compliances of the strips that determine shear stress and curvature, mm/N.
 
-    The first is the sum of 1/(E h) of both strips with the moduli of plane strain.
+    Opposite axial forces of unit size at the inner sides of the strips change the difference of the axial strains
+    there. The first number is the change by stretching, the sum of 1/(E h) of both strips with the moduli of plane
+    strain. The second number is the change by bending.
 
     Args:
-        eps: distance of the strips, which adds to the lever arm of these forces.
+        eps: distance of the strips, mm, which adds to the lever arm of the forces.
     """
     plane = {name: E / (1 - NU**2) for name, E in MODULI.items()}
     stretch = sum(1 / (plane[name] * h) for name, h in HEIGHTS.items())
@@ -84,21 +86,24 @@ def compliances(eps: float = 0.0) -> tuple[float, float]:
 
 
 def arm(eps: float = 0.0) -> float:
-    """Distance between the mid-planes of the strips, which are `eps` apart, mm."""
+    """Return the distance between the mid-planes of the strips, mm; `eps` (mm) is the distance of the strips."""
     return sum(HEIGHTS.values()) / 2 + eps
 
 
 def lag(mu: float, x: npt.NDArray[np.floating]) -> Array:
-    """Closed form of the shear stress on S of strips that do not bend (Volkersen), at distances x from the middle.
+    """Closed form of the shear stress on S of strips that do not bend (Volkersen), MPa.
 
-    `mu` is the shear modulus of the layer, MPa.
+    `mu` is the shear modulus of the layer, MPa, `x` the distances (n,) from the middle of the strips, mm.
     """
     B = np.sqrt(mu / EPS * compliances()[0])
     return np.asarray(mu * difference() * np.sinh(B * x) / (EPS * B * np.cosh(B * LENGTH)))
 
 
 def shear_lag(record: Record, h: float) -> None:
-    """Solve strips between smooth rigid plates with cells of the size h, and check the shear stress on S."""
+    """Solve strips between smooth rigid plates, which keep them flat, and check the shear stress on S.
+
+    `h` is the cell size, mm. `record` writes the stresses to shear_lag.csv.
+    """
     table = record.table("shear_lag.csv")
     for mu in SHEAR:
         models = strips(h, mu, {"BOTTOM": {"y": 0.0}, "TOP": {"y": 0.0}})
@@ -117,26 +122,33 @@ def shear_lag(record: Record, h: float) -> None:
 
 
 def timoshenko(eps: float = 0.0) -> float:
-    """Curvature of two bonded strips that are `eps` apart (Timoshenko 1925), 1/mm."""
+    """Return the curvature of two rigidly bonded strips (Timoshenko 1925), 1/mm.
+
+    `eps` is the distance of the strips, mm, as if a rigid layer joined them.
+    """
     stretch, bend = compliances(eps)
     return float(-difference() * bend / arm(eps) / (stretch + bend))
 
 
 def bent(mu: float, eps: float = 0.0) -> float:
-    """Curvature in the middle of two strips with a layer between them (Suhir 1986), 1/mm.
+    """Return the curvature in the middle of two strips with a soft layer between them (Suhir 1986), 1/mm.
 
     Axial forces build up over the shear-lag length from the ends.
 
     Args:
         mu: shear modulus of the layer, MPa.
-        eps: distance of the strips, mm.
+        eps: distance of the strips, mm, by which the lever arm of axial forces grows; the stiffness of the layer is
+            that of the thickness `EPS`.
     """
     k = np.sqrt(mu / EPS * sum(compliances(eps)))
     return float(timoshenko(eps) * (1 - 1 / np.cosh(min(k * LENGTH, 700.0))))
 
 
 def curvature(surface: Surface, state: State) -> float:
-    """Curvature near the middle of the strips in a state, 1/mm, from a parabola fitted to mean displacements on S."""
+    """Return the curvature of the strips near their middle in `state`, 1/mm.
+
+    A parabola is fitted to the means of the displacements of both sides of `surface`, the surface S.
+    """
     x, v = surface.profile(surface.displacements(state).mean(axis=0))
     near = x[:, 0] < 0.1 * LENGTH
     return float(2 * np.polyfit(x[near, 0] ** 2, v[near, 1], 1)[0])
@@ -145,7 +157,7 @@ def curvature(surface: Surface, state: State) -> float:
 def bending(record: Record, h: float) -> None:
     """Solve strips that are free to bend, for increasing stiffnesses of the layer, and check their curvature.
 
-    h is the cell size, mm.
+    `h` is the cell size, mm. `record` writes the curvatures to bending.csv.
     """
     table = record.table("bending.csv")
     gaps = {"meshed layer": EPS, "interface law": 0.0}  # the interface law neglects the thickness in the lever arm
@@ -162,7 +174,10 @@ def bending(record: Record, h: float) -> None:
 
 # ---------------------------------------------------------------- pictures
 def draw(record: Record) -> None:
-    """Draw the shear stress of the shear lag and the curvature of the bending strips, from the tables."""
+    """Draw the shear stress of flat strips along S, and the curvature of bending strips over the layer's modulus.
+
+    The values are read from shear_lag.csv and bending.csv in the folder of `record`.
+    """
     lines, grid = Curves(), np.linspace(0, LENGTH, 200)
     for mu, of_mu in record.load("shear_lag.csv").split("mu").items():
         for name, part in of_mu.split("model").items():

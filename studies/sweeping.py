@@ -46,28 +46,33 @@ class Row:
     Attributes:
         layer: function of the thickness that returns the layer.
         label: text that distinguishes the row from other rows of its law.
-        problem: function of the cell size, or another argument of the mesh, that returns the joint and the arguments of
-            its `Structure`.
-        h: argument of `problem`, and its value with --quick.
+        problem: function of the cell size, or of another parameter of the mesh, that returns the joint and the
+            arguments of its `Structure`.
+        h: argument of `problem` without --quick, and with it.
         eps: thicknesses.
-        orders: smallest and largest allowed value of the last observed rates of convergence of traction and jump; None
-            in place of the second: no upper bound. None: no such check.
+        orders: smallest and largest allowed rate of convergence of traction and jump, between the last two thicknesses.
+            The second may be None: no upper bound. None: no such check.
         times: ends of the time steps, from rest under loads that act from t = 0 on; the last states are compared. None:
             a static solve.
-        steps: slice that selects the `times` with --quick.
-        instead: law that replaces the layer's in the interface model, to show the error of a wrong law; None: none.
+        steps: slice that selects those `times` that are used with --quick.
+        instead: law of the interface model in place of the layer's law, to show the error of a wrong law; None: the
+            layer's law.
         bodies: "kept" or "extended" bodies of the full model, and of interface models of order 1.
         cells_through: number of cells through the meshed layer.
-        where: function of the coordinates that selects the part of S to measure on; None: all of S.
-        other_layers: end of names of columns -> function from the thickness to a layer with another interface law. The
-            errors of this law are further columns.
-        more: function of the solutions of the full and the interface model that returns further columns; None: none.
-        along: function of a state and S that returns x and fields along S, drawn for both models; None: none.
-        floors: "traction" or "jump" -> range of the error that a wrong law leaves (`check_floors`). The name of the row
-            is then that of the right law's row and another word.
-        check: function that makes further checks, from the record and the tables so far of this law; None: none.
-        pictured: function that chooses the thickness at which deformed structures are drawn; None: no picture.
-        unit: unit of lengths.
+        where: function of the coordinates that selects the part of S on which errors are measured; None: all of S.
+        other_layers: suffix -> function of the thickness that returns a layer with another interface law. The errors of
+            this law are further columns, whose names end with the suffix.
+        more: function of the solutions of the full and the interface model that returns further columns, name ->
+            number; None: none.
+        along: function of a state and S that returns x and fields along S, name -> array, drawn for both models; None:
+            nothing is drawn along S.
+        floors: "traction" or "jump" -> smallest and largest relative error that a wrong law leaves (`check_floors`).
+            The row of a wrong law has the name of the right law's row and one more word.
+        check: function of the record and of the tables so far (name of a row -> table) that makes further checks; None:
+            none.
+        pictured: function that chooses one of the thicknesses, at which deformed structures are drawn; None: no
+            picture.
+        unit: unit of lengths; "": none.
         long: whether the row is left out with --quick.
     """
 
@@ -93,16 +98,19 @@ class Row:
     long: bool = False
 
     def sweep(self, record: Record, name: str, eps: Sequence[float], *, quick: bool, pictured: bool) -> Table:
-        """Compute the table of errors over the thickness, and check the last rates of convergence.
+        """Compare both models at each thickness, and check the last rates of convergence.
 
         The laws are printed, and deformed structures are drawn for one thickness.
 
         Args:
-            record: folder of the results.
+            record: record of the run, which writes the table and receives the checks.
             name: name of the row.
             eps: thicknesses.
             quick: whether to use coarser meshes and fewer steps.
             pictured: whether to draw deformed structures.
+
+        Returns:
+            Table of the errors of traction and jump, and of the row's further columns, with a line for each thickness.
         """
         joint, setup = self.problem(self.h[quick])
         structure, case = Structure(joint, **setup), name.replace(" ", "_")
@@ -149,51 +157,62 @@ class Row:
 
 
 def elastic_fraction(law: Law) -> dict[str, float]:
-    """Return {"h": elastic fraction of a law}, the largest one of its sublayers; {} for laws without one."""
+    """Return {"h": elastic fraction of `law`}, the largest one of its sublayers; {} if it has none."""
     parameters = (sublayer.parameters() for _, sublayer in law.sublayers)
     fractions = [values["elastic_fraction"] for values in parameters if "elastic_fraction" in values]
     return {"h": max(fractions)} if fractions else {}
 
 
 def middle(eps: Sequence[float]) -> float:
-    """The middle one of these thicknesses, in order of size."""
+    """Return the thickness in the middle of `eps`, in order of size."""
     return sorted(eps)[len(eps) // 2]
 
 
 def last(solution: Solution) -> State:
-    """Return a state itself, or the last state of a history."""
+    """Return the last state of a history; a state is returned as it is."""
     return solution if isinstance(solution, State) else solution.last
 
 
 def layer_of(solution: Solution) -> ThinLayer:
-    """Return the layer of the model of a state or history, which has only one layer."""
+    """Return the layer of the model that a state or history belongs to; the model has exactly one layer."""
     (layer,) = last(solution).model.layers.values()
     return layer.as_thin_layer
 
 
 def last_order(table: Table, column: str) -> float:
-    """Rate of convergence between the last two rows of a column of errors; NaN if it is not known."""
+    """Return the observed rate of convergence between the last two rows of `table`; NaN if it cannot be computed.
+
+    `column` is the name of a column of errors; the sizes are in the column "eps".
+    """
     return table.orders(column)[-1] or math.nan
 
 
 def by_reaction(full: Solution, limit: Solution, where: Where | None = None) -> dict[str, float]:
-    """Relative L2 error on S, by name, of the tractions equivalent to the bodies' nodal forces (`Surface.reaction`).
+    """Measure the error of the tractions that are equivalent to the bodies' nodal forces on S (`Surface.reaction`).
 
-    Errors of the laws' own tractions do not show the next term in eps, which nearly cancels in them.
+    In the laws' own tractions the next term in eps nearly cancels, so that their errors do not show it.
+
+    Args:
+        full: solution of the full model.
+        limit: solution of the interface model.
+        where: function of the coordinates that selects a part of S; None: all of S.
+
+    Returns:
+        "error_reaction" -> relative error in the L2 norm on S.
     """
     state = last(limit)
     return {"error_reaction": difference(Surface(state.model), Surface.reaction, last(full), state, where or 1.0)}
 
 
 def difference(surface: Surface, field: Field, state: State, reference: State, where: OnSurface | float = 1.0) -> float:
-    """Relative L2 difference on S between a field in a state and in a reference state.
+    """Return the relative difference between a field on S in two states, in the L2 norm on S.
 
     Args:
-        surface: S.
-        field: function of S and a state that returns the field.
-        state: the state.
-        reference: the reference state, whose field's norm is the divisor.
-        where: part of S, a function of the coordinates, or weights on S.
+        surface: the surface S.
+        field: function of S and a state that returns the field, as `Surface.jump`.
+        state: a state.
+        reference: state with which it is compared; the norm of its field is the divisor.
+        where: function of the coordinates that selects a part of S, or weights on S, (n, q) at q points of n facets.
     """
     wanted = field(surface, reference)
     return surface.norm(field(surface, state) - wanted, where) / surface.norm(wanted, where)
@@ -203,10 +222,11 @@ def check_floors(record: Record, name: str, wrong: Table, right: Table, floors: 
     """Check that a wrong law's errors lie in their ranges, do not decrease with eps, and exceed those of the right law.
 
     Args:
-        record: folder of the results.
+        record: record of the run, which receives the checks.
         name: name of the wrong law's row.
-        wrong, right: tables of both laws.
-        floors: "traction" or "jump" -> range of the wrong law's relative error at the smallest thickness.
+        wrong: table of errors of the wrong law, a line for each thickness.
+        right: table of errors of the right law.
+        floors: "traction" or "jump" -> smallest and largest relative error of the wrong law at the smallest thickness.
     """
     for of, (low, high) in floors.items():
         errors = wrong[f"error_{of}"]
@@ -217,22 +237,24 @@ def check_floors(record: Record, name: str, wrong: Table, right: Table, floors: 
 
 
 def table_of(case: str) -> str:
-    """Name of the csv file with the table of the row `case`."""
+    """Return the name of the csv file with the table of the row `case`."""
     return f"table_{case.replace(' ', '_')}.csv" if case else "table.csv"
 
 
 def along_of(case: str, eps: float) -> str:
-    """Name of the csv file with fields along S of the row `case` at one thickness."""
+    """Return the name of the csv file with fields along S of the row `case` at the thickness `eps`."""
     return f"along_{case.replace(' ', '_')}_{eps:g}.csv"
 
 
 def draw_along(record: Record, cases: Mapping[str, str], name: str) -> None:
     """Draw a field along S in meshed layers of all thicknesses and under the interface law.
 
+    The field is the last column of the tables along S in the folder of `record`.
+
     Args:
-        record: folder of the results.
-        cases: title of a panel -> name of a row; the last column of its tables along S is drawn.
-        name: name of the picture, without ending.
+        record: record of the run.
+        cases: title of a panel -> name of the row drawn there.
+        name: name of the picture's file, without its ending.
     """
     panels: dict[str, Curves] = {}
     for label, case in cases.items():

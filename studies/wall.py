@@ -40,14 +40,13 @@ def run(record: Record, *, quick: bool = False) -> None:
     The limit is at most the strength of a bed joint along which all bricks above slide: C + tan(Omega) p, per length of
     the wall, with the cohesion C, friction angle Omega and pressure p.
 
-    table.csv has the shear stress on the top and the mean displacement of the top.
-    joints.csv has the fractions of each seam's area that are elastic, slide or are open. They are given at 0.9 of the
-    strength of a bed joint and at the limit.
-    panel.csv is of a panel of five bricks with Mohr-Coulomb mortar, whose top is moved along the wall. It has the shear
-    stress with the interface law and with meshed joints of several thicknesses.
+    table.csv has the shear stress on the top and the mean displacement of the top. joints.csv has the fractions of each
+    seam's area that are elastic, slide or are open. They are given at 0.9 of the strength of a bed joint and at the
+    limit. panel.csv is of a panel of five bricks with Mohr-Coulomb mortar, whose top is moved along the wall. It has
+    the shear stress with the interface law and with meshed joints of several thicknesses.
 
     Args:
-        record: folder of the results.
+        record: record of the run: its folder, tables and checks.
         quick: fewer bricks, longer steps, one thickness of the panel's joints.
     """
     push_panel(record, THICKNESSES[:1] if quick else THICKNESSES)
@@ -55,11 +54,12 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def push_walls(record: Record, bricks: int, courses: int, cells: int, step: float) -> None:
-    """Push two walls to the limit, with mortar in their head joints and without.
+    """Push two walls to the limit, with mortar in their head joints and without, and check the limit.
 
     Args:
-        record: folder of the results.
-        bricks, courses: number of bricks along the walls, and of courses.
+        record: record of the run, which gets table.csv, joints.csv and pictures.
+        bricks: number of bricks along each wall.
+        courses: number of courses.
         cells: number of cells over the height of a brick.
         step: increment of the shear stress on the top, MPa.
     """
@@ -84,9 +84,9 @@ def push_walls(record: Record, bricks: int, courses: int, cells: int, step: floa
 
 
 def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
-    """Move the top of a panel with mortar of the law `MohrCoulomb`, and compare the force in both models.
+    """Move the top of a panel with mortar of the law `MohrCoulomb`, and compare the forces in both kinds of model.
 
-    `thicknesses` are those of the meshed joints, mm.
+    `thicknesses` are those of the meshed joints, mm. `record` writes the forces to panel.csv.
     """
     supports: dict[str, Support] = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: t}}
     panel, pressed = wall(*PANEL, BRICK, BRICK[1] / 6, cell="quadrilateral"), {"TOP": (0.0, -PRESSURE)}
@@ -115,10 +115,13 @@ def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
 
 
 def sheared(bricks: int, courses: int, h: float, *, heads: bool) -> InterfaceModel:
-    """Make the interface model of a wall, clamped at the bottom, pressed, and sheared by the stress t (MPa) on its top.
+    """Make the interface model of a wall, clamped at the bottom, pressed, and sheared on its top.
+
+    The shear stress in MPa is equal to the time t.
 
     Args:
-        bricks, courses: number of bricks along the wall, and of courses.
+        bricks: number of bricks along the wall.
+        courses: number of courses.
         h: cell size, mm.
         heads: whether there is mortar in the head joints.
     """
@@ -130,12 +133,15 @@ def sheared(bricks: int, courses: int, h: float, *, heads: bool) -> InterfaceMod
 
 
 def pushed(model: InterfaceModel, step: float, end: float) -> tuple[History, float]:
-    """March up to the limit load; return the states before it, and the shear stress at the limit, MPa.
+    """March a wall with growing shear stress up to its limit load.
 
     Args:
         model: model of the wall.
         step: increment of the shear stress, MPa.
-        end: shear stress that cannot be reached, MPa.
+        end: shear stress above the limit, at which the march would end, MPa.
+
+    Returns:
+        The history up to the limit, and the shear stress at the limit, MPa.
     """
     try:
         march(model, [float(t) for t in np.arange(step, end, step)])
@@ -145,13 +151,16 @@ def pushed(model: InterfaceModel, step: float, end: float) -> tuple[History, flo
 
 
 def shift(state: State) -> float:
-    """Mean displacement of the top along the wall in a state, mm."""
+    """Return the mean displacement of the top along the wall in `state`, mm."""
     top = state.model.ds(state.model.domain.values("TOP"))
     return state.integral(state.u[0] * top) / state.integral(1.0 * top)
 
 
 def draw(record: Record) -> None:
-    """Draw load against displacement from table.csv and panel.csv."""
+    """Draw the shear stress over the displacement of the top, for the walls and for the panel.
+
+    The values are read from table.csv and panel.csv in the folder of `record`.
+    """
     for file, column, picture, title in (
         ("table.csv", "wall", "shear.svg", "a wall, pushed"),
         ("panel.csv", "model", "panel.svg", "a panel, its top moved along"),

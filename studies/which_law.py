@@ -52,10 +52,10 @@ Compared = Callable[[State], tuple[float, ...]]
 def run(record: Record, *, quick: bool = False) -> None:
     """Measure the errors of interface laws for blocks between rollers and for blocks with free ends.
 
-    The reference is an exact solution between rollers, and a meshed layer at free ends.
+    Between rollers the reference is an exact solution, at free ends a meshed layer.
 
     Args:
-        record: folder of the results.
+        record: record of the run: its folder, tables and checks.
         quick: three thicknesses and five Poisson's ratios, a coarser mesh.
     """
     table = record.table("table.csv")
@@ -68,13 +68,18 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: float) -> dict[str, float | None]:
-    """Table row with the errors of the laws, the factor "too_stiff" of order 0, and whether each law gives a warning.
+    """Measure the errors of all interface laws for one layer, and record which laws give a warning.
 
     Args:
-        record: folder of the results.
+        record: record of the run, which keeps the solver's reports.
         set_up: the blocks.
-        mu, nu: shear modulus and Poisson's ratio of the layer.
-        eps: its thickness.
+        mu: shear modulus of the layer.
+        nu: Poisson's ratio of the layer.
+        eps: thickness of the layer.
+
+    Returns:
+        Table row with the relative errors "traction_LAW", "jump_LAW" and "compliance_LAW", and "warned_LAW", 1 or 0. A
+        law without this material has None. "too_stiff" is the factor by which order 0 overestimates the stiffness.
     """
     lmbda = 2 * nu / (1 - 2 * nu) * mu if nu < 0.5 else math.inf
     compared, structure = set_up.against(record, lmbda, mu, eps), set_up.structure(eps)
@@ -92,9 +97,13 @@ def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: 
 
 
 def _layers(lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
-    """Name of a law -> layer, for the laws that accept a material, without correction at free ends.
+    """Return the layers of all laws that accept a material, without correction at free ends, by the names of the laws.
 
     Order 1 of `LinearElastic` is left out at nu = 1/2, `Rubber` at nu = 0.
+
+    Args:
+        lmbda, mu: Lamé's moduli of the layer; lmbda is infinite at nu = 1/2.
+        eps: thickness of the layer.
     """
     rubber, first = _rubber(lmbda, mu), partial(ThinLayer, eps=eps, order=1, edges="plain")
     if math.isinf(lmbda):
@@ -105,12 +114,22 @@ def _layers(lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
 
 
 def _rubber(lmbda: float, mu: float) -> Rubber | Incompressible | LinearElastic:
-    """Law of a material whose meshed layer does not lock: `Rubber`, `Incompressible` or, at nu = 0, `LinearElastic`."""
+    """Return a law of an isotropic material whose meshed layer does not lock: `Rubber`, or its limits.
+
+    The limits are `Incompressible` for an infinite `lmbda`, and `LinearElastic` for `lmbda` = 0. `mu` is the shear
+    modulus.
+    """
     return Incompressible(mu) if math.isinf(lmbda) else Rubber(lmbda, mu) if lmbda else LinearElastic(lmbda, mu)
 
 
 class Rollers:
-    """Blocks of height 1/2 between rollers, under one half-wave of length 1; exact solutions by transfer matrices."""
+    """Blocks of height 1/2 between rollers, under one half-wave of length 1, with exact solutions.
+
+    The solutions are those of `Wave`.
+
+    Args:
+        h: cell size.
+    """
 
     def __init__(self, h: float) -> None:
         joint, setup = fourier(h, cell="quadrilateral")
@@ -120,17 +139,25 @@ class Rollers:
         self._wave = Wave(math.pi, 0.5, (FOURIER_BODY.lmbda, FOURIER_BODY.mu), (0.5 * LOAD, LOAD))
 
     def structure(self, eps: float) -> Structure:
-        """The structure of the blocks, the same for all thicknesses."""
+        """Return the structure of the blocks, which is the same for all thicknesses `eps`."""
         return self._structure
 
     def layers(self, lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
-        """Name of a law -> layer, for the laws that accept a material; there are no free ends to correct."""
+        """Return the layers of all laws that accept a material, by the names of the laws.
+
+        `lmbda` and `mu` are Lamé's moduli, `eps` the thickness. There are no free ends to correct.
+        """
         return _layers(lmbda, mu, eps)
 
     def against(self, record: Record, lmbda: float, mu: float, eps: float) -> Compared:
-        """Return a function from a state to its relative errors of traction and jump (L2 on S) and of the compliance.
+        """Return a function that compares a state of an interface model with the exact solution.
 
-        lmbda, mu and eps are Lamé's moduli and the thickness of the layer.
+        The function returns the relative errors of the amplitudes of traction and jump on S, and of the compliance.
+
+        Args:
+            record: record of the run; it is not used.
+            lmbda, mu: Lamé's moduli of the layer.
+            eps: thickness of the layer.
         """
         *exact, work = self._wave.solved(lmbda, mu, eps)
 
@@ -148,22 +175,27 @@ class Rollers:
 
 
 class FreeEnds:
-    """Blocks of height 1/2 and width 1 with free sides, pressed and sheared; the references are meshed layers."""
+    """Blocks of height 1/2 and width 1 with free sides, pressed and sheared; the references are meshed layers.
+
+    Args:
+        quick: whether the meshes are coarser.
+    """
 
     def __init__(self, quick: bool) -> None:
         self._cells, self._structures = (16, 10, 2) if quick else (32, 15, 4), dict[float, Structure]()
 
     def structure(self, eps: float) -> Structure:
-        """The structure of the blocks; cells at the ends of S are a fixed factor smaller than the thickness."""
+        """Return the structure of the blocks, with cells at the ends of S that are smaller than the thickness `eps`."""
         along, ends, _ = self._cells
         if eps not in self._structures:
             self._structures[eps] = free_blocks(min(eps, 1 / 8) / ends, (0.3 * LOAD, -LOAD), h_S=1 / along)
         return self._structures[eps]
 
     def layers(self, lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
-        """Name of a law -> layer, for the laws that accept a material, also corrected at free ends if this is allowed.
+        """Return the layers of all laws that accept a material, by the names of the laws.
 
-        Poisson's ratio and the bodies' stiffness decide whether it is.
+        Laws of order 1 are also among them with a correction at free ends, if Poisson's ratio and the bodies' stiffness
+        allow it. `lmbda` and `mu` are Lamé's moduli of the layer, `eps` its thickness.
         """
         layers = _layers(lmbda, mu, eps)
         corrected = {name: replace(layers[law], edges=None) for name, law in CORRECTED.items() if law in layers}
@@ -171,9 +203,15 @@ class FreeEnds:
         return layers | {name: layer for name, layer in corrected.items() if legal[name]}
 
     def against(self, record: Record, lmbda: float, mu: float, eps: float) -> Compared:
-        """Return a function from a state to its relative errors of traction, jump (inner half of S) and compliance.
+        """Solve with the layer meshed, and return a function that compares other states with this solution.
 
-        lmbda, mu and eps are Lamé's moduli and the thickness of the layer.
+        The function takes a state of an interface model. It returns the relative errors of traction and jump (in L2
+        norms on the inner half of S), and of the compliance.
+
+        Args:
+            record: record of the run, which keeps the solver's report.
+            lmbda, mu: Lamé's moduli of the layer.
+            eps: thickness of the layer.
         """
         layer = ThinLayer(_rubber(lmbda, mu), eps)
         full = record.solved(solve(self.structure(eps).full(layer, cells_through=self._cells[2])))
@@ -189,14 +227,19 @@ class FreeEnds:
 
 
 def _worst(table: Table, law: str) -> Array:
-    """The larger one of the errors of traction and jump of a law, (rows,)."""
+    """Return the larger one of the errors of traction and jump of the law `law` in each row of `table`."""
     return np.maximum(table[f"traction_{law}"], table[f"jump_{law}"])
 
 
 def _check(record: Record, name: str, table: Table) -> None:
-    """Check the convergence of Rubber, and that LinearElastic of order 1 warns of large errors.
+    """Check the convergence of `Rubber`, and that `LinearElastic` of order 1 warns of errors above 10 %.
 
-    The error of Rubber is O(eps^2) between rollers and O(eps) at free ends. `name` is "rollers" or "free".
+    The error of `Rubber` is O(eps^2) between rollers and O(eps) at free ends.
+
+    Args:
+        record: record of the run, which receives the checks.
+        name: "rollers" or "free" (free ends).
+        table: rows of `_row` for these blocks.
     """
     eps, errors = table["eps"], _worst(table, "rubber")
     order, high, fine = (2, 2.0, eps > 0.03) if name == "rollers" else (1, 0.3, eps < 0.1)
@@ -208,7 +251,10 @@ def _check(record: Record, name: str, table: Table) -> None:
 
 
 def draw(record: Record) -> None:
-    """Draw the errors of each law, and the cheapest law for 1 % and 5 %, over eps and nu, from the tables."""
+    """Draw the errors of each law over thickness and Poisson's ratio, and maps of the cheapest law for 1 % and 5 %.
+
+    The values are read from table.csv in the folder of `record`.
+    """
     tables = record.load("table.csv").split("sides")
     for name, what in SET_UPS.items():
         table = tables[name]
@@ -233,14 +279,15 @@ def draw(record: Record) -> None:
 def _cheapest_laws(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[str, Panel], dict[str, str]]:
     """Find for each material and thickness the first law whose error is small enough, else the meshed layer.
 
-    A law is corrected at free ends if this is possible.
+    Where a law can be corrected at free ends, the error is that with the correction.
 
     Args:
-        laws: names of the laws, the cheapest first.
-        errors: "LAW; E/mu = NUMBER" -> errors over Poisson's ratio and thickness.
+        laws: names of the laws in `LAWS`, the cheapest first.
+        errors: "LAW; E/mu = NUMBER" -> errors (thicknesses, Poisson's ratios).
 
     Returns:
-        Title of a panel of `maps` -> numbers and letters of the laws; letter -> name of the law.
+        Title of a panel of `maps` -> numbers and letters of the laws, two arrays of this shape; and letter -> name of
+        the law.
     """
     corrected = {law: name for name, law in CORRECTED.items() if name in laws}
     laws = [law for law in laws if law in LETTERS]
@@ -257,7 +304,10 @@ def _cheapest_laws(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[s
 
 
 def _percent(error: float, warned: bool) -> str:
-    """Text for an error in per cent; "-" for NaN (the law does not accept the material), "!" after a warning."""
+    """Return a text for the relative error `error` in per cent; "-" for NaN, if a law does not accept the material.
+
+    "!" is added if `warned` is set: the law gave a warning.
+    """
     if math.isnan(error):
         return "-"
     number = 100 * error

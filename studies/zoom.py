@@ -40,7 +40,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     """Compare stresses in a meshed layer between two blocks with those of `Zoom` into interface models.
 
     Args:
-        record: folder of the results.
+        record: record of the run: its folder, tables and checks.
         quick: two thicknesses, one ratio of moduli for each Poisson's ratio.
     """
     for nu, ratio in CASES[::3] if quick else CASES:
@@ -48,13 +48,13 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def _errors(record: Record, nu: float, ratio: float, thicknesses: Sequence[float]) -> None:
-    """Write the errors of stresses and strengths for one material of the layer, and check them.
+    """Measure and check the errors of `Zoom` in stresses and in strengths of singularities, for one layer's material.
 
     Args:
-        record: folder of the results.
+        record: record of the run, which writes a table for the material.
         nu: Poisson's ratio of the layer.
         ratio: Young's modulus of the bodies over the layer's shear modulus at the first thickness.
-        thicknesses: thicknesses of the layer.
+        thicknesses: thicknesses of the layer; its moduli are proportional to the thickness.
     """
     table = record.table(f"errors_{nu:g}_{ratio:g}.csv")
     law = LinearElastic.shear(100.0 / ratio, nu)
@@ -76,11 +76,15 @@ def _errors(record: Record, nu: float, ratio: float, thicknesses: Sequence[float
 
 
 def _compared(zoom: Zoom, full: Zoom) -> dict[str, float]:
-    """Compare a zoom into an interface model with one into a full model.
+    """Compare a zoom into an interface model with a zoom into a full model.
+
+    Args:
+        zoom: zoom into the interface model.
+        full: zoom into the full model, the reference.
 
     Returns:
-        "end" and "inside", relative root mean square errors of stresses near the ends and elsewhere; "H", the largest
-        error of the strengths at corners over the largest strength.
+        "end" and "inside" -> relative root mean square error of stresses near the ends and elsewhere. "H" -> largest
+        error of the strengths of the singularities at corners, over the largest strength.
     """
     eps, samples = zoom.eps, []
     for end, (start, *_) in zoom.ends:
@@ -96,7 +100,10 @@ def _compared(zoom: Zoom, full: Zoom) -> dict[str, float]:
 
 
 def draw(record: Record) -> None:
-    """Draw the errors over the thickness, from the tables."""
+    """Draw the errors of stresses and of strengths of singularities over the thickness.
+
+    The values are read from the tables of the materials in the folder of `record`.
+    """
     parts, lines = {}, {"order 0": "o:", "order 1, free": "o--", "estimate": "o-"}
     names = [f"{key} {state}" for state in STATES for key in ("end", "inside", "H")]
     for nu, ratio in CASES:
