@@ -51,10 +51,10 @@ def estimate(
 ) -> Estimate:
     """Estimate how much results change if a layer's mesh is dropped, without meshing it between its bodies. Collective.
 
-    The layer is meshed without the bodies. A few steps of an iteration (`global_local`) lead from the state to the
-    structure with the meshed layer; in a history they do so at each of its times. If all laws are linear, goals have
-    bounds, which hold for the given cells of the bodies and of the layer. For other laws, and one step from rest, the
-    potential energy has bounds instead.
+    The layer is meshed by itself, without the bodies. A few steps of an iteration (module `global_local`) lead from the
+    given state to the structure with the meshed layer; for a history they do so at each of its times. If all laws are
+    linear, goals have bounds, which hold for the given cells of the bodies and of the layer. For other laws, and one
+    step from rest, the potential energy has bounds instead.
 
     Args:
         state: a state of an interface model, or of a model with bonds, in which bodies are joined without any layer; or
@@ -63,14 +63,17 @@ def estimate(
             model has no bonds.
         goals: quantities of interest, whose change is estimated.
         seam: name of the seam whose layer is meshed for the estimate; all other seams keep their laws. "S": all seams.
-        width: largest width of bounds, relative to the estimated change of their goal, > 0. Steps continue until all
-            bounds are so narrow; at most five steps are made.
+        width: largest width of bounds, relative to the estimated change of their goal, > 0. The iteration ends when all
+            bounds are at most so wide, or after five steps.
         options: {name of a PETSc option without its prefix: value}, as in `solve`.
+
+    Returns:
+        The estimated changes of tractions and jumps on S and of the goals.
 
     Raises:
         InputError: a state or law that cannot be estimated, with the reason.
-        SolveError: a solve does not converge or has no unique solution; or no convergence to the structure with its
-            meshed layers.
+        SolveError: a solve does not converge or has no unique solution; or the iteration does not converge to the
+            structure with its meshed layers.
 
     Example:
         >>> from forms import LinearElastic
@@ -139,15 +142,15 @@ def estimate(
 
 
 def _checked_seams(model: InterfaceModel, bonds: Collection[str], seam: str) -> list[str]:
-    """Names of the seams whose layers are meshed for the estimate.
+    """Return the names of the seams whose layers are meshed for the estimate, and check them.
 
     Args:
-        model: the interface model with layers in place of bonds.
-        bonds: names of the seams that are bonded in the state.
+        model: the interface model, in which layers replace the bonds of the estimated state.
+        bonds: names of the seams that are bonded in the estimated state.
         seam: name of the seam that the user asks for; "S": all seams.
 
     Raises:
-        InputError: no layer, an unknown seam, or a layer without bond beside bonds.
+        InputError: the model has no layer; the seam is unknown; or it has no bond, while other seams have.
     """
     if not model.layers:
         raise InputError("estimate: the model has no layer whose mesh could be dropped; give a model with layers")
@@ -159,17 +162,17 @@ def _checked_seams(model: InterfaceModel, bonds: Collection[str], seam: str) -> 
 
 
 def _goal_error(name: str, value: float, scale: float, bounds: GoalBounds, bounded: bool) -> GoalError:
-    """Error of a goal, with bounds widened by rounding.
+    """Return the estimated error of a goal; its bounds are widened by possible rounding errors.
 
     Args:
         name: name of the goal.
-        value: its value in the state.
-        scale: its reference magnitude, see `Goal.scale`.
-        bounds: its estimate and bounds with the layer meshed.
-        bounded: whether the bounds hold; otherwise the error has none.
+        value: value of the goal in the estimated state.
+        scale: reference magnitude of the goal, see `Goal.scale`.
+        bounds: estimate and bounds of the goal with the layer meshed.
+        bounded: whether the bounds hold; if not, the result has no bounds.
 
     Raises:
-        SolveError: the estimate is not finite, or the bounds contradict each other.
+        SolveError: the estimate is not finite, or the lower bound exceeds the upper one.
     """
     has_bounds = bounded and bounds.upper - bounds.lower < math.inf
     slack = GOAL_TOLERANCE * max(abs(value), abs(bounds.estimate)) + bounds.rounding if has_bounds else math.nan
@@ -182,7 +185,11 @@ def _goal_error(name: str, value: float, scale: float, bounds: GoalBounds, bound
 
 
 def _models(model: InterfaceModel, layers: Mapping[str, ThinLayer]) -> Iterator[InterfaceModel]:
-    """Yield the model, then, if it exists, the same model with the layers `layers`, whose laws are of order 1."""
+    """Yield the interface models from which the iteration is started in turn, until it converges.
+
+    The first one is `model` itself. The second one has laws of order 1, for the layers `layers` by the names of their
+    seams; it is left out if there are no such laws.
+    """
     yield model
     try:
         yield model.improved(layers)
@@ -191,9 +198,19 @@ def _models(model: InterfaceModel, layers: Mapping[str, ThinLayer]) -> Iterator[
 
 
 def _states_of_path(state: State | History, model: InterfaceModel, anew: bool, options: Options | None) -> list[State]:
-    """States from the first one to the estimated state, in order of time. Collective.
+    """Return the states of `model` up to the time of the estimated state, in order of time. Collective.
 
-    They are solved again, with the model's laws, if `anew` is set, if they have bonds, or if the history lacks some.
+    Those of `state` are returned if possible. They are solved again if `anew` is set, if bodies are bonded in them, or
+    if the history has not kept all of them.
+
+    Args:
+        state: the estimated state, a path of one state; or the history that ends with it.
+        model: the interface model.
+        anew: whether the laws of `model` differ from those of `state`.
+        options: {name of a PETSc option without its prefix: value}.
+
+    Raises:
+        InputError: a history with theta other than 1, or one that does not start from rest.
     """
     anew = anew or bool(state.model.bonds)
     if isinstance(state, State):
@@ -209,13 +226,16 @@ def _states_of_path(state: State | History, model: InterfaceModel, anew: bool, o
 
 
 def _advance_layers(earlier: Sequence[State], last: State, layers: LayerSubproblem, options: Options | None) -> None:
-    """March the meshed layers through earlier states of the interface model, and begin their last step. Collective.
+    """March the meshed layers through the times of earlier states, and begin their step to the last state. Collective.
+
+    At each earlier time the structure with meshed layers is solved by `GlobalLocal.newton`, so that the layers have the
+    memory of this structure.
 
     Args:
         earlier: states of the interface model before the last one, in order of time.
         last: the last state.
         layers: the meshed layers.
-        options: PETSc options, {name without prefix: value}.
+        options: {name of a PETSc option without its prefix: value}.
     """
     path, before = [*earlier, last], None
     layer_state = layers.rest(path[0].t)
@@ -230,10 +250,10 @@ def _advance_layers(earlier: Sequence[State], last: State, layers: LayerSubprobl
 
 
 def _require_subproblem(model: InterfaceModel, state: State | History, dropped: Sequence[SeamLayer]) -> None:
-    """Raise InputError unless layers can be meshed without the bodies of a model. Collective.
+    """Raise InputError unless the layers of a model can be meshed without its bodies. Collective.
 
-    Nodes on S must follow neither plates nor inclined supports. Laws or parts with memory must have been at rest before
-    the state, unless they are meshed layers with a known history.
+    Neither plates nor inclined supports may constrain nodes on S. If a law or part has a memory or a rate, the state
+    must be the first one after rest. Layers that are meshed are an exception if the history of the state is given.
 
     Args:
         model: the interface model, with layers in place of bonds.
@@ -273,7 +293,10 @@ def _checked_goals(goals: Sequence[Goal]) -> dict[str, Goal]:
 
 
 def _has_multi_point_constraints(model: InterfaceModel) -> bool:
-    """Whether displacements on S have multi-point constraints or inclined supports. Collective."""
+    """Return whether plates, inclined supports or other multi-point constraints act on nodes of S. Collective.
+
+    `model` is the interface model; all its seams with layers count.
+    """
     constraints, d = model.constraints, model.joint.dim
     if constraints.T is None:
         return False
@@ -285,9 +308,10 @@ def _has_multi_point_constraints(model: InterfaceModel) -> bool:
 
 
 def _order_1_layer(applicability: Applicability) -> ThinLayer:
-    """The layer with its law of order 1, without correction at free ends; unchanged if there is no such law.
+    """Return a layer with its interface law of order 1, without correction at free ends, if it has such a law.
 
-    There is none, for example, for anisotropic sublayers.
+    Otherwise the layer is returned as it is, for example if its sublayers are anisotropic. `applicability` says which
+    laws the layer may have.
     """
     try:
         return replace(applicability.next_order(), edges="plain")
@@ -296,7 +320,13 @@ def _order_1_layer(applicability: Applicability) -> ThinLayer:
 
 
 def _with_layers(state: State, layer: Layers | None) -> InterfaceModel:
-    """The interface model of a state, with layers (`layer`) in place of bonds. Collective."""
+    """Return the interface model of `state` with layers in place of its bonds. Collective.
+
+    `layer` is the layer of all bonds, or {name of a bonded seam: its layer}; None if there are no bonds.
+
+    Raises:
+        InputError: the model is no interface model, or not exactly the bonded seams have a layer.
+    """
     model = state.model
     if not isinstance(model, InterfaceModel):
         raise InputError(f"estimate: a {model.name} model drops no mesh; give a state of an interface model")

@@ -1,26 +1,31 @@
 """Global-local iteration from an interface model, and a subproblem of its layers, to the structure with meshed layers.
 
-An iterate is a displacement u whose bodies are in equilibrium except on S: forces F on the layers' faces balance them.
-Meshed layers need the forces E u - l there, with their stiffness E and loads l, both condensed to the faces. The
-residual is r = F - (E u - l), on the faces alone. With the tangent K_b of the bodies, steps solve (K_b + E) d = r by
-conjugate gradients; the interface model's tangent K_1 is the preconditioner (Gosselet, Blanchard, Allix and Guguin
-2018). By the theorem of Prager and Synge (1947) a goal Q with weights z is bounded, with the layer meshed, by
+An iterate is a displacement u of the interface model whose bodies are in equilibrium except on S. To be so there, too,
+they need forces F on the layers' faces. For the same displacements of their faces, meshed layers need the forces
+E u - l. Here E is the stiffness and l are the loads of the layers, both condensed to the faces. The residual of the
+iterate is r = F - (E u - l), a force on the faces alone.
 
-    Q in Q(u) + z . r + r . E^+ r_z/2 -+ (r . E^+ r)^(1/2) (r_z . E^+ r_z)^(1/2)/2, r_z = F_z - E z.
+A step solves (K_b + E) d = r for the change d of u, with the tangent K_b of the bodies. This is done by conjugate
+gradients; the tangent K_1 of the interface model is the preconditioner (Gosselet, Blanchard, Allix and Guguin 2018).
 
-E^+ is the pseudo-inverse of E. The forces F_z balance the bodies under the weights z, as F does under u.
+A goal Q has an adjoint solution z. The forces F_z balance the bodies under z, as F does under u. With the
+pseudo-inverse E^+ of E, the goal of the structure with meshed layers is within (Prager and Synge 1947)
 
-If the layers' laws are not linear, E is their tangent at the face displacements of the iterate, and follows the
-iterate. Goals then have no bounds. If energies are convex, the energy J(u_0) of the state u_0, with the layer in place
-of its law, has bounds. With W(v) the least energy of the layers for face displacements v, and W* its convex conjugate,
+    Q(u) + z . r + r . E^+ r_z/2 -+ (r . E^+ r)^(1/2) (r_z . E^+ r_z)^(1/2)/2, where r_z = F_z - E z.
+
+If the layers' laws are not linear, E is their tangent at the face displacements of the iterate, and is computed anew
+for each iterate. Goals then have no bounds. If energies are convex, the energy J(u_0) of the estimated state u_0 has
+bounds, where J is the energy of the structure with meshed layers. With the least energy W(v) of the layers for face
+displacements v, and its convex conjugate W*,
 
     gap = W(u) + W*(F) - F . u >= J(u) - min J, D - gap <= J(u_0) - min J <= D,
 
 where D has two parts. In the bodies it is |u_0 - u|^2/2. In the layers it is the energy of u_0 above the tangent plane
 at the displacements under F.
 
-E^+ needs forces without resultants. Laws that resist rotations of the layer, as laws of order 0 do, leave resultants.
-Loads on the faces that are proportional to rigid motions there ("couples") balance them.
+E^+ r exists only if the forces r on each layer have no resultant. Laws that resist rotations of the layer, as laws of
+order 0 do, leave a resultant. Additional loads on the faces, each proportional to a rigid motion of them (a "couple"),
+balance it.
 """
 
 from __future__ import annotations
@@ -61,18 +66,18 @@ DEFAULT_WIDTH = 0.05  # default width of bounds over the change at which steps e
 
 
 class BodyEquilibrium(NamedTuple):
-    """Iterate whose bodies are in equilibrium except on S: displacements, or the weights z of a goal.
+    """Iterate of displacements, whose bodies are in equilibrium except on S; also the adjoint solution z of a goal.
 
-    m is the number of displacements of this rank, n that of the unknowns of the layers.
+    m is the number of displacements of this rank, n the number of unknowns of the layers. Every rank has all n.
 
     Attributes:
-        u: (m,) displacements.
-        v: (n,) displacements of the layers' faces.
-        F: (n,) forces of the bodies on the faces.
-        load: (n,) forces on the layers; for weights, the goal's weights there.
-        values: (n,) prescribed displacements of the layers' sides; for weights, the goal's motions there.
-        directions: directions of the steps that led to it: d (m,), v (n,), F (n,) of each, and (K_b + E) d at the faces
-            (n,).
+        u: (m,) displacements, or z.
+        v: (n,) displacements of the layers' faces, or z there; zero at other unknowns of the layers.
+        F: (n,) forces on the faces that the bodies need for equilibrium.
+        load: (n,) loads on the layers; for z, the derivative of the goal by the layers' unknowns.
+        values: (n,) prescribed displacements of the layers' lateral sides; for z, their values in the adjoint problem.
+        directions: four arrays for each conjugate-gradient step that led to the iterate. They are the changes d of u
+            (m,), of v (n,) and of F (n,), and (K_b + E) d at the faces (n,).
         gained: decrease of twice the energy by these steps.
     """
 
@@ -85,19 +90,22 @@ class BodyEquilibrium(NamedTuple):
     gained: float = 0.0
 
     def is_near(self, other: BodyEquilibrium) -> bool:
-        """Whether two iterates agree to rounding on the faces; then their steps agree too. Every rank has all faces."""
+        """Return whether this iterate and `other` agree to rounding on the faces; then their steps agree, too.
+
+        The result is the same on all ranks, as every rank has the values on all faces.
+        """
         pairs = ((self.v, other.v), (self.F, other.F), (self.load, other.load), (self.values, other.values))
         return all(np.abs(a - b).max(initial=0.0) <= ITERATE_TOLERANCE * np.abs(a).max(initial=0.0) for a, b in pairs)
 
 
 class GoalBounds(NamedTuple):
-    """Estimate and bounds of a goal with the layer meshed.
+    """Estimate and bounds of a goal, or of an energy, with the layer meshed.
 
     Attributes:
-        estimate: estimated value of the goal: its value in an iterate, corrected by the residual on S times the
-            weights.
-        lower, upper: bounds of the goal.
-        rounding: change of the bounds by rounding of forces, which is large if bodies move far.
+        estimate: estimated value: the goal's value in an iterate, plus the work of the residual on S in the goal's
+            adjoint solution; nan: not known.
+        lower, upper: bounds of the goal; infinite: not known; nan: there are none.
+        rounding: possible change of the bounds by rounding of forces, which is large if bodies move far.
     """
 
     estimate: float = math.nan
@@ -106,23 +114,33 @@ class GoalBounds(NamedTuple):
     rounding: float = 0.0
 
     def within(self, other: GoalBounds) -> GoalBounds:
-        """Intersection with earlier bounds, into which the estimate is moved, as earlier bounds may be much better."""
+        """Return the intersection of these bounds with the bounds of `other`, from an earlier iterate.
+
+        Earlier bounds may be much better. The estimate is moved into the intersection.
+        """
         lower, upper = max(self.lower, other.lower), min(self.upper, other.upper)
         return self._replace(estimate=min(max(self.estimate, lower), upper), lower=lower, upper=upper)
 
     def is_narrow(self, value: float, share: float) -> bool:
-        """Whether the width is at most a fraction `share` of the change from `value`, or little more than rounding."""
+        """Return whether the bounds are at most as wide as a fraction of the goal's change.
+
+        The change is that from `value`, the goal in the estimated state, to the estimate; `share` is the fraction.
+        Bounds are also narrow if their width is little more than rounding.
+        """
         return self.upper - self.lower <= max(share * abs(self.estimate - value), MAX_WIDTH_RATIO * self.rounding)
 
 
 class GlobalLocal:
-    """Global-local iteration between an interface model and a subproblem of its layers.
+    """Global-local iteration between an interface model and a subproblem of its layers, see the module.
 
     Arrays (m,) are values at this rank's displacements of the interface model, arrays (n,) at the layers' unknowns.
 
     Args:
-        adjoint: linear responses and adjoint solutions of the interface model at a state.
+        adjoint: linearised interface model at the estimated state, which solves for responses and adjoint solutions.
         layers: the subproblem of the meshed layers.
+
+    Raises:
+        InputError: a part other than the layers' laws has unknowns in addition to displacements.
     """
 
     def __init__(self, adjoint: Adjoint, layers: LayerSubproblem) -> None:
@@ -152,16 +170,22 @@ class GlobalLocal:
         return set_owned_values(fem.Function(self.model.V), u)
 
     def _missing_forces(self, u: Array) -> Array:
-        """Nodal loads minus forces of all parts except the layers' laws, at displacements u; both (m,) on this rank."""
+        """Return the nodal forces (m,) that the interface model lacks for equilibrium at the displacements `u` (m,).
+
+        They are the loads minus the forces of bodies, springs and all other parts except the layers' laws.
+        """
         others = self.adjoint.forces(self._other_parts, self.state, self._field(u), self.adjoint.interval)
         return np.asarray(self._loads - others)
 
     def _face_forces(self, forces: Array) -> Array:
-        """Forces (n,) on the layers' faces, from nodal forces (m,) of the interface model."""
+        """Return the nodal forces on the layers' faces (n,), from all nodal forces `forces` (m,)."""
         return self.layers.free_face_values(self.layers.at_faces(forces))
 
     def _resistance(self, d: Array) -> Array:
-        """Linearised forces of all parts except the layers' laws, at small displacements d; both (m,) on this rank."""
+        """Return the change (m,) of the forces of all parts except the layers' laws by small displacements `d` (m,).
+
+        The forces are linearised at the estimated state.
+        """
         self._x.array[:] = d
         out = self._x.duplicate()
         (self._K_b.multTranspose if self.adjoint.transposed else self._K_b.mult)(self._x, out)
@@ -170,21 +194,25 @@ class GlobalLocal:
         return forces
 
     def _displacements_under(self, r: Array) -> tuple[Array, Array]:
-        """Displacements (m,) of the interface model under face forces r (n,), and forces (n,) on its layers."""
+        """Solve the linearised interface model for the displacements (m,) under forces `r` (n,) on the layers' faces.
+
+        The second array (n,) has the forces that the bodies leave to the interface laws: `r` minus the bodies'
+        resistance.
+        """
         d = self.adjoint.displacements(*self.layers.face_values(r))
         return d, r - self._face_forces(self._resistance(d))
 
     def _with_couples(self, u: Array, F: Array, load: Array, values: Array) -> BodyEquilibrium:
-        """Iterate with added couples, so that the forces on the layers, F and their loads, have no resultants.
+        """Return an iterate with added couples, so that F and the loads on each layer have no resultant.
 
-        A couple is a load on the faces in proportion to a rigid motion, and its response by a solve with K_1. Only
-        motions that laws resist, or that loads on the layers drive, need one.
+        A couple is a load on the faces in proportion to a rigid motion of them. The response of the interface model to
+        it is added, too. Only motions that laws resist, or that loads on the layers drive, need one.
 
         Args:
             u: (m,) displacements, without couples.
             F: (n,) forces of the bodies on the faces, without couples.
-            load: (n,) forces on the layers.
-            values: (n,) prescribed displacements of the layers' sides.
+            load: (n,) loads on the layers.
+            values: (n,) prescribed displacements of the layers' lateral sides.
         """
         iterate = BodyEquilibrium(u, self.layers.at_faces(u), F, load, values)
         for _ in range(len(self._axes) + 1):  # a couple may leave a resultant along other axes
@@ -200,13 +228,14 @@ class GlobalLocal:
         return iterate
 
     def _add_couple(self, along: Array) -> None:
-        """Add nodal forces on the layers' faces that can cancel a resultant, and the bodies' response to them.
+        """Add to the list of couples one that can cancel a resultant, with the response of the interface model to it.
 
-        They are called a couple, and are a rigid motion times the diagonal of the layers' stiffness. The motion is the
-        part of the resultant along rigid motions without a couple so far. If this part is very small, nothing is added.
+        The couple consists of the nodal forces of a rigid motion, multiplied by the diagonal of the layers' stiffness.
+        The motion is that part of the resultant along which there is no couple so far. If this part is very small,
+        nothing is added.
 
         Args:
-            along: the resultant, as coefficients of the orthonormal rigid motions of the layers.
+            along: (k,) the resultant, as coefficients of the k orthonormal rigid motions of the layers.
         """
         new_part = along - self._axes @ (self._axes.T @ along)
         if norm(new_part) > NEW_AXIS_SHARE * norm(along):  # a smaller part is left to the next pass, or is rounding
@@ -217,21 +246,28 @@ class GlobalLocal:
             self._axes = np.column_stack([self._axes, axis])
 
     def _resultant(self, iterate: BodyEquilibrium) -> tuple[float, float]:
-        """Largest resultant of the forces on the layers in an iterate, and the resultant that counts as rounding."""
+        """Return the largest resultant of the forces on the layers in `iterate`, and a bound of its rounding error."""
         total, layers = iterate.F + iterate.load, self.layers
         rounding = ROUNDING_SHARE * float(np.abs(layers.K.diagonal()).sum() * np.abs(iterate.v).max())
         return np.abs(layers.R.T @ total).max(initial=0.0), RESULTANT_TOLERANCE * float(np.abs(total).sum()) + rounding
 
     # ---------------------------------------------------------------- iterates
     def first_iterate(self) -> BodyEquilibrium:
-        """First iterate: the displacements of the state, with couples; the layers are linearised there."""
+        """Return the first iterate: the displacements of the estimated state, with couples.
+
+        The layers are linearised at its face displacements.
+        """
         u = self.state.u.x.array[: self.n].copy()
         start = self._with_couples(u, self._face_forces(self._missing_forces(u)), self.layers.load, self.layers.values)
         self._start_forces = start.F
         return self._linearised(start)
 
     def weights(self, goal: Goal) -> tuple[Array, BodyEquilibrium]:
-        """Nodal weights q (m,) of a goal at this rank's displacements, and its adjoint solution z, an iterate."""
+        """Return the nodal weights (m,) of a goal, at this rank's displacements, and its adjoint solution.
+
+        The weights are the derivative of `goal` by the displacements at the estimated state. The adjoint solution is in
+        equilibrium with them in the bodies, except on S.
+        """
         q, g = goal.dual(self.adjoint)
         if self.model.linear and goal.is_linear(self.model):
             self.adjoint.require_dual(goal.name, goal.value, q, g, layers=bool(goal.in_layers(self.layers)[0].any()))
@@ -242,7 +278,10 @@ class GlobalLocal:
 
     @contextmanager
     def _transposed(self) -> Iterator[None]:
-        """Within a `with` block, use the transposed stiffness, with couples of its own, for adjoint solutions."""
+        """Return a context manager within which the transposed stiffness is used, as adjoint solutions need it.
+
+        The transposed stiffness has couples of its own. Nothing changes if the model is symmetric.
+        """
         if self.model.symmetric:
             yield
             return
@@ -255,15 +294,15 @@ class GlobalLocal:
             self._reset()
 
     def layer_unknowns(self, iterate: BodyEquilibrium) -> Array:
-        """Unknowns (n,) of the layers in equilibrium with the face displacements of an iterate."""
+        """Return the unknowns (n,) of the meshed layers in equilibrium with the face displacements of `iterate`."""
         return self.layers.dirichlet_displacements(iterate.v, iterate.load, iterate.values)
 
     def residual(self, iterate: BodyEquilibrium) -> Array:
-        """Residual r = F - (E u - l) (n,) of an iterate: forces on the faces that meshed layers do not balance."""
+        """Return the residual F - (E u - l) of `iterate` (n,): forces on the faces that meshed layers do not balance."""
         return iterate.F - self.layers.dirichlet_reactions(iterate.v, iterate.load, iterate.values)
 
     def step(self, old: BodyEquilibrium) -> BodyEquilibrium:
-        """Next iterate, after one conjugate-gradient step from `old` towards the structure with meshed layers."""
+        """Return the iterate after one conjugate-gradient step from `old` towards the structure with meshed layers."""
         layers, r, zero = self.layers, self.residual(old), np.zeros_like(old.v)
         d, F = self._displacements_under(r)
         new = self._with_couples(d, F, zero, zero)
@@ -280,12 +319,18 @@ class GlobalLocal:
         return old._replace(u=u, v=v, F=F, directions=directions, gained=gained)
 
     def _linearised(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
-        """The iterate, with the layers' tangent and loads linearised at its face displacements."""
+        """Linearise the layers at the face displacements of `iterate`, and return the iterate with their loads.
+
+        Its earlier directions are dropped, as they belong to another tangent.
+        """
         self.layers.equilibrate_dirichlet(iterate.v)
         return iterate._replace(load=self.layers.load, directions=())
 
     def _equilibrate_bodies(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
-        """The iterate with its bodies in equilibrium except on S, to first order; unchanged for linear bodies."""
+        """Return `iterate` after one linear solve that brings its bodies into equilibrium except on S.
+
+        If all parts except the layers' laws are linear, the iterate is returned unchanged.
+        """
         if not self._nonlinear:
             return iterate
         missing = self._missing_forces(iterate.u)
@@ -295,9 +340,9 @@ class GlobalLocal:
         return iterate._replace(u=iterate.u + d, v=v, F=F, gained=iterate.gained + self._work(missing, d))
 
     def _work(self, forces: Array, d: Array) -> float:
-        """Work of nodal forces (m,) in small displacements d (m,), without forces at constrained displacements.
+        """Return the work of nodal forces `forces` (m,) in small displacements `d` (m,), summed over all ranks.
 
-        Rounding may move constrained displacements.
+        Forces at prescribed displacements are left out, as rounding may change these displacements.
         """
         constraints = self.equations.constraints
         forces = constraints.forces(forces).copy()
@@ -305,9 +350,12 @@ class GlobalLocal:
         return self._dot(forces, constraints.unknowns(d))
 
     def newton_step(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
-        """Next iterate by a Newton step, for layers with non-linear laws.
+        """Return the iterate after a Newton step from `iterate`, for layers with non-linear laws.
 
-        Conjugate-gradient steps with the layers' tangent give its direction, and a line search its length.
+        Conjugate-gradient steps with the layers' tangent give the direction of the step, a line search its length.
+
+        Raises:
+            SolveError: the conjugate-gradient steps do not converge.
         """
         target = self._equilibrate_bodies(iterate)
         for _ in range(MAX_CG_STEPS):
@@ -331,7 +379,7 @@ class GlobalLocal:
         return new
 
     def newton(self) -> BodyEquilibrium:
-        """Solve for the structure with meshed layers by Newton's method, starting from the state.
+        """Solve for the structure with meshed layers by Newton's method, starting from the estimated state.
 
         Raises:
             SolveError: no convergence.
@@ -351,28 +399,32 @@ class GlobalLocal:
         raise SolveError(f"{text}, at t = {self.state.t:g}", advice=MESH_REMEDY)
 
     def _dot(self, a: Array, b: Array) -> float:
-        """Scalar product of vectors a and b (m,), over all ranks."""
+        """Return the scalar product of the vectors `a` and `b` (m,), summed over all ranks."""
         return float(self.model.comm.allreduce(float(a @ b)))
 
     def _require_balance(self, iterate: BodyEquilibrium) -> None:
-        """Raise SolveError if the forces on the layers of an iterate have a resultant that is more than rounding."""
+        """Raise SolveError if the forces on the layers in `iterate` have a resultant that is more than rounding."""
         left, least = self._resultant(iterate)
         if left > 2 * least:
             raise SolveError(f"estimate: forces on the layers have a resultant, {left:.2g}; allowed: {least:.2g}")
 
     def energy_gap(self, iterate: BodyEquilibrium) -> float:
-        """Upper bound r . E^+ r of twice the energy of the iterate above that of the solution (Prager and Synge)."""
+        """Return twice an upper bound of the energy of `iterate` above the solution's energy (Prager and Synge).
+
+        It is r . E^+ r with the residual r.
+        """
         return self.layers.compliance(self.residual(iterate))[1]
 
     def energy(self, state: State, iterate: BodyEquilibrium) -> GoalBounds | None:
-        """Bounds of the energy J of a state, with the layers meshed, above its minimum. Collective.
-
-        None if bodies are not linear, tangents are not symmetric, the layers cannot bear the forces on their faces, or
-        an energy is not convex.
+        """Return bounds of J(u_0) - min J, for the energy J of the structure with meshed layers. Collective.
 
         Args:
             state: the state u_0.
             iterate: the last iterate.
+
+        Returns:
+            The bounds. None if bodies are not linear, tangents are not symmetric, the layers cannot bear the forces on
+            their faces, or an energy is not convex.
         """
         if self._nonlinear or not self.model.symmetric:
             return None
@@ -393,14 +445,16 @@ class GlobalLocal:
     def is_near(
         self, last: BodyEquilibrium, values: Mapping[str, float], bounds: Mapping[str, GoalBounds], width: float | None
     ) -> bool:
-        """Whether bounds are narrow, and the residual is small relative to the steps, in its energy and its forces.
+        """Return whether the iteration may end: all bounds are narrow, and the residual of the last iterate is small.
+
+        The residual is compared with the changes by all steps so far, in its energy and in its forces.
 
         Args:
             last: the last iterate.
-            values: values of the goals from which changes count, by name.
-            bounds: bounds of the goals, by name.
-            width: largest width of narrow bounds, relative to the change; None: there are no bounds, and True is
-                returned.
+            values: name of a goal -> its value in the estimated state.
+            bounds: name of a goal -> its bounds.
+            width: largest width of narrow bounds, relative to the change of the goal; None: there are no bounds, and
+                the result is True.
         """
         if width is None:
             return True
@@ -413,16 +467,16 @@ class GlobalLocal:
 
     # ---------------------------------------------------------------- goals
     def bounds(self, at_rest: float, q: Array, last: BodyEquilibrium, z: BodyEquilibrium) -> GoalBounds:
-        """Estimate and bounds of a linear goal with the layer meshed. Collective.
+        """Return the estimate and the bounds of a linear goal with the layer meshed. Collective.
 
         Args:
             at_rest: value of the goal at zero displacements.
-            q: (m,) its nodal weights at the displacements of this rank.
+            q: (m,) derivative of the goal by the displacements of this rank.
             last: the last iterate.
-            z: the goal's adjoint solution; its weights in the layers are z.load.
+            z: adjoint solution of the goal; z.load is the derivative of the goal by the layers' unknowns.
 
         Raises:
-            SolveError: forces on the layers are not in equilibrium.
+            SolveError: forces on the layers have a resultant, in the iterate or in the adjoint solution.
         """
         r, r_z = self.residual(last), self.residual(z)
         self._require_balance(last)
@@ -435,30 +489,31 @@ class GlobalLocal:
         return GoalBounds(estimate, middle - half_width, middle + half_width, rounding)
 
     def goal_estimate(self, at_rest: float, q: Array, last: BodyEquilibrium, z: BodyEquilibrium) -> float:
-        """Estimate a linear goal of the structure with meshed layers from an iterate. Collective.
+        """Return the estimated value of a linear goal of the structure with meshed layers. Collective.
 
-        The estimate is the goal's value in the iterate, plus the work of the iterate's residual forces in the adjoint
+        It is the goal's value in the last iterate, plus the work of the iterate's residual forces in the adjoint
         solution.
 
         Args:
             at_rest: value of the goal at zero displacements.
             q: (m,) derivative of the goal by the displacements of this rank.
             last: the last iterate.
-            z: the goal's adjoint solution; z.load is the derivative of the goal by the layers' unknowns.
+            z: adjoint solution of the goal; z.load is the derivative of the goal by the layers' unknowns.
         """
         layers, w, w_z = self.layers, self.layer_unknowns(last), self.layer_unknowns(z)
         bulk = self._dot(q, self.equations.constraints.unknowns(last.u)) + self._dot(z.u, self._missing_forces(last.u))
         return float(at_rest + bulk + z.load @ w - w_z @ (layers.K @ w - last.load))
 
     def work_of_laws(self, u: fem.Function, z: BodyEquilibrium, *, bonded: bool = False) -> Array:
-        """Work (m,) of the interface laws in the weights z, minus the work of loads on them, for each displacement.
+        """Return for each displacement of this rank (m,) the work of the interface laws' nodal force there in z.
 
-        Bonded bodies have no laws: the forces that the bodies need replace them.
+        The work of loads on the layers in z is subtracted.
 
         Args:
             u: displacements at which the laws are evaluated.
             z: adjoint solution of a goal.
-            bonded: whether the bodies are bonded.
+            bonded: whether the bodies are bonded. There are then no laws, and the forces that the bodies need for
+                equilibrium replace them.
         """
         adjoint = self.adjoint
         if bonded:
@@ -469,20 +524,23 @@ class GlobalLocal:
         return adjoint.work(self._law_parts, Configuration(self._field(z.u), self.state.t)) - z.u * adjoint.layer_loads
 
     def states(self, last: BodyEquilibrium) -> tuple[State, State]:
-        """State of the interface model, and state of the meshed layers, at the last iterate."""
+        """Return a state of the interface model and a state of the meshed layers, both for the last iterate `last`."""
         return replace(self.state, u=self._field(last.u)), self.layers.state(self.layers.equilibrate_dirichlet(last.v))
 
     def run(
         self, goals: Mapping[str, Goal], values: Mapping[str, float], bounds: dict[str, GoalBounds], width: float | None
     ) -> tuple[BodyEquilibrium, dict[str, BodyEquilibrium]]:
-        """Iterate until bounds are narrow, or `MAX_STEPS` times; return the iterate and the goals' weights. Collective.
+        """Iterate until the bounds of all goals are narrow, or `MAX_STEPS` times. Collective.
 
         Args:
-            goals: goals by their names.
-            values: values of the goals from which changes count, by name.
-            bounds: earlier bounds of goals that are linear, by name; the new bounds replace them.
+            goals: name -> goal.
+            values: name of a goal -> its value in the estimated state.
+            bounds: name of a goal -> its bounds so far; they are replaced by new bounds of the goals that are linear.
             width: largest width of narrow bounds, relative to the change of the goal. None: there are no bounds, and
                 Newton's method iterates to convergence.
+
+        Returns:
+            The last iterate; and name of a goal -> its adjoint solution.
         """
         iterate = self.newton() if width is None else self.first_iterate()
         weights = {name: self.weights(goal) for name, goal in goals.items()}

@@ -48,36 +48,59 @@ class Goal(ABC):
     name: str
 
     def check(self, model: InterfaceModel) -> None:
-        """Raise InputError unless the goal suits the model. Not collective."""
+        """Raise InputError unless the goal makes sense for `model`, as its point lies in a body. Not collective."""
 
     def is_linear(self, model: InterfaceModel) -> bool:
-        """Whether Q is linear in the displacements and reactions."""
+        """Return whether Q is a linear function of the displacements and reactions of `model`, plus a constant."""
         return True
 
     @abstractmethod
     def value(self, state: State, model: InterfaceModel) -> float:
-        """Q in a state; displacements of another model are first transferred to the interface model. Collective."""
+        """Return Q in `state`, a state of the interface model `model` or of a full model. Collective.
+
+        Displacements of a full model are first transferred to `model`.
+        """
 
     @abstractmethod
     def scale(self, state: State, model: InterfaceModel) -> float:
-        """Reference magnitude of Q, >= 0, relative to which rounding errors of Q are judged. Collective."""
+        """Return a reference magnitude of Q in `state`, >= 0, with which rounding errors of Q are compared. Collective.
+
+        `model` is the interface model.
+        """
 
     def at_rest(self, state: State, model: InterfaceModel) -> float:
-        """Q at zero displacements, if Q is linear: the contribution of prescribed strains and loads. Collective."""
+        """Return a linear goal's value at zero displacements, from prescribed strains and loads alone. Collective.
+
+        The strains and loads are those at the time of `state`; `model` is the interface model.
+        """
         return self.value(replace(state, u=fem.Function(model.V)), model)
 
     def in_layers(self, layers: DirichletLayers) -> tuple[Array, Array]:
-        """Weights q at the unknowns of the meshed layers, and motions g of their sides, both (n,); by default zero."""
+        """Return what the layers contribute to Q, if they are meshed by themselves: zero for most goals.
+
+        The contribution is q . w - g . r, with the unknowns w of the layers, and the reactions r of supports at their
+        lateral sides.
+
+        Args:
+            layers: the meshed layers, with n unknowns.
+
+        Returns:
+            The weights q and the motions g, both (n,).
+        """
         return np.zeros_like(layers.load), np.zeros_like(layers.load)
 
     @abstractmethod
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
-        """Nodal weights q and motions g of supports for which Q = q . u - g . r + `at_rest`. Collective.
+        """Return weights q and motions g of supports, such that Q = q . u - g . r plus a constant. Collective.
 
-        u are displacements, and r the reactions at constrained dofs.
+        Here u are the nodal displacements, and r the reactions at prescribed ones; the constant is `at_rest`. If Q is
+        not linear, it is linearised.
 
         Args:
-            adjoint: adjoint of the interface model at the state where Q is linearised.
+            adjoint: linearised interface model, at the state where Q is linearised.
+
+        Returns:
+            q and g, vectors at the displacements of the interface model.
 
         Raises:
             InputError: Q has no such weights.
@@ -85,10 +108,10 @@ class Goal(ABC):
 
 
 class DirectedGoal(Goal):
-    """Goal along a direction.
+    """Component of a vector quantity along a direction, as a goal.
 
     Attributes:
-        direction: (d,) in d dimensions, not zero; its length does not matter.
+        direction: (d,) the direction in d dimensions, not zero; its length does not matter.
     """
 
     direction: Sequence[float]
@@ -97,7 +120,11 @@ class DirectedGoal(Goal):
         self.unit(model)
 
     def unit(self, model: Model) -> Array:
-        """Unit vector (d,) of the direction; raises InputError unless it has d finite components, not all zero."""
+        """Return the unit vector (d,) along the direction, in the d dimensions of `model`.
+
+        Raises:
+            InputError: the direction has not d finite components, or is zero.
+        """
         d = model.joint.dim
         direction = finite_values(self.direction, (d,))
         if direction is None or not direction.any():
@@ -106,7 +133,10 @@ class DirectedGoal(Goal):
 
 
 def vector_text(vector: Iterable[float]) -> str:
-    """Text of a vector in the name of a goal; the `repr` of anything else, which `Goal.check` refuses later."""
+    """Return the components of a vector as text for the name of a goal.
+
+    If `vector` is no vector of numbers the result is its `repr`: `Goal.check` raises an error later.
+    """
     try:
         return f"({', '.join(f'{c:.4g}' for c in vector)})"
     except (TypeError, ValueError, OverflowError):
@@ -115,9 +145,10 @@ def vector_text(vector: Iterable[float]) -> str:
 
 @dataclass(frozen=True)
 class Compliance(Goal):
-    """Work of the loads in the displacements, minus the work of supports in prescribed displacements; an energy.
+    """Work of the loads in the displacements, minus the work of moving supports, as a goal; an energy.
 
-    For linear models it is -2 times the potential energy.
+    The supports' work is that of their forces in their prescribed displacements. For linear models the compliance is -2
+    times the potential energy.
     """
 
     name: ClassVar[str] = "compliance"  # type: ignore[misc]
@@ -144,18 +175,18 @@ class Compliance(Goal):
 
 
 def _rms_traction(surface: Surface, state: State) -> float:
-    """Root mean square of the tractions on a surface."""
+    """Return the root mean square of the tractions on `surface` in `state`."""
     return surface.norm(surface.traction(state)) / math.sqrt(surface.integral(1.0))
 
 
 @dataclass(frozen=True)
 class Reaction(DirectedGoal):
-    """Force that supports and springs at a place exert on the structure, along a direction.
+    """Force that supports and springs at a place exert on the structure, along a direction, as a goal.
 
     Attributes:
-        place: place of the supports: name of a facet set NAME; NAME/REGION, its part on one body or on a layer's own
-            side; or the coordinates of a vertex.
-        direction: (d,) in d dimensions, not zero.
+        place: where the supports are: name of a facet set; NAME/REGION, the part of the facet set NAME on one body, or
+            on a meshed layer's own side; or the coordinates of a vertex.
+        direction: (d,) the direction in d dimensions, not zero; its length does not matter.
     """
 
     place: Place
@@ -163,11 +194,17 @@ class Reaction(DirectedGoal):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """Name of the goal."""
+        """Name of the goal, made of its place and direction."""
         return f"reaction {self.place} along {vector_text(self.direction)}"
 
     def unit(self, model: Model) -> Array:
-        """Unit vector of the direction; in axisymmetry its axial part, because forces along radii add up to zero."""
+        """Return the unit vector (d,) along the direction; in axisymmetry its radial component is set to zero.
+
+        The reason is that radial forces around the axis add up to zero. `model` is a model of the structure.
+
+        Raises:
+            InputError: the direction is zero, not of d components or, in axisymmetry, radial.
+        """
         axial: Array = super().unit(model) * balanced_motions(model.kinematics, model.joint.dim)[: model.joint.dim]
         allowed = "give one with a part along the axis: forces along radii add up to zero"
         require(axial.any(), f"{self.name}: the direction", self.direction, allowed)
@@ -202,12 +239,13 @@ class Reaction(DirectedGoal):
 
 @dataclass(frozen=True)
 class MeanTraction(DirectedGoal):
-    """Mean traction on a seam along a direction: resultant of the bodies' nodal forces on S over the area of S.
+    """Mean traction on a seam along a direction, as a goal: resultant of the bodies' nodal forces on S over its area.
 
-    Nodal forces at nodes that supports or plates constrain are left out, as they contain the forces of these.
+    Where supports or plates constrain nodes, nodal forces contain the forces of supports and plates. The forces at
+    other nodes replace them.
 
     Attributes:
-        direction: (d,) in d dimensions, not zero.
+        direction: (d,) the direction in d dimensions, not zero; its length does not matter.
         seam: name of the seam; "S": all seams together.
     """
 
@@ -216,7 +254,7 @@ class MeanTraction(DirectedGoal):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """Name of the goal."""
+        """Name of the goal, made of its seam and direction."""
         seam_text = "" if self.seam == S else f" {self.seam}"
         return f"mean traction{seam_text} along {vector_text(self.direction)}"
 
@@ -249,11 +287,11 @@ class MeanTraction(DirectedGoal):
         return adjoint.form_weights(work_form), adjoint.zero_vector()
 
     def _test_function(self, model: InterfaceModel) -> fem.Function:
-        """Displacements in which the work of the bodies' nodal forces on the seam is the mean traction.
+        """Return virtual displacements in which the work of the bodies' nodal forces on the seam is the mean traction.
 
-        Each side of S contributes half of it. If a node of one side is constrained, or lies on another seam too, its
-        nodal force contains other forces. Then the other side's node contributes all. If this holds for the nodes of
-        both sides, the forces at other nodes of the same facet replace theirs.
+        Each side of S contributes half of the work. If a node of one side is constrained, or lies on another seam, too,
+        its nodal force contains other forces. Then the opposite node of the other side contributes all. If this holds
+        for the nodes of both sides, other nodes of the same facet replace them.
         """
         e, W, v = self.unit(model), model.space(1), fem.Function(model.V)
         sides = {name: nodes_of_sides(model, W, name) for name in model.layers}
@@ -276,17 +314,23 @@ class MeanTraction(DirectedGoal):
 
 
 def _reaction_shares(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mixed: BoolArray) -> Array:
-    """Factors (nodes, d) of the bodies' nodal forces in the mean traction on a seam, negative on its upper side.
+    """Return the factors (nodes, d) of the bodies' nodal forces in the mean traction on a seam, in d dimensions.
+
+    A factor is 1/2 where the forces on both sides of S are usable, and 1 where one of them is. It is 0 where a force is
+    not usable. It is larger where it replaces those of other corners of a facet, and negative on the upper side.
 
     Args:
         W: vector space of degree 1 on the mesh of the model.
-        upper: (facets, k) nodes of the facets of S on the upper side.
-        lower: (facets, k) nodes on the lower side; empty on a rigid base.
-        mixed: (nodes, d) mask of nodal forces that contain other forces; their factors are zero.
+        upper: (facets, k) numbers of the k nodes of each facet of S on the upper side.
+        lower: (facets, k) numbers of the nodes that face them on the lower side; empty on a rigid base.
+        mixed: (nodes, d) mask of nodal forces that contain other forces, and are therefore not usable.
     """
 
     def facing(values: Array | BoolArray) -> Array:
-        """Sums at each node of the values at the nodes on the other side of S."""
+        """Return at each node on S the sum of `values` at the nodes that face it on the other side, (nodes, d).
+
+        A node counts once for each of its facets.
+        """
         return nodal_sums(W, node_sets, [values[lower], values[upper]][: len(node_sets)])
 
     node_sets = [upper, lower] if len(upper) == len(lower) else []  # on a rigid base no nodes face each other
@@ -304,12 +348,15 @@ def _reaction_shares(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mix
 
 
 def nodal_sums(W: fem.FunctionSpace, nodes: Sequence[IntArray], values: Sequence[Array | BoolArray]) -> Array:
-    """Sums (nodes, d) over all ranks of values at nodes of a vector space. Collective.
+    """Sum given values at the nodes of a vector space, over all ranks. Collective.
 
     Args:
-        W: the vector space.
-        nodes: arrays of local numbers of nodes.
-        values: for each of these arrays, an array of its shape times d, with the values there.
+        W: vector space in d dimensions.
+        nodes: arrays of local numbers of nodes, of any shape; a node may occur several times.
+        values: for each of these arrays, the values at its nodes, an array with one more axis, of length d.
+
+    Returns:
+        (nodes, d) sums at all local nodes of the space.
     """
     f, d = fem.Function(W), W.dofmap.bs
     for node_array, node_values in zip(nodes, values, strict=True):
@@ -321,13 +368,13 @@ def nodal_sums(W: fem.FunctionSpace, nodes: Sequence[IntArray], values: Sequence
 
 @dataclass(frozen=True)
 class Displacement(DirectedGoal):
-    """Displacement of a point along a direction.
+    """Displacement of a point along a direction, as a goal.
 
     Attributes:
-        x: (d,) coordinates of the point, in the undeformed mesh of the interface model.
-        direction: (d,) in d dimensions, not zero.
-        side: side of S, "lower" or "upper", for a point on S.
-        seam: name of the seam whose side this is; "S": any seam.
+        x: (d,) coordinates of the point, in the undeformed mesh of the interface model in d dimensions.
+        direction: (d,) the direction, not zero; its length does not matter.
+        side: for a point on S, whose displacement has a jump there: "lower" or "upper" side of S; None elsewhere.
+        seam: name of the seam on which the point lies; "S": any seam.
     """
 
     x: Sequence[float]
@@ -337,7 +384,7 @@ class Displacement(DirectedGoal):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """Name of the goal."""
+        """Name of the goal, made of its point, side and direction."""
         side = f" {self.side}" if self.side else ""
         return f"displacement at {vector_text(self.x)}{side} along {vector_text(self.direction)}"
 
@@ -366,13 +413,13 @@ class Displacement(DirectedGoal):
 
 @dataclass(frozen=True)
 class Functional(Goal):
-    """Functional that the user defines as a UFL form.
+    """Functional of the displacements that the user defines as a UFL form, as a goal.
 
     Attributes:
         name: name of the goal.
-        of: function (u, model) of the displacements and the interface model that returns a form without arguments, on
-            the model's measures `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`, ...
-            In axisymmetry the goal is the integral over the whole revolution, with the factor 2 pi r.
+        of: function (u, model) of the displacements and the interface model that returns a form without test functions,
+            on the model's measures `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`,
+            ... In axisymmetry the goal is the integral over the whole revolution, with the factor 2 pi r.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Estimate: result of `estimate`, in numbers, bounds, densities on S and sentences."""
+"""Class `Estimate`, the result of `estimate`: errors in numbers and sentences, bounds, and densities on S."""
 
 from __future__ import annotations
 
@@ -31,11 +31,13 @@ FIXED_GOAL_SHARE = 1e-10  # change of a goal, over its scale, that is only round
 
 
 class GoalError(NamedTuple):
-    """Value of a goal Q in the estimated state u_0, and its estimate with the layer meshed, with bounds.
+    """Value of a goal Q in the estimated state, and estimate and bounds of its value with the layer meshed.
+
+    u_0 is the estimated state, u_1 the state with the layer meshed, as far as the estimate knows it.
 
     Attributes:
         value: Q(u_0).
-        better: Q(u_1), in the state u_1 with the layer meshed.
+        better: Q(u_1).
         scale: reference magnitude for rounding errors of both, see `Goal.scale`.
         lower, upper: bounds of Q with the layer meshed; nan: there are none.
     """
@@ -48,53 +50,53 @@ class GoalError(NamedTuple):
 
     @property
     def bounded(self) -> bool:
-        """Whether there are bounds."""
+        """Whether the goal has bounds."""
         return math.isfinite(self.lower)
 
     @property
     def between(self) -> tuple[float, float]:
-        """Least and largest relative error |Q - Q(u_0)|/|Q| for values Q within the bounds."""
+        """Smallest and largest relative error |Q - Q(u_0)|/|Q| for all values Q within the bounds."""
         errors = [abs(q - self.value) / abs(q) if q else math.inf for q in (self.lower, self.upper)]
         least = 0.0 if self.lower <= self.value <= self.upper else min(errors)
         return least, math.inf if self.lower < 0 < self.upper else max(errors)
 
     @property
     def change(self) -> float:
-        """Change Q(u_1) - Q(u_0) of the goal if the layer is meshed."""
+        """Estimated change Q(u_1) - Q(u_0) of the goal if the layer is meshed."""
         return self.better - self.value
 
     @property
     def relative(self) -> float:
-        """Relative error |Q(u_1) - Q(u_0)|/|Q(u_1)| of the goal; nan: the goal is zero."""
+        """Estimated relative error |Q(u_1) - Q(u_0)|/|Q(u_1)| of the goal; nan if the goal is zero."""
         if self.zero:
             return math.nan
         return 0.0 if self.fixed else abs(self.change / self.better) if self.better else math.inf
 
     @property
     def zero(self) -> bool:
-        """Whether the goal is zero to rounding."""
+        """Whether Q(u_0) and Q(u_1) are zero up to rounding."""
         return max(abs(self.value), abs(self.better)) <= ZERO_GOAL_SHARE * self.scale
 
     @property
     def at_most(self) -> float:
-        """Upper bound of the relative error of the goal; its estimate if there are no bounds."""
+        """Upper bound of the relative error of the goal; the estimated error if there are no bounds."""
         return self.between[1] if self.bounded and not self.fixed else self.relative
 
     @property
     def fixed(self) -> bool:
-        """Whether the goal is the same with the layer meshed, because equilibrium alone determines it."""
+        """Whether Q(u_1) is equal to Q(u_0) up to rounding, because equilibrium alone determines the goal."""
         return abs(self.change) <= FIXED_GOAL_SHARE * self.scale
 
 
 class LayerError(NamedTuple):
-    """Estimated errors of the traction t and the jump [u] of a layer.
+    """Estimated errors of the traction t and the jump [u] on the seam of one layer.
 
-    u_0 is the estimated state, u_1 that with the layer meshed.
+    u_0 is the estimated state, u_1 the state with the layer meshed, as far as the estimate knows it.
 
     Attributes:
-        layer: the layer as it was meshed.
-        traction: |t(u_1) - t(u_0)|/|t(u_0)| in the L2 norm on S; nan if the layer bears no traction.
-        jump: |[u_1] - [u_0]|/|[u_0]| in the L2 norm on S; nan for bonded bodies.
+        layer: the layer that was meshed.
+        traction: |t(u_1) - t(u_0)|/|t(u_0)| in the L2 norm on the seam; nan if the layer bears no traction.
+        jump: |[u_1] - [u_0]|/|[u_0]| in the L2 norm on the seam; nan for bonded bodies.
     """
 
     layer: ThinLayer
@@ -107,13 +109,14 @@ class Estimate:
     """Estimated error of dropping the mesh of a layer, the result of `estimate`.
 
     Attributes:
-        state: u_0, the state that is estimated.
+        state: the estimated state u_0.
         better: u_1, a state of the same interface model, whose bodies are in equilibrium with the meshed layers.
-        layers: name of a seam -> its errors.
+        layers: name of a seam -> errors of traction and jump there.
         goals: name of a goal -> its error.
-        traction, jump: relative errors of traction and jump in the L2 norm, over all layers together, see `LayerError`.
+        traction: relative error of the traction in the L2 norm on all seams of the estimate together, see `LayerError`.
+        jump: the same of the jump.
         seconds: wall time of the estimate, in seconds.
-        inside: state of the meshed layers as they are between the bodies: for `Probe`, pictures, files.
+        inside: state of the meshed layers, with u_1 on their faces: for `Probe`, pictures, files.
         energy: bounds of the potential energy of u_0, with the layers meshed, above its minimum. The upper bound also
             holds for half the squared energy norm of the error in the bodies. None for linear laws, whose goals have
             bounds, or if not known.
@@ -137,12 +140,12 @@ class Estimate:
 
     @property
     def cost(self) -> float:
-        """Time of the estimate over the time of solving for the estimated state."""
+        """Wall time of the estimate, divided by that of solving for the estimated state."""
         return self.seconds / self.state.report.seconds
 
     @property
     def dropped(self) -> str:
-        """Text that says which laws or bonds replace the layers in the estimated state."""
+        """Text that says which laws or bonds replace the layers in the estimated state, as "order 0"."""
         bonds, layers = self.state.model.bonds, self.state.model.layers
         orders = sorted({layer.thin_layer.order for layer in layers.values() if layer.thin_layer})
         laws = [f"order {' and '.join(map(str, orders))}"] if layers else []
@@ -151,15 +154,18 @@ class Estimate:
 
     # ---------------------------------------------------------------- where
     def density(self, goal: str = "compliance") -> Array:
-        """Density on S, per area, of the change of a goal, whose integral is Q(u_1) - Q(u_0). Collective.
+        """Return the density on S, per area, of the change Q(u_1) - Q(u_0) of a goal. Collective.
 
-        It is an array (m,) at the m nodes of `Surface(estimate.better.model)`, whose `integral` and `along` take it.
-
-        If model and goal are linear the integral is exact, otherwise to first order in the change. A warning is issued
-        if it is off by more than a fifth. The density is large where a mesh of the layer is needed.
+        A mesh of the layer is needed where the density is large. Its integral over S is the change: exactly if model
+        and goal are linear, otherwise to first order in the change. A warning is issued if the integral is off by more
+        than a fifth.
 
         Args:
             goal: name of the goal.
+
+        Returns:
+            (m,) values at the m nodes of `Surface(estimate.better.model)`, whose methods `integral` and `along` take
+            them.
 
         Raises:
             InputError: no such goal.
@@ -177,10 +183,13 @@ class Estimate:
         return density
 
     def by_seam(self, goal: str = "compliance") -> dict[str, float]:
-        """Change of a goal that the layer of each seam contributes, by the seam's name. Collective.
+        """Return the parts of a goal's change that come from the layers of single seams. Collective.
 
         Args:
             goal: name of the goal.
+
+        Returns:
+            Name of a seam -> its part of the change; the parts add up to the integral of `density`.
 
         Raises:
             InputError: no such goal.
@@ -190,14 +199,14 @@ class Estimate:
         return {name: float(changes[surface.seams == name].sum()) for name in self.layers}
 
     def with_finer_ends(self, goal: str = "compliance", at_ends: float = 1 / 16) -> float:
-        """Value of a goal with the layer meshed and its cells divided towards free ends and junctions. Collective.
+        """Return the value of a goal with a layer that is meshed more finely at free ends and junctions. Collective.
 
-        Its difference from `GoalError.better` is the error of the layer's own cells there, to second order. The bodies'
-        cells stay the same.
+        Its difference from `GoalError.better` is, to second order, the error that the layer's own coarser cells cause
+        there. The bodies' cells stay the same.
 
         Args:
             goal: name of the goal.
-            at_ends: largest extent of the cells at free ends and junctions, over the thickness, > 0.
+            at_ends: largest extent of the layer's cells at free ends and junctions, over the thickness, > 0.
 
         Raises:
             InputError: no such goal, or a goal without bounds; `at_ends` is no number > 0, or too small.
@@ -221,7 +230,11 @@ class Estimate:
     # ---------------------------------------------------------------- words
     @property
     def table(self) -> Table:
-        """Table with a row for each quantity: estimated value, value with the layer meshed, relative error, bounds."""
+        """Table with a row for each traction, jump and goal, and for the energy if it has bounds.
+
+        Its columns are "quantity" (name), "value" (in the estimated state), "better" (with the layer meshed), "error"
+        (relative), and the bounds "lower" and "upper"; nan stands for numbers that do not exist.
+        """
         nan, rows = math.nan, []
         for name, error in self.layers.items():
             seam = f" {name}" if len(self.layers) > 1 else ""
@@ -236,7 +249,7 @@ class Estimate:
 
     @property
     def caveats(self) -> list[str]:
-        """Limits of the estimate, in words."""
+        """Sentences that say what the estimate does not cover, as goals without bounds; [] if nothing is to be said."""
         caveats = []
         laws = [term.law for term in self.better.model.terms]
         if self.state.sudden and any(law.traits.remembers and not law.traits.bounded for law in laws):
@@ -250,7 +263,7 @@ class Estimate:
 
     @cached_property
     def sentences(self) -> list[str]:
-        """The estimate in sentences."""
+        """The errors, the cells for which they hold, and the caveats, as a list of sentences."""
         errors = _fields_text(self.traction, self.jump) + [_goal_text(name, goal) for name, goal in self.goals.items()]
         sentences = [f"{self.dropped}: {', '.join(errors)}"]
         for name, error in self.layers.items():

@@ -1,4 +1,4 @@
-"""Errors on S: norms of a layer's tractions and jumps, and densities of changes of goals."""
+"""Errors on S: norms of the changes of tractions and jumps, and densities of the changes of goals."""
 
 from __future__ import annotations
 
@@ -23,15 +23,17 @@ ROUNDING_SHARES = (1e-11, 1e-9)
 
 
 def squared_norms(before: State, better: State, seam_layer: SeamLayer, layers: State) -> Array:
-    """Squares (4,) of L2 norms on a seam: of t(u_1) - t(u_0), t(u_0), [u_1] - [u_0] and [u_0]. Collective.
-
-    t is the traction, [u] the jump. Norms of t(u_0) and [u_0] that are only rounding are zero.
+    """Return squared L2 norms on a seam of traction t, of jump [u], and of their changes from u_0 to u_1. Collective.
 
     Args:
         before: the estimated state u_0.
-        better: the state u_1 of the interface model with the bodies in equilibrium with the meshed layers.
+        better: u_1, the state of the interface model whose bodies are in equilibrium with the meshed layers.
         seam_layer: the layer on the seam.
         layers: state of the meshed layers, from which the tractions t(u_1) are taken.
+
+    Returns:
+        (4,) squared norms of t(u_1) - t(u_0), t(u_0), [u_1] - [u_0] and [u_0]. Those of t(u_0) and [u_0] are zero if
+        they are only rounding.
     """
     surface = Surface(better.model, seam_layer.name)
     has_law = seam_layer.name in before.model.layers
@@ -45,24 +47,30 @@ def squared_norms(before: State, better: State, seam_layer: SeamLayer, layers: S
 
 
 def relative_errors(squares: Array) -> tuple[float, float]:
-    """Relative errors of traction and jump, from the squares of `squared_norms`; nan for a field that is zero."""
+    """Return the relative errors of traction and jump on S; nan for a field that is zero in the estimated state.
+
+    `squares` are the squared norms (4,) of `squared_norms`, or a sum of them over several seams.
+    """
     t_error, t, w_error, w = (float(root) for root in np.sqrt(squares))
     errors = t_error / t if t else math.nan, w_error / w if w else math.nan
     return errors[0] * (errors[0] > ROUNDING_SHARES[1]), errors[1] * (errors[1] > ROUNDING_SHARES[1])
 
 
 def change_density(iteration: GlobalLocal, state: State, better: State, z: BodyEquilibrium) -> Array:
-    """Density (m,), per area at the m nodes of S, of the change of a goal from a state to a better state. Collective.
+    """Return the density on S, per area, of the change of a goal from a state to a better state. Collective.
 
-    It has three terms. The first is the work of the interface laws in the weights z, minus the work of the meshed
-    layers with the state's face displacements. The second is the work of the residual of z in the change of the face
-    displacements. The third, for the compliance, is the change of the work of loads on the layers.
+    It has three terms. The first is the work of the interface laws in z, minus that of the meshed layers with the same
+    face displacements. The second is the work of the residual forces of z in the change of the face displacements. The
+    third, for the compliance, is the change of the work of loads on the layers.
 
     Args:
         iteration: the iteration from the interface model to the structure with meshed layers.
         state: the estimated state.
-        better: the state with the bodies in equilibrium with the meshed layers.
-        z: the goal's adjoint solution.
+        better: the state of the interface model whose bodies are in equilibrium with the meshed layers.
+        z: adjoint solution of the goal.
+
+    Returns:
+        (m,) values at the m nodes of S.
     """
     model, layers = iteration.model, iteration.layers
     u, surface = displacements_of(state, model), SurfaceMesh(model)
@@ -90,9 +98,14 @@ def change_density(iteration: GlobalLocal, state: State, better: State, z: BodyE
 
 
 def _add_nodal(sums: Array, model: Model, values: Array) -> None:
-    """Add values (m,) at the displacements of this rank to sums at the vertices of the joint.
+    """Add nodal values of a model to sums at the vertices of its joint.
 
-    The value of a node is divided equally among the vertices of the edge, face or cell to which the node belongs.
+    The value of a node inside an edge, face or cell is divided equally among the vertices of that edge, face or cell.
+
+    Args:
+        sums: (vertices,) sums, which are changed in place.
+        model: the model.
+        values: (m,) values at the displacements of this rank; components at a node are added up.
     """
     V, joint = model.V, model.domain.joint
     node_sums = values.reshape(-1, V.dofmap.bs).sum(axis=1)

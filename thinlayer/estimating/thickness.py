@@ -42,12 +42,13 @@ class ThinEnough(FormerNames):
 
     Attributes:
         eps: the thickness. If the error stays below the tolerance, it is the largest thickness that was tried.
-        tolerance: the relative error that is allowed.
-        quantity: quantity whose error this is: "traction", "jump", or the name of a goal.
-        table: a row for each thickness that was tried: eps, error (its upper bound, where there are bounds).
-        at_tolerance: whether the error is equal to the tolerance at `eps`, to one percent of the thickness.
-        lacks: limits of the estimate in words; "": none.
-        bonded: whether the layer is left out, its bodies being bonded, instead of replaced by its interface law.
+        tolerance: relative error that is allowed.
+        quantity: quantity to which the error belongs: "traction", "jump", or the name of a goal.
+        table: table with a row for each thickness that was tried, with the columns "eps" and "error". The error is its
+            upper bound, where there are bounds.
+        at_tolerance: whether the error at `eps` is equal to the tolerance, with `eps` correct to one percent.
+        lacks: what the estimate at `eps` does not cover, in words; "": nothing is to be said.
+        bonded: True: without the layer, bodies are bonded. False: the interface law replaces the layer.
     """
 
     former_names = {"found": "at_tolerance"}
@@ -82,10 +83,10 @@ def thin_enough(
     bodies: str = "kept",
     options: Options | None = None,
 ) -> ThinEnough:
-    """Search the thickness at which the estimated error of dropping a layer's mesh is equal to a tolerance. Collective.
+    """Find the thickness at which the estimated error of dropping a layer's mesh is equal to a tolerance. Collective.
 
-    The layer's material stays the same. If a goal has bounds, the largest error that they allow is taken. The search
-    takes ten to twenty thicknesses on one mesh. It begins with the height of the thinner body, and goes down until the
+    The layer's material stays the same. If a goal has bounds, its error is the largest one within them. The search
+    tries ten to twenty thicknesses on one mesh. It begins with the height of the thinner body, and goes down until the
     error is within the tolerance at five successive thicknesses.
 
     Args:
@@ -97,10 +98,13 @@ def thin_enough(
             counted. "S": all seams, if they have the same layer.
         t: time of the loads and supports.
         times: ends of the time steps of a march, for layers with a rate or a memory; t is then not used.
-        bonded: whether the layer is left out, its bodies being bonded, instead of replaced by its law of order 0.
+        bonded: True: without the layer, bodies are bonded. False: its interface law of order 0 replaces the layer.
         bodies: "kept": the bodies keep their shape, and a meshed layer moves them apart. "extended": the layer is cut
             out of the bodies.
         options: {name of a PETSc option without its prefix: value}, as in `solve`.
+
+    Returns:
+        The thickness, and the errors at all thicknesses that were tried.
 
     Raises:
         InputError: arguments out of range; a layer that cannot be estimated; no thickness is thin enough.
@@ -154,9 +158,18 @@ def thin_enough(
 def _checked(
     structure: Structure, layer: Layers, tolerance: float, goal: str | Goal, seam: str, bonded: bool
 ) -> tuple[dict[str, SeamContent], ThinLayer]:
-    """Layer, bond or gap of each seam by its name, and the layer that becomes thinner.
+    """Check arguments of `thin_enough`, and return the contents of the seams and the layer that becomes thinner.
 
-    The arguments are those of `thin_enough`.
+    Args:
+        structure: bodies, supports and loads.
+        layer: the layer of all seams, or {name of a seam: its layer, bond or gap}.
+        tolerance: relative error that is allowed.
+        goal: quantity whose error counts.
+        seam: name of the seam whose layer becomes thinner; "S": all seams.
+        bonded: whether bodies are bonded without the layer.
+
+    Returns:
+        Name of a seam -> its layer, bond or gap; and the layer that becomes thinner.
 
     Raises:
         InputError: an argument is out of range.
@@ -178,7 +191,14 @@ def _checked(
 
 
 def _error(error_estimate: Estimate, quantity: str) -> float:
-    """Largest relative error of a quantity that an estimate allows; infinite if the layer has no traction or jump."""
+    """Return the relative error of `quantity` ("traction", "jump" or the name of a goal) in an estimate.
+
+    For a goal with bounds it is the largest error within them. It is infinite for the traction or the jump of a layer
+    that has none.
+
+    Raises:
+        InputError: the goal is zero, and has no relative error.
+    """
     if quantity in ESTIMATED_FIELDS:
         error = error_estimate.traction if quantity == "traction" else error_estimate.jump
         return error if math.isfinite(error) else math.inf
@@ -191,7 +211,7 @@ def _error(error_estimate: Estimate, quantity: str) -> float:
 def _search(
     error: Callable[[float], float], thickest: float, tolerance: float
 ) -> tuple[float, bool, dict[float, float]]:
-    """Thickness below which errors are at most `tolerance`, whether they exceed it above, and errors by thickness.
+    """Find the thickness below which errors are at most `tolerance`.
 
     Errors may change their sign, and so be small at a thickness and large at smaller thicknesses. Therefore the search
     goes down from the thickest until errors are allowed at `ALLOWED_IN_TURN` successive thicknesses.
@@ -200,12 +220,16 @@ def _search(
         error: function of the thickness that returns the relative error.
         thickest: the largest thickness that is tried.
         tolerance: the relative error that is allowed.
+
+    Returns:
+        The thickness; whether errors exceed the tolerance just above it, False if it is `thickest`; and thickness ->
+        error for all thicknesses that were tried.
     """
 
     errors: dict[float, float] = {}
 
     def excess(eps: float) -> float:
-        """Logarithm of the error at the thickness `eps` over the tolerance."""
+        """Return log(error/tolerance) at the thickness `eps`, positive if the error is too large."""
         if eps not in errors:
             errors[eps] = error(eps)
         return math.log(max(errors[eps], 1e-300) / tolerance)
@@ -229,12 +253,12 @@ def _search(
 
 
 def _require_falling(errors: Sequence[float], low: float, passed: int) -> None:
-    """Raise InputError if errors are too large, and no longer fall with the thickness.
+    """Raise InputError if the last error is too large, and errors no longer fall with the thickness.
 
     Args:
         errors: errors at the thicknesses that were tried, the largest thickness first.
-        low: the smallest of these thicknesses.
-        passed: number of successive thicknesses, up to this one, at which the error is allowed.
+        low: the last and smallest of these thicknesses.
+        passed: number of successive thicknesses, up to the last one, at which the error is allowed.
     """
     least = STALLED_ERROR_RATIO * max(errors[-1 - FALLING_STEPS : -1], default=math.inf)
     if not passed and len(errors) > FALLING_STEPS and (errors[-1] > least or len(errors) > MAX_STEPS):
