@@ -70,7 +70,7 @@ def zones(full: Solution, limit: Solution) -> dict[str, float]:
         limit: solution with the contact law ("contact").
 
     Returns:
-        "separated_band", "sliding_band", "separated_contact", "sliding_contact" -> length, of the total 2.
+        "separated_band", "sliding_band", "separated_contact", "sliding_contact" -> length; S is 2 long.
     """
     surface, row = Surface(last(limit).model), dict[str, float]()
     for name, solution in (("band", full), ("contact", limit)):
@@ -89,7 +89,7 @@ def same_zones(record: Record, tables: Tables) -> None:
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a row of the study -> its table, with a line for each thickness.
+        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
     """
     for name in ("friction", "friction history"):
         table, h = tables[name], record.parameters[name]["h"]
@@ -109,7 +109,7 @@ def sine_leaves_an_error(record: Record, tables: Tables) -> None:
 
     Args:
         record: record of the run, which receives the check.
-        tables: name of a row of the study -> its table, with a line for each thickness.
+        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
     """
     sine, tangent = (tables[name]["error_jump"][-1] for name in ("friction sine", "friction"))
     record.check("friction sin(Omega) on S: last error of the jump over that with tan(Omega)", sine / tangent, low=2)

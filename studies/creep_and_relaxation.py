@@ -80,7 +80,8 @@ class CreepCase:
 def kelvin_voigt(pull: Pull, t: Array) -> Array:
     """Closed form of the jump of a Kelvin-Voigt layer under a constant traction.
 
-    `pull` is the load, `t` the times (n,) after its application; the jumps (n,) are along the load, over the height.
+    `pull` is the load, and `t` (n,) are times after its application. The result (n,) is the jump along the load,
+    divided by the height of the column.
     """
     K, G = pull.modulus(LMBDA, MU), pull.modulus(LMBDA * THETA_LMBDA, MU * THETA_MU)
     return pull.stress / K * (1 - np.exp(-K / G * t))
@@ -89,7 +90,8 @@ def kelvin_voigt(pull: Pull, t: Array) -> Array:
 def maxwell(pull: Pull, t: Array) -> Array:
     """Closed form of the jump of a Maxwell layer under a constant traction.
 
-    `pull` is the load, `t` the times (n,) after its application; the jumps (n,) are along the load, over the height.
+    `pull` is the load, and `t` (n,) are times after its application. The result (n,) is the jump along the load,
+    divided by the height of the column.
     """
     return pull.stress / pull.modulus(LMBDA, MU) * (1 + t / T1)
 
@@ -97,7 +99,7 @@ def maxwell(pull: Pull, t: Array) -> Array:
 def relaxation(pull: Pull, t: Array) -> Array:
     """Closed form of the traction on a Maxwell layer between elastic bodies, under a constant displacement of the top.
 
-    `pull` is the load, `t` the times (n,) after its application; the tractions (n,) are along the load.
+    `pull` is the load, and `t` (n,) are times after its application. The result (n,) is the traction along the load.
     """
     K = pull.modulus(LMBDA, MU)
     ratio = 1 + K / pull.modulus(BODY.lmbda, BODY.mu)  # the bodies are 1 high together
@@ -115,7 +117,7 @@ def norton(law: Norton, pull: Pull, t: Array) -> Array:
         t: (n,) times after its application.
 
     Returns:
-        (n,) jumps along the load, over the height of the column.
+        (n,) jumps along the load, divided by the height of the column.
     """
     K, q = pull.modulus(LMBDA, MU), 1 / (law.p - 1)
     rate = (law.eta * pull.share ** (law.p / 2)) ** -q
@@ -126,8 +128,8 @@ def norton(law: Norton, pull: Pull, t: Array) -> Array:
 def series(pull: Pull, t: Array) -> Array:
     """Closed form of the jump under a constant traction of a layer of two sublayers, one Maxwell, one Kelvin-Voigt.
 
-    Each is half as thick as the layer. `pull` is the load, `t` the times (n,) after its application; the jumps (n,) are
-    along the load.
+    Each is half as thick as the layer. `pull` is the load, and `t` (n,) are times after its application. The result
+    (n,) is the jump along the load, divided by the height of the column.
     """
     return (maxwell(pull, t) + kelvin_voigt(pull, t)) / 2
 

@@ -63,9 +63,9 @@ class Cylinders:
         return cls(tuple(laws), tuple(radii), coefficients)
 
     def fields(self, mode: int, k: int, r: float) -> Array:
-        """Return the amplitudes (4,) of u_r, u_theta, s_rr and s_rtheta of one mode at the radius `r`.
+        """Return the amplitudes (4,) of u_r, u_theta, s_rr and s_rtheta at the radius `r`, for one Fourier mode.
 
-        `mode` is 0 or 2, `k` the number of the cylinder, 0 for the innermost one.
+        `mode` is the number of the mode in theta, 0 or 2; `k` is the number of the cylinder, 0 for the innermost one.
         """
         return np.asarray(_solutions(mode, self.laws[k], r) @ self.coefficients[mode][k])
 
@@ -80,7 +80,8 @@ class Cylinders:
     def jumps(self, k: int) -> Array:
         """Return the amplitudes (2, 2) of the jumps from cylinder `k` (0: the innermost) to the next cylinder.
 
-        The first index is the mode, 0 or 2; the second one the component, u_r or u_theta.
+        The first index is for the Fourier modes in theta, 0 and 2. The second one is for the components u_r and
+        u_theta.
         """
         r = self.radii[k]
         return np.array([(self.fields(mode, k + 1, r) - self.fields(mode, k, r))[:2] for mode in MODES])
@@ -94,10 +95,11 @@ class Cylinders:
 
 
 def _solutions(mode: int, law: LinearElastic, r: float) -> Array:
-    """Return the independent solutions of a mode at the radius `r`, for a cylinder of the law `law`.
+    """Return the independent solutions for one Fourier mode at the radius `r` of a cylinder with the law `law`.
 
-    `mode` is 0 or 2. In the array (4, n) each column has the amplitudes of u_r, u_theta, s_rr and s_rtheta of a
-    solution; n is 2 for mode 0, 4 for mode 2. The first half of the columns is regular at r = 0.
+    `mode` is the number of the mode in theta, 0 or 2. In the array (4, n) each column has the amplitudes of u_r,
+    u_theta, s_rr and s_rtheta of a solution; n is 2 for mode 0, 4 for mode 2. The first half of the columns is regular
+    at r = 0.
     """
     mu, kappa = law.mu, (law.lmbda + 3 * law.mu) / (law.lmbda + law.mu)
     if mode == 0:
@@ -108,12 +110,13 @@ def _solutions(mode: int, law: LinearElastic, r: float) -> Array:
 
 
 def _between(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs) -> Array:
-    """Return the matrix of the conditions at interfaces between cylinders, applied to the coefficients of one mode.
+    """Return the matrix of the conditions at interfaces between cylinders, for one Fourier mode.
 
-    The conditions say that jumps of u_r and u_theta are the extensions of the springs, and tractions are continuous.
+    The matrix multiplies the coefficients of the cylinders' independent solutions (`_solutions`). The conditions say
+    that jumps of u_r and u_theta are the extensions of the springs, and tractions are continuous.
 
     Args:
-        mode: 0 or 2.
+        mode: number of the Fourier mode in theta, 0 or 2.
         laws: law of each cylinder, the innermost first.
         radii: radius of each interface, increasing.
         springs: for each interface (normal, tangential) stiffness, stress per length; None: bonded.
@@ -131,10 +134,10 @@ def _between(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], s
 
 
 def _solved(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs, rim: Array) -> Array:
-    """Solve for the coefficients of one mode in cylinders, the innermost of which is solid.
+    """Solve for the coefficients of one Fourier mode in cylinders, the innermost of which is solid.
 
     Args:
-        mode: 0 or 2.
+        mode: number of the Fourier mode in theta, 0 or 2.
         laws: law of each cylinder, the innermost first.
         radii: outer radius of each cylinder, increasing.
         springs: for each interface (normal, tangential) stiffness, stress per length; None: bonded.
@@ -244,7 +247,7 @@ def as_cylinders(record: Record, tables: Tables) -> None:
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a row of the study -> its table, with a line for each thickness.
+        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
     """
     ratio = tables["fibre"]["error_jump"] / tables["fibre"]["closed_form"]
     record.check("error of the jump over that of the closed forms, less 1", abs(ratio - 1).max(), high=2e-3)
@@ -312,7 +315,7 @@ def as_lame(record: Record, tables: Tables) -> None:
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a row of the study -> its table, with a line for each thickness.
+        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
     """
     high = 16 * LAME_ERROR if record.options.get("quick") else LAME_ERROR
     for name in ("meshed", "law"):

@@ -69,7 +69,7 @@ STEEL, SOFT_BODY = young(E=1e4, nu=0.3), young(E=70.0, nu=0.3)
 # ---------------------------------------------------------------- structures; `_`: the mesh suits any thickness
 # fmt: off
 def rollers(_: float) -> Structure:
-    """Make a structure of two blocks between rollers, under a traction with one half-wave (`studies.problems.fourier`).
+    """Make a structure of two blocks between rollers, under a traction with one half-wave.
 
     The argument, the layer's thickness, is not used, as the mesh suits all thicknesses.
     """
@@ -103,7 +103,7 @@ def free(
     """Make a structure of two blocks, 1 wide, with free sides, clamped below, under a traction on top.
 
     Args:
-        eps: thickness of the layer, 8 times the cell size at the free ends of S.
+        eps: thickness of the layer; cells at the free ends of S are 8 times smaller.
         load: the traction.
         heights: heights of the lower and the upper block.
         lower, upper: laws of the blocks.
@@ -115,7 +115,7 @@ def free(
 def displaced(eps: float) -> Structure:
     """Make a structure of two stiff blocks with free sides, the upper one pressed down by 0.01.
 
-    `eps` is the thickness of the layer, 8 times the cell size at the free ends of S.
+    The cells at the free ends of S are 8 times smaller than the layer's thickness `eps`.
     """
     return free_blocks(_ends(eps), h_S=ALONG, body=STEEL, supports=CLAMPED | {"TOP": {"x": 0.0, "y": -0.01}}, tractions={})
 
@@ -123,7 +123,8 @@ def displaced(eps: float) -> Structure:
 def tilted(eps: float) -> Structure:
     """Make a structure of two blocks with free sides, rotated by 0.5 rad, under a traction that is not rotated.
 
-    The blocks have unequal heights. `eps` is the thickness of the layer, 8 times the cell size at the free ends of S.
+    The blocks have unequal heights. The cells at the free ends of S are 8 times smaller than the layer's thickness
+    `eps`.
     """
     joint = sandwich(1.0, 0.4, 0.7, 1 / 8, h_S=ALONG, h_ends=_ends(eps), cell="quadrilateral")
     return loaded(joint.rotated(TILT_ANGLE), (-0.7, 0.4), body=young(E=150.0, nu=0.2))
@@ -153,7 +154,7 @@ def rings(_: float) -> Structure:
 def on_base(eps: float) -> Structure:
     """Make a structure of a block with free sides, pressed and sheared on a rigid base.
 
-    `eps` is the thickness of the layer below the block, 8 times the cell size at the free ends of S.
+    The cells at the free ends of S are 8 times smaller than the layer's thickness `eps`.
     """
     joint = block(1.0, 0.6, 1 / 8, h_S=ALONG, h_ends=_ends(eps), cell="quadrilateral")
     return loaded(joint, lambda x, t: (0.4, -0.5 - x[0]), body=young(E=90.0, nu=0.2), supports={})
@@ -173,8 +174,8 @@ def tube(_: float) -> Structure:
 def disc(eps: float) -> Structure:
     """Make a structure of two discs, one on top of the other, pressed most at the axis.
 
-    It is an axisymmetric section from r = 0 to 1. `eps` is the thickness of the layer, 8 times the cell size at the
-    free end of S.
+    It is an axisymmetric section from r = 0 to 1. The cells at the free end of S are 8 times smaller than the layer's
+    thickness `eps`.
     """
     return free_blocks(_ends(eps), lambda x, t: (0.0, x[0] ** 2 - 1), h_S=ALONG, plane="axisymmetric")
 
@@ -182,7 +183,7 @@ def disc(eps: float) -> Structure:
 def plated(eps: float) -> Structure:
     """Make a structure of two blocks with free sides: springs support the lower one, a rigid plate loads the upper one.
 
-    The plate may rotate. `eps` is the thickness of the layer, 8 times the cell size at the free ends of S.
+    The plate may rotate. The cells at the free ends of S are 8 times smaller than the layer's thickness `eps`.
     """
     parts = [Springs("BOTTOM", normal=300.0, tangential=200.0), RigidPlate("TOP", force=(0.3, -1.0), moment=0.1)]
     return free_blocks(_ends(eps), h_S=ALONG, supports={}, tractions={}, parts=parts)
@@ -191,7 +192,7 @@ def plated(eps: float) -> Structure:
 def two_seams(eps: float) -> Structure:
     """Make a structure of three blocks with free sides, on top of each other, with the seams "LOW" and "HIGH".
 
-    `eps` is the thickness of the layer on "LOW", 8 times the cell size at the free ends of S.
+    The cells at the free ends of S are 8 times smaller than the thickness `eps` of the layer on "LOW".
     """
     cuts = {"LOW": ((-0.1, 0.4), (1.1, 0.4)), "HIGH": ((-0.1, 0.8), (1.1, 0.8))}
     return loaded(faults(1.0, 1.2, cuts, 1 / 8, h_S=ALONG, h_ends=_ends(eps)), (0.3, -1.0))
@@ -200,7 +201,7 @@ def two_seams(eps: float) -> Structure:
 def heated(eps: float) -> Structure:
     """Make a structure of two blocks with free sides, whose upper block has an isotropic eigenstrain of 0.01.
 
-    `eps` is the thickness of the layer, 8 times the cell size at the free ends of S.
+    The cells at the free ends of S are 8 times smaller than the layer's thickness `eps`.
     """
     body = {"LOWER": FOURIER_BODY, "UPPER": young(E=80.0, nu=0.2)}
     return free_blocks(_ends(eps), h_S=ALONG, body=body, tractions={}, eigenstrain={"UPPER": 0.01})
@@ -209,8 +210,8 @@ def heated(eps: float) -> Structure:
 def corner(eps: float) -> Structure:
     """Make a structure of a quarter of two plates in 3D, pressed and sheared.
 
-    Two free sides of the plates meet at a corner. `eps` is the thickness of the layer, 3 times the cell size at the
-    free ends of S.
+    Two free sides of the plates meet at a corner. The cells at the free ends of S are 3 times smaller than the layer's
+    thickness `eps`.
     """
     joint = sandwich(1.0, 0.5, 0.5, 1 / 4, depth=DEPTH, h_S=1 / 6, h_ends=eps / 3, cell="hexahedron")
     supports = CLAMPED | {"LEFT": {"x": 0.0}, "BACK": {"z": 0.0}}
@@ -226,9 +227,9 @@ class DroppedCase:
         name: name of the case: its group, a colon and a few words, as "free ends: thin bodies".
         structure: function of the thickness that returns the structure, with a mesh fine enough for such a layer.
         layers: function of the thickness that returns the layers; their interface laws have order 0.
-        bodies: "kept" or "extended" bodies of the full and the interface model.
+        bodies: bodies of both models: "kept" (a meshed layer moves them apart) or "extended" (it is cut out of them).
         step: length of the only time step, from rest; 0: a static solve.
-        asked: goals whose change is estimated, in addition to traction and jump on S.
+        asked: goals (quantities of interest) whose change is estimated, in addition to traction and jump on S.
         inner: whether changes of traction and jump are measured only on the inner half of S, |x - 1/2| < 1/4.
         solid: whether the structure is in 3D.
     """

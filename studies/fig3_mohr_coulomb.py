@@ -118,12 +118,12 @@ def meshed(sizes: tuple[float, float, float]) -> Joint:
 
 
 class YieldingBar:
-    """The bar of Fig. 2 under one reading of the loads.
+    """The bar of Fig. 2 under one of two readings of the paper's loads.
 
     Args:
         record: record of the run, which receives reports and checks.
         name: name of the reading, "R1" or "R4m".
-        loads: the reading.
+        loads: loads and supports by this reading.
         sizes: sizes of cells inside the bar, at S and at the ends of S, mm.
     """
 
@@ -138,7 +138,7 @@ class YieldingBar:
         Args:
             make_model: `Structure.interface` or `Structure.full`.
             h: elastic fraction of the layer.
-            changed: arguments of `Structure` that replace those of the reading.
+            changed: arguments of `Structure` that replace those of `Loads.setup`.
         """
         return make_model(Structure(self.joint, **self.loads.setup | changed), ThinLayer(glue(h), EPS))
 
@@ -180,7 +180,8 @@ class YieldingBar:
     def check(self, states: dict[str, State]) -> None:
         """Check results of the interface law: for R1 against those of an independent code, for R4m against Fig. 3.
 
-        In Fig. 3 the layer stays elastic away from its left end, so that t_T/u_T is mu over the thickness there.
+        In Fig. 3 the layer stays elastic away from its left end, so that t_T/u_T is its shear modulus over its
+        thickness there.
 
         Args:
             states: label of a model -> its state; the first one is of the interface law without elastic fraction.
@@ -211,7 +212,7 @@ def refine(record: Record, bar: YieldingBar, counts: Sequence[int]) -> None:
 
     Args:
         record: record of the run, which receives table and check.
-        bar: the bar under the loads R1.
+        bar: the bar under the reading R1 of the loads.
         counts: increasing numbers of steps.
     """
     forces = {steps: bar.shear_force(bar.sheared(steps)) for steps in track(counts, "fig3_mohr_coulomb", "{} steps")}

@@ -58,7 +58,7 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 class Strip:
-    """The bar as a strip, 1 wide, on a meshed layer or with the interface law.
+    """The bar of Fig. 4 as a strip, 1 wide, with the layer meshed or replaced by its interface law.
 
     Args:
         record: record of the run, which receives reports and checks.
@@ -86,7 +86,7 @@ class Strip:
         "sigma", the force at the end that moves.
 
         Args:
-            law: class of the layer's law: `NonMonotone` (relaxed phases) or `NonMonotoneUnrelaxed` (pure phases).
+            law: class of the layer's law: `NonMonotone` (phases may mix) or `NonMonotoneUnrelaxed` (pure phases).
             steps: number of equal steps in each direction.
         """
         model, times = self._model(self.bar, law), [END_DELTA * k / steps for k in range(1, 2 * steps + 1)]
@@ -110,7 +110,7 @@ class Strip:
         return Table.of({"eps": self.bar.eps, "delta": delta, **columns, "lost": lost_at})
 
     def least(self, history: History) -> Table:
-        """Check a march with relaxed phases against closed forms, and return the table of its first half, the way up.
+        """Check a march with mixing phases against closed forms, and return the table of its first half, the way up.
 
         The table has the columns of `rows`, except "lost", and "boundary", the height of the boundary between the
         phases. The column "NAME_exact" is the closed form of the column NAME.
@@ -134,12 +134,12 @@ class Strip:
         """Check the displacements delta at which the response changes, and the energy lost in a cycle of pure phases.
 
         Args:
-            relaxed: march with relaxed phases.
+            relaxed: march with the relaxed law, whose phases may mix.
             unrelaxed: march with pure phases.
 
         Returns:
-            "eps" and the checked numbers: "delta_0" and "delta_1", where relaxed phases begin and end to mix; "up" and
-            "down", where pure phases snap; and "loop_area", the energy lost.
+            "eps" and the checked numbers: "delta_0" and "delta_1", where the relaxed law's phases begin and end to mix;
+            "up" and "down", where pure phases snap; and "loop_area", the energy lost.
         """
         delta, sigma = moved(relaxed.t), relaxed.table["sigma"]
         line_0, mixed, line_1 = (regression(delta, sigma, (delta >= low) & (delta <= high)) for low, high in BRANCHES)
@@ -160,12 +160,13 @@ class Strip:
 def check_energies(record: Record, strip: Strip, relaxed: History, unrelaxed: History) -> None:
     """Check that the least energy of a layer in one pure phase lies between the energies of two marches.
 
-    Pure phases may be in a local minimum, of more than this energy. Relaxed phases have at most this energy.
+    Pure phases may be in a local minimum, of more than this energy. With the relaxed law, whose phases may mix, the
+    energy is at most as large.
 
     Args:
         record: record of the run, which receives the checks.
         strip: the strip of both marches.
-        relaxed: march with relaxed phases.
+        relaxed: march with the relaxed law, whose phases may mix.
         unrelaxed: march with pure phases.
     """
     bar, delta, energy = strip.bar, moved(unrelaxed.t), unrelaxed.table["energy"]
@@ -236,7 +237,7 @@ def draw(record: Record) -> None:
 
 
 def draw_energies(record: Record, relaxed: Table) -> None:
-    """Draw energies of the layer over its elongation, as in Fig. 4, and their slopes together with the bar's force.
+    """Draw energies of the layer over its elongation, as in Fig. 4, and in a second panel forces of layer and bar.
 
     `record` has the folder of the picture; `relaxed` are the rows of `Strip.least` for one thickness.
     """

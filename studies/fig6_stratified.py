@@ -80,9 +80,9 @@ class StratifiedBar:
         return self.record.solved(solve(self.bar.full(layer)))
 
     def stiffness(self, state: State) -> tuple[np.ndarray, np.ndarray]:
-        """Return x (n,) in mm and the ratio t_T/u_T (n,) in N/mm^3 at vertices of S in `state`.
+        """Return x (n,), mm, and tangential traction over tangential jump (n,), N/mm^3, at vertices of S in `state`.
 
-        t_T and u_T are projected to functions linear on each facet. The last mm of S, where both are zero, is left out.
+        Both fields are projected to functions linear on each facet. The last mm of S, where both are zero, is left out.
         """
         surface = self.surface
         x, u = surface.profile(surface.frame(surface.jump(state)))
@@ -91,7 +91,10 @@ class StratifiedBar:
         return x[is_free, 0], t[is_free, 0] / u[is_free, 0]
 
     def deviation(self, layer: ThinLayer, k_t: float) -> float:
-        """Solve the bar on the meshed `layer`, and return t_T/u_T at x = 10 mm, divided by `k_t`, minus 1."""
+        """Solve the bar on the meshed `layer`, and return (t_T/u_T)/`k_t` - 1 at x = 10 mm.
+
+        t_T is the tangential traction, u_T the tangential jump, and `k_t` a stiffness, N/mm^3.
+        """
         x, ratio = self.stiffness(self.full(layer))
         return float(np.interp(POINT_X, x, ratio) / k_t - 1)
 

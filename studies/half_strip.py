@@ -36,7 +36,7 @@ SPLIT = -0.5  # first Lame modulus over mu of the stress without the pressure, w
 
 
 def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> FreeEnd:
-    """Compute the constants of a layer's free end by finite elements on the half strip.
+    """Compute the constants of a layer's free end, by finite elements on a half strip between rigid faces.
 
     Args:
         nu: Poisson's ratio, in [0, 0.5].

@@ -50,7 +50,8 @@ class JunctionCase:
         joint: function of the thickness eps that returns the joint.
         layers: name of a seam -> law of its layer, with the moduli at the thickness 1, and its thickness divided by
             eps.
-        bodies: "kept" or "extended" bodies of the full model.
+        bodies: bodies of the full model: "kept" (meshed layers move them apart) or "extended" (layers are cut out of
+            them).
         distance: distance from junctions and free ends beyond which a point belongs to the inner part of S.
         stiff: whether the bodies' stiffness is added to that of the layer in junctions of the full model.
         refined: whether the cells of bodies at junctions are about as small as eps.

@@ -86,8 +86,8 @@ def tangent() -> float:
 def shears(steps: int, end: float) -> Array:
     """Return the tangential jumps w_T, over the thickness, at the ends of equal steps from zero.
 
-    `steps` is the number of steps. `end` is the value of mu w_T, divided by the pressure at the start, after the last
-    one.
+    `steps` is the number of steps. `end` is the shear after the last one: mu w_T over the pressure at the start, with
+    the shear modulus mu.
     """
     return np.linspace(0, end * PRESSURE / MU, steps + 1, dtype=np.float64)[1:]
 
@@ -97,7 +97,7 @@ def fixed_jump(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
 
     Args:
         steps: number of steps of the shear.
-        end: mu w_T, divided by the pressure at the start, after the last step.
+        end: shear after the last step: mu w_T over the pressure at the start, with the shear modulus mu.
 
     Returns:
         For each step the prescribed jumps {"w_T": value, "w_N": value}, over the thickness.
@@ -110,7 +110,7 @@ def fixed_stress(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
 
     Args:
         steps: number of steps of the shear.
-        end: mu w_T, divided by the pressure at the start, after the last step.
+        end: shear after the last step: mu w_T over the pressure at the start, with the shear modulus mu.
 
     Returns:
         For each step the prescribed tangential jump, over the thickness, and normal traction, {"w_T": value, "t_N":

@@ -45,8 +45,8 @@ def run(record: Record, *, quick: bool = False) -> None:
     def sliding(k_t: float) -> dict[str, float]:
         """Solve with the tangential stiffness `k_t`, and return a row of sliding.csv.
 
-        The row has `k_t` ("K_T") and amplitudes of waves on S: "jump_T" and "traction_T" of sin(pi x), "traction_N" of
-        cos(pi x).
+        The row has `k_t` ("K_T") and the amplitudes on S of the tangential jump and traction and of the normal
+        traction. They are "jump_T", "traction_T" (factors of sin(pi x)) and "traction_N" (of cos(pi x)).
         """
         state, surface = interface(K_N, k_t)
         sine, cosine = 2 * np.sin(np.pi * surface.x[0]), 2 * np.cos(np.pi * surface.x[0])

@@ -41,7 +41,7 @@ DRAWN = "free ends: two stiffnesses"
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Estimate how results with the law of order 0 change if the layer is meshed, and measure the true change.
+    """Estimate how results of interface laws of order 0 change if layers are meshed, and measure the true change.
 
     The effectivity of an estimate is the estimated over the true change. effectivities.csv has true changes and
     effectivities of tractions and jumps on S, goals.csv those of other results. random.csv has those of random
@@ -58,7 +58,8 @@ def run(record: Record, *, quick: bool = False) -> None:
 def _effectivities(record: Record, *, quick: bool) -> None:
     """Write true changes and effectivities of all cases to two tables of `record`, and check the effectivities.
 
-    effectivities.csv is about fields on S, goals.csv about goals. `quick` leaves out structures in 3D.
+    An effectivity is an estimated over a true change. effectivities.csv is about fields on S, goals.csv about goals.
+    `quick` leaves out structures in 3D.
     """
     chosen = [case for case in (*published_cases(), *further_cases()) if not (quick and case.solid)]
     cases = [(case, eps) for case in chosen for eps in THICKNESSES]
@@ -82,7 +83,7 @@ def _effectivities(record: Record, *, quick: bool) -> None:
 def _at_random(record: Record, *, count: int) -> None:
     """Write true changes and effectivities of two goals of random structures to random.csv of `record`, and check them.
 
-    `count` is the number of structures.
+    An effectivity is an estimated over a true change; `count` is the number of structures.
     """
     table = record.table("random.csv")
     for seed in track(range(count), "may_i_drop", "random, {}"):
@@ -156,7 +157,7 @@ class Dropped:
         return on_s | {name: goal.change for name, goal in self.estimate.goals.items()}
 
     def inner(self, state: State) -> dict[str, float]:
-        """Return the relative changes of "traction" and "jump" on S, in L2 norms, from the estimated state to `state`.
+        """Return the relative changes of "traction" and "jump" on S, in L2 norms, from interface laws to `state`.
 
         Tractions are those of the bodies' nodal forces. If the case's `inner` is set, only the part of S from x = 1/4
         to 3/4 counts.

@@ -36,7 +36,7 @@ SHARE = 0.15  # least share of S that each phase, and mixtures, must have
 class Formula(TractionLaw):
     """Interface law in 2D of a layer of the law `NonMonotone`, with coefficients that may be changed.
 
-    The traction at the jump w = w_T + w_N n is mu w_T + K_N w_N n - phase alpha chi n.
+    The traction at the jump w = w_T + w_N n is mu w_T + K_N w_N n - phase alpha chi n. The phase is from -1 to 1.
 
     Attributes:
         mu: stiffness along S, stress per length.
@@ -106,7 +106,7 @@ def blocks(h: float, shear: float, pull: float, *, moved: bool = False) -> Probl
 
 
 def along_s(state: State, _: Surface) -> dict[str, Array]:
-    """Return "x" and "phase", the layer's phase, at the n facets of S, arrays (n,), in a state.
+    """Return two columns for a table: "x" (n,) and the layer's "phase" (n,) at the n facets of S in `state`.
 
     The second argument, the surface S, is not used.
     """
@@ -133,11 +133,11 @@ def shares(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def all_there(record: Record, tables: Tables) -> None:
-    """Check that each of the phases 1 and -1, and mixtures, occur on at least the fraction 0.15 of S.
+    """Check that phase 1, phase -1 and mixtures each occupy at least the fraction 0.15 of S.
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a row of the study -> its table, with a line for each thickness.
+        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
     """
     for name in ("non_monotone", "non_monotone across", "non_monotone along"):
         for share in ("plus", "minus", "mixed"):
@@ -173,7 +173,7 @@ def same_snaps(record: Record, tables: Tables) -> None:
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a row of the study -> its table, with a line for each thickness.
+        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
     """
     table = tables["non_monotone unrelaxed"]
     record.check("columns in another phase than on S, unrelaxed, any eps", table["differ"].max(), high=0.0)

@@ -139,7 +139,7 @@ def loaded(joint: Joint, top: Load, **more: Unpack[StructureArguments]) -> Struc
     Args:
         joint: joint with the facet sets "BOTTOM" and "TOP".
         top: traction on top.
-        more: arguments of `Structure`, which replace body, supports and tractions if they have these names.
+        more: further arguments of `Structure`; `body`, `supports` and `tractions` replace those named above.
     """
     setup: StructureArguments = {"body": FOURIER_BODY, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": top}}
     return Structure(joint, **setup | more)
@@ -275,7 +275,7 @@ def arch(element: str) -> Problem:
 
 
 def inside_joints(x: Array) -> BoolArray:
-    """Return which points lie in the middle two thirds of the arch's joints, away from their ends.
+    """Return a mask of the points in the middle two thirds of the arch's joints, away from their ends.
 
     `x` are coordinates of points of S, m, with the components on the first axis; the mask has the shape of x[0].
     """

@@ -51,7 +51,7 @@ ONE_BRANCH_FLOOR, GAIN_FLOOR = {"traction": (0.12, 0.16), "jump": (0.29, 0.35)},
 
 
 def early(_: Solution, limit: Solution) -> dict[str, float]:
-    """Return the L2 norms on S of traction and jump of the interface law at the time `EARLY`.
+    """Return the L2 norms on S of traction and jump of the interface law at the time 0.05.
 
     The first argument, the full model's solution, is not used.
 
@@ -67,11 +67,11 @@ def early(_: Solution, limit: Solution) -> dict[str, float]:
 
 
 def spectral(record: Record, tables: Tables) -> None:
-    """Check the norms of `early`, for the Norton layer with p = 1.5, against a solution by another, spectral method.
+    """Check the norms "early_traction" and "early_jump" of a Norton layer against a solution by a spectral method.
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a row of the study -> its table, with a line for each thickness.
+        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
     """
     for name, value in SPECTRAL.items():
         norm, tolerance = tables["norton"][f"early_{name}"][-1], 5e-4 if record.options.get("quick") else 1e-4
@@ -105,7 +105,7 @@ def no_normal_jump(record: Record, tables: Tables) -> None:
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a row of the study -> its table, with a line for each thickness.
+        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
     """
     table = tables["incompressible"]
     record.check("largest [u_N]/[u] of the interface law, projected", table["normal_jump_interface"].max(), high=1e-10)
@@ -124,7 +124,7 @@ def less_fraction(record: Record, tables: Tables) -> None:
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a row of the study -> its table, with a line for each thickness.
+        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
     """
     for name in ERROR_COLUMNS:
         less, more = (tables[f"monodirectional {case}"][f"error_{name}"][-1] for case in ("pulled_less", "pulled"))
@@ -140,7 +140,7 @@ def third_order(record: Record, tables: Tables) -> None:
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a row of the study -> its table, with a line for each thickness.
+        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
     """
     for name, law in HARD.items():
         if len(table := tables[name]) > 1:
@@ -170,7 +170,7 @@ def both_yield(record: Record, tables: Tables) -> None:
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a row of the study -> its table, with a line for each thickness.
+        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
     """
     for name in ("bodies", "joint"):
         dissipation = tables["mohr_coulomb metal"][name][-1]
@@ -179,7 +179,7 @@ def both_yield(record: Record, tables: Tables) -> None:
 
 # ---------------------------------------------------------------- problems
 def bar(sizes: tuple[float, float, float]) -> Problem:
-    """The bar of Fig. 2 of the paper, on a rigid base, under the loads R1 of `fig3_mohr_coulomb`, in mm and MPa.
+    """The bar of Fig. 2 of the paper, on a rigid base, pressed by 0.0164 MPa, sheared by 0.164 MPa.
 
     Args:
         sizes: sizes of cells inside the bar, at S and at the ends of S, mm.
@@ -251,7 +251,7 @@ at_once, to_and_fro = (partial(bands.blocks, path=path) for path in (bands.DIREC
 
 
 def switches(case: str, label: str) -> Row:
-    """Return a row of the study for a layer of the law `NonMonotone`, whose material changes phase under the loads.
+    """Return a `Row` of the study for a layer of the law `NonMonotone`, whose material changes phase under the loads.
 
     Args:
         case: key of `phases.CASES`, which has the law and the amplitudes of shear and pull.
@@ -263,7 +263,7 @@ def switches(case: str, label: str) -> Row:
 
 
 def switches_wrongly(case: str, label: str, law: TractionLaw, floors: Floors) -> Row:
-    """Return a row that compares a meshed layer with phases to a wrong interface law, to show the error of this law.
+    """Return a `Row` that compares a meshed layer with phases to a wrong interface law, to show the error of this law.
 
     Args:
         case: key of `phases.CASES`, which has the law of the meshed layer and the amplitudes of the loads.

@@ -38,7 +38,7 @@ def rods(sizes: tuple[float, float]) -> Problem:
 
 
 def inside_rods(x: Array) -> BoolArray:
-    """Return which points of S are away from the layer's free end: those within 3/4 of the radius.
+    """Return a mask of the points of S away from the layer's free end, within 3/4 of the radius.
 
     `x` are coordinates, mm, with the components on the first axis; the mask has the shape of x[0].
     """
@@ -83,7 +83,7 @@ def in_section(record: Record, tables: Tables) -> None:
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a row of the study -> its table, with a line for each thickness.
+        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
     """
     for name in (f"{what}_{model}" for what in ("rise", "traction") for model in ("meshed", "law")):
         difference = np.abs(tables["butt_joint"][name] / tables["butt_joint"][f"{name}_axisymmetric"] - 1).max()

@@ -48,7 +48,7 @@ def followed(
 ) -> History:
     """March the block on its layer under a prescribed displacement of its upper side.
 
-    The table of the history has the additional column "force", the force that belongs to this displacement.
+    The table of the history has the additional column "force", the force that does work in this displacement.
 
     Args:
         joint: joint of the block.
@@ -86,7 +86,7 @@ def cycle(joint: Joint, steps: int, eps: float = 0) -> History:
 
 
 def path(joint: Joint, r: float, first: float, *, back: bool = False) -> Table:
-    """Follow equilibria by arc length for a law whose mixtures of phases gain less energy than in `NonMonotone`.
+    """Follow equilibria by arc length for a law whose mixtures of phases keep only a part of their energy gain.
 
     Args:
         joint: joint of the block.
@@ -183,7 +183,7 @@ def follow(record: Record, joint: Joint, relaxed: History, r: float, step: float
     Args:
         record: record of the run, which receives the checks.
         joint: joint of the block.
-        relaxed: march of the relaxed law.
+        relaxed: march of the relaxed law, whose mixtures have the whole energy gain.
         r: fraction of the energy gain of mixtures that the law keeps, 0 to 1.
         step: length of the first step.
         quick: whether to leave out the path of shorter steps.

@@ -57,7 +57,8 @@ class Row:
         steps: slice that selects those `times` that are used with --quick.
         instead: law of the interface model in place of the layer's law, to show the error of a wrong law; None: the
             layer's law.
-        bodies: "kept" or "extended" bodies of the full model, and of interface models of order 1.
+        bodies: bodies of the full model, and of interface models of order 1: "kept" (a meshed layer moves them apart)
+            or "extended" (it is cut out of them).
         cells_through: number of cells through the meshed layer.
         where: function of the coordinates that selects the part of S on which errors are measured; None: all of S.
         other_layers: suffix -> function of the thickness that returns a layer with another interface law. The errors of

@@ -227,7 +227,10 @@ class FreeEnds:
 
 
 def _worst(table: Table, law: str) -> Array:
-    """Return the larger one of the errors of traction and jump of the law `law` in each row of `table`."""
+    """Return for each row of `table` the larger one of the errors of traction and jump, (rows,).
+
+    `law` is the name of the law in `LAWS`.
+    """
     return np.maximum(table[f"traction_{law}"], table[f"jump_{law}"])
 
 

@@ -52,9 +52,9 @@ def estimate(
     """Estimate how much results change if a layer's mesh is dropped, without meshing it between its bodies. Collective.
 
     The layer is meshed by itself, without the bodies. A few steps of an iteration (module `global_local`) lead from the
-    given state to the structure with the meshed layer; for a history they do so at each of its times. If all laws are
-    linear, goals have bounds, which hold for the given cells of the bodies and of the layer. For other laws, and one
-    step from rest, the potential energy has bounds instead.
+    state to the structure with the meshed layer; for a history they do so at each of its times. If all laws are linear,
+    goals have bounds, which hold for the given cells of the bodies and of the layer. For other laws, and one step from
+    rest, the potential energy has bounds instead.
 
     Args:
         state: a state of an interface model, or of a model with bonds, in which bodies are joined without any layer; or
@@ -145,8 +145,8 @@ def _checked_seams(model: InterfaceModel, bonds: Collection[str], seam: str) -> 
     """Return the names of the seams whose layers are meshed for the estimate, and check them.
 
     Args:
-        model: the interface model, in which layers replace the bonds of the estimated state.
-        bonds: names of the seams that are bonded in the estimated state.
+        model: the interface model, in which layers replace bonds.
+        bonds: names of the seams that are bonded in the state passed to `estimate`.
         seam: name of the seam that the user asks for; "S": all seams.
 
     Raises:
@@ -166,7 +166,7 @@ def _goal_error(name: str, value: float, scale: float, bounds: GoalBounds, bound
 
     Args:
         name: name of the goal.
-        value: value of the goal in the estimated state.
+        value: value of the goal in the state passed to `estimate`.
         scale: reference magnitude of the goal, see `Goal.scale`.
         bounds: estimate and bounds of the goal with the layer meshed.
         bounded: whether the bounds hold; if not, the result has no bounds.
@@ -198,13 +198,13 @@ def _models(model: InterfaceModel, layers: Mapping[str, ThinLayer]) -> Iterator[
 
 
 def _states_of_path(state: State | History, model: InterfaceModel, anew: bool, options: Options | None) -> list[State]:
-    """Return the states of `model` up to the time of the estimated state, in order of time. Collective.
+    """Return the states of `model` at the times of the history passed to `estimate`, in order of time. Collective.
 
-    Those of `state` are returned if possible. They are solved again if `anew` is set, if bodies are bonded in them, or
-    if the history has not kept all of them.
+    The states of `state` are returned if possible. They are solved again if `anew` is set, if bodies are bonded in
+    them, or if the history has not kept all of them.
 
     Args:
-        state: the estimated state, a path of one state; or the history that ends with it.
+        state: the history; or a single state, for which the result has one state.
         model: the interface model.
         anew: whether the laws of `model` differ from those of `state`.
         options: {name of a PETSc option without its prefix: value}.
@@ -308,10 +308,10 @@ def _has_multi_point_constraints(model: InterfaceModel) -> bool:
 
 
 def _order_1_layer(applicability: Applicability) -> ThinLayer:
-    """Return a layer with its interface law of order 1, without correction at free ends, if it has such a law.
+    """Return the layer of `applicability` with its interface law of order 1, without correction at free ends.
 
-    Otherwise the layer is returned as it is, for example if its sublayers are anisotropic. `applicability` says which
-    laws the layer may have.
+    A layer that has no such law is returned as it is, for example if its sublayers are anisotropic. `applicability`
+    says which laws the layer may have.
     """
     try:
         return replace(applicability.next_order(), edges="plain")

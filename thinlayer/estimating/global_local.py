@@ -1,9 +1,9 @@
-"""Global-local iteration from an interface model, and a subproblem of its layers, to the structure with meshed layers.
+"""Global-local iteration, which leads from an interface model to the structure with meshed layers.
 
-An iterate is a displacement u of the interface model whose bodies are in equilibrium except on S. To be so there, too,
-they need forces F on the layers' faces. For the same displacements of their faces, meshed layers need the forces
-E u - l. Here E is the stiffness and l are the loads of the layers, both condensed to the faces. The residual of the
-iterate is r = F - (E u - l), a force on the faces alone.
+The layers are meshed by themselves, without bodies. An iterate is a displacement u of the interface model, with which
+the bodies are in equilibrium except on S. For equilibrium on S they need forces F on the layers' faces. For the same
+displacements of their faces, meshed layers need the forces E u - l. Here E is the stiffness and l are the loads of the
+layers, both condensed to the faces. The residual of the iterate is r = F - (E u - l), a force on the faces alone.
 
 A step solves (K_b + E) d = r for the change d of u, with the tangent K_b of the bodies. This is done by conjugate
 gradients; the tangent K_1 of the interface model is the preconditioner (Gosselet, Blanchard, Allix and Guguin 2018).
@@ -14,14 +14,14 @@ pseudo-inverse E^+ of E, the goal of the structure with meshed layers is within 
     Q(u) + z . r + r . E^+ r_z/2 -+ (r . E^+ r)^(1/2) (r_z . E^+ r_z)^(1/2)/2, where r_z = F_z - E z.
 
 If the layers' laws are not linear, E is their tangent at the face displacements of the iterate, and is computed anew
-for each iterate. Goals then have no bounds. If energies are convex, the energy J(u_0) of the estimated state u_0 has
-bounds, where J is the energy of the structure with meshed layers. With the least energy W(v) of the layers for face
+for each iterate. Goals then have no bounds. Let J be the energy of the structure with meshed layers, and u_0 the state
+of the interface model. If energies are convex, J(u_0) has bounds. With the least energy W(v) of the layers for face
 displacements v, and its convex conjugate W*,
 
     gap = W(u) + W*(F) - F . u >= J(u) - min J, D - gap <= J(u_0) - min J <= D,
 
 where D has two parts. In the bodies it is |u_0 - u|^2/2. In the layers it is the energy of u_0 above the tangent plane
-at the displacements under F.
+at their displacements under the forces F.
 
 E^+ r exists only if the forces r on each layer have no resultant. Laws that resist rotations of the layer, as laws of
 order 0 do, leave a resultant. Additional loads on the faces, each proportional to a rigid motion of them (a "couple"),
@@ -66,9 +66,10 @@ DEFAULT_WIDTH = 0.05  # default width of bounds over the change at which steps e
 
 
 class BodyEquilibrium(NamedTuple):
-    """Iterate of displacements, whose bodies are in equilibrium except on S; also the adjoint solution z of a goal.
+    """Displacements with which bodies are in equilibrium except on S (an iterate), or the adjoint solution z of a goal.
 
-    m is the number of displacements of this rank, n the number of unknowns of the layers. Every rank has all n.
+    m is the number of displacements of this rank, n the number of unknowns of the meshed layers. Every rank has all n
+    of them.
 
     Attributes:
         u: (m,) displacements, or z.
@@ -78,7 +79,7 @@ class BodyEquilibrium(NamedTuple):
         values: (n,) prescribed displacements of the layers' lateral sides; for z, their values in the adjoint problem.
         directions: four arrays for each conjugate-gradient step that led to the iterate. They are the changes d of u
             (m,), of v (n,) and of F (n,), and (K_b + E) d at the faces (n,).
-        gained: decrease of twice the energy by these steps.
+        gained: twice the decrease of the energy by these steps.
     """
 
     u: Array
@@ -90,9 +91,10 @@ class BodyEquilibrium(NamedTuple):
     gained: float = 0.0
 
     def is_near(self, other: BodyEquilibrium) -> bool:
-        """Return whether this iterate and `other` agree to rounding on the faces; then their steps agree, too.
+        """Return whether this iterate and `other` agree to rounding on the layers' faces.
 
-        The result is the same on all ranks, as every rank has the values on all faces.
+        Conjugate-gradient steps from both then agree, too. The result is the same on all ranks, as every rank has the
+        values on all faces.
         """
         pairs = ((self.v, other.v), (self.F, other.F), (self.load, other.load), (self.values, other.values))
         return all(np.abs(a - b).max(initial=0.0) <= ITERATE_TOLERANCE * np.abs(a).max(initial=0.0) for a, b in pairs)
@@ -104,7 +106,7 @@ class GoalBounds(NamedTuple):
     Attributes:
         estimate: estimated value: the goal's value in an iterate, plus the work of the residual on S in the goal's
             adjoint solution; nan: not known.
-        lower, upper: bounds of the goal; infinite: not known; nan: there are none.
+        lower, upper: bounds of the goal; infinite or nan if there are none.
         rounding: possible change of the bounds by rounding of forces, which is large if bodies move far.
     """
 
@@ -124,20 +126,21 @@ class GoalBounds(NamedTuple):
     def is_narrow(self, value: float, share: float) -> bool:
         """Return whether the bounds are at most as wide as a fraction of the goal's change.
 
-        The change is that from `value`, the goal in the estimated state, to the estimate; `share` is the fraction.
+        The change is that from `value`, the goal with the interface laws, to the estimate; `share` is the fraction.
         Bounds are also narrow if their width is little more than rounding.
         """
         return self.upper - self.lower <= max(share * abs(self.estimate - value), MAX_WIDTH_RATIO * self.rounding)
 
 
 class GlobalLocal:
-    """Global-local iteration between an interface model and a subproblem of its layers, see the module.
+    """Global-local iteration between an interface model and its layers, which are meshed by themselves.
 
-    Arrays (m,) are values at this rank's displacements of the interface model, arrays (n,) at the layers' unknowns.
+    The first lines of the module explain the method. Arrays (m,) are values at this rank's displacements of the
+    interface model, arrays (n,) at the layers' unknowns.
 
     Args:
-        adjoint: linearised interface model at the estimated state, which solves for responses and adjoint solutions.
-        layers: the subproblem of the meshed layers.
+        adjoint: interface model linearised at its state u_0, which solves for responses and adjoint solutions.
+        layers: the meshed layers, a subproblem for displacements or forces of their faces.
 
     Raises:
         InputError: a part other than the layers' laws has unknowns in addition to displacements.
@@ -178,13 +181,13 @@ class GlobalLocal:
         return np.asarray(self._loads - others)
 
     def _face_forces(self, forces: Array) -> Array:
-        """Return the nodal forces on the layers' faces (n,), from all nodal forces `forces` (m,)."""
+        """Return the nodal forces on the layers' faces (n,), which are some of the nodal forces `forces` (m,)."""
         return self.layers.free_face_values(self.layers.at_faces(forces))
 
     def _resistance(self, d: Array) -> Array:
-        """Return the change (m,) of the forces of all parts except the layers' laws by small displacements `d` (m,).
+        """Return the forces (m,) with which all parts except the layers' laws resist small displacements `d` (m,).
 
-        The forces are linearised at the estimated state.
+        The forces are linearised at the state from which the iteration starts.
         """
         self._x.array[:] = d
         out = self._x.duplicate()
@@ -194,19 +197,21 @@ class GlobalLocal:
         return forces
 
     def _displacements_under(self, r: Array) -> tuple[Array, Array]:
-        """Solve the linearised interface model for the displacements (m,) under forces `r` (n,) on the layers' faces.
+        """Solve the linearised interface model for forces `r` (n,) on the layers' faces.
 
-        The second array (n,) has the forces that the bodies leave to the interface laws: `r` minus the bodies'
-        resistance.
+        Returns:
+            The displacements (m,) under these forces; and the forces (n,) that the interface laws bear: `r` minus what
+            bodies and other parts bear.
         """
         d = self.adjoint.displacements(*self.layers.face_values(r))
         return d, r - self._face_forces(self._resistance(d))
 
     def _with_couples(self, u: Array, F: Array, load: Array, values: Array) -> BodyEquilibrium:
-        """Return an iterate with added couples, so that F and the loads on each layer have no resultant.
+        """Return an iterate with additional loads on the layers' faces ("couples"), which balance their resultants.
 
-        A couple is a load on the faces in proportion to a rigid motion of them. The response of the interface model to
-        it is added, too. Only motions that laws resist, or that loads on the layers drive, need one.
+        Without couples, F and the loads on a layer may have a resultant. A couple is a load on the faces in proportion
+        to a rigid motion of them. The response of the interface model to it is added, too. Only motions that laws
+        resist, or that loads on the layers drive, need one.
 
         Args:
             u: (m,) displacements, without couples.
@@ -228,9 +233,9 @@ class GlobalLocal:
         return iterate
 
     def _add_couple(self, along: Array) -> None:
-        """Add to the list of couples one that can cancel a resultant, with the response of the interface model to it.
+        """Add a couple, a load on the layers' faces that can cancel a resultant, and the response to it.
 
-        The couple consists of the nodal forces of a rigid motion, multiplied by the diagonal of the layers' stiffness.
+        A couple consists of the nodal forces of a rigid motion, multiplied by the diagonal of the layers' stiffness.
         The motion is that part of the resultant along which there is no couple so far. If this part is very small,
         nothing is added.
 
@@ -253,9 +258,10 @@ class GlobalLocal:
 
     # ---------------------------------------------------------------- iterates
     def first_iterate(self) -> BodyEquilibrium:
-        """Return the first iterate: the displacements of the estimated state, with couples.
+        """Return the first iterate, from the state of the interface model.
 
-        The layers are linearised at its face displacements.
+        Loads on the faces are added ("couples"), so that the forces on each layer have no resultant. The layers are
+        linearised at the iterate's face displacements.
         """
         u = self.state.u.x.array[: self.n].copy()
         start = self._with_couples(u, self._face_forces(self._missing_forces(u)), self.layers.load, self.layers.values)
@@ -265,8 +271,8 @@ class GlobalLocal:
     def weights(self, goal: Goal) -> tuple[Array, BodyEquilibrium]:
         """Return the nodal weights (m,) of a goal, at this rank's displacements, and its adjoint solution.
 
-        The weights are the derivative of `goal` by the displacements at the estimated state. The adjoint solution is in
-        equilibrium with them in the bodies, except on S.
+        The weights are the derivative of `goal` by the displacements, at the state of the interface model. The adjoint
+        solution is in equilibrium with them in the bodies, except on S.
         """
         q, g = goal.dual(self.adjoint)
         if self.model.linear and goal.is_linear(self.model):
@@ -298,7 +304,7 @@ class GlobalLocal:
         return self.layers.dirichlet_displacements(iterate.v, iterate.load, iterate.values)
 
     def residual(self, iterate: BodyEquilibrium) -> Array:
-        """Return the residual F - (E u - l) of `iterate` (n,): forces on the faces that meshed layers do not balance."""
+        """Return the residual F - (E u - l) of `iterate` (n,), face forces that meshed layers do not balance."""
         return iterate.F - self.layers.dirichlet_reactions(iterate.v, iterate.load, iterate.values)
 
     def step(self, old: BodyEquilibrium) -> BodyEquilibrium:
@@ -379,7 +385,7 @@ class GlobalLocal:
         return new
 
     def newton(self) -> BodyEquilibrium:
-        """Solve for the structure with meshed layers by Newton's method, starting from the estimated state.
+        """Solve for the structure with meshed layers by Newton's method, starting from the interface model's state.
 
         Raises:
             SolveError: no convergence.
@@ -451,7 +457,7 @@ class GlobalLocal:
 
         Args:
             last: the last iterate.
-            values: name of a goal -> its value in the estimated state.
+            values: name of a goal -> its value in the state passed to `estimate`.
             bounds: name of a goal -> its bounds.
             width: largest width of narrow bounds, relative to the change of the goal; None: there are no bounds, and
                 the result is True.
@@ -505,9 +511,9 @@ class GlobalLocal:
         return float(at_rest + bulk + z.load @ w - w_z @ (layers.K @ w - last.load))
 
     def work_of_laws(self, u: fem.Function, z: BodyEquilibrium, *, bonded: bool = False) -> Array:
-        """Return for each displacement of this rank (m,) the work of the interface laws' nodal force there in z.
+        """Return the work of the interface laws in an adjoint solution, for each displacement of this rank (m,).
 
-        The work of loads on the layers in z is subtracted.
+        Each entry is the nodal force of the laws, minus the load on the layers, times the adjoint solution there.
 
         Args:
             u: displacements at which the laws are evaluated.
@@ -534,7 +540,7 @@ class GlobalLocal:
 
         Args:
             goals: name -> goal.
-            values: name of a goal -> its value in the estimated state.
+            values: name of a goal -> its value in the state passed to `estimate`.
             bounds: name of a goal -> its bounds so far; they are replaced by new bounds of the goals that are linear.
             width: largest width of narrow bounds, relative to the change of the goal. None: there are no bounds, and
                 Newton's method iterates to convergence.

@@ -48,7 +48,7 @@ class Goal(ABC):
     name: str
 
     def check(self, model: InterfaceModel) -> None:
-        """Raise InputError unless the goal makes sense for `model`, as its point lies in a body. Not collective."""
+        """Raise InputError if `model` cannot have the goal, for example if its point is outside. Not collective."""
 
     def is_linear(self, model: InterfaceModel) -> bool:
         """Return whether Q is a linear function of the displacements and reactions of `model`, plus a constant."""
@@ -239,10 +239,10 @@ class Reaction(DirectedGoal):
 
 @dataclass(frozen=True)
 class MeanTraction(DirectedGoal):
-    """Mean traction on a seam along a direction, as a goal: resultant of the bodies' nodal forces on S over its area.
+    """Mean traction on a seam along a direction, as a goal.
 
-    Where supports or plates constrain nodes, nodal forces contain the forces of supports and plates. The forces at
-    other nodes replace them.
+    It is the resultant of the bodies' nodal forces on the seam, divided by its area. Where supports or plates constrain
+    nodes, nodal forces contain the forces of supports and plates. The forces at other nodes replace them.
 
     Attributes:
         direction: (d,) the direction in d dimensions, not zero; its length does not matter.

@@ -31,9 +31,9 @@ FIXED_GOAL_SHARE = 1e-10  # change of a goal, over its scale, that is only round
 
 
 class GoalError(NamedTuple):
-    """Value of a goal Q in the estimated state, and estimate and bounds of its value with the layer meshed.
+    """Value of a goal Q with the interface law, and estimate and bounds of its value with the layer meshed.
 
-    u_0 is the estimated state, u_1 the state with the layer meshed, as far as the estimate knows it.
+    u_0 is the state passed to `estimate`, u_1 the estimated state with the layer meshed.
 
     Attributes:
         value: Q(u_0).
@@ -91,7 +91,7 @@ class GoalError(NamedTuple):
 class LayerError(NamedTuple):
     """Estimated errors of the traction t and the jump [u] on the seam of one layer.
 
-    u_0 is the estimated state, u_1 the state with the layer meshed, as far as the estimate knows it.
+    u_0 is the state passed to `estimate`, u_1 the estimated state with the layer meshed.
 
     Attributes:
         layer: the layer that was meshed.
@@ -109,7 +109,7 @@ class Estimate:
     """Estimated error of dropping the mesh of a layer, the result of `estimate`.
 
     Attributes:
-        state: the estimated state u_0.
+        state: u_0, the state passed to `estimate`, or the last one of the history.
         better: u_1, a state of the same interface model, whose bodies are in equilibrium with the meshed layers.
         layers: name of a seam -> errors of traction and jump there.
         goals: name of a goal -> its error.
@@ -140,12 +140,12 @@ class Estimate:
 
     @property
     def cost(self) -> float:
-        """Wall time of the estimate, divided by that of solving for the estimated state."""
+        """Wall time of the estimate, divided by the time of solving for `state`."""
         return self.seconds / self.state.report.seconds
 
     @property
     def dropped(self) -> str:
-        """Text that says which laws or bonds replace the layers in the estimated state, as "order 0"."""
+        """Text that says which laws or bonds replace the layers in `state`, for example "order 0"."""
         bonds, layers = self.state.model.bonds, self.state.model.layers
         orders = sorted({layer.thin_layer.order for layer in layers.values() if layer.thin_layer})
         laws = [f"order {' and '.join(map(str, orders))}"] if layers else []
@@ -232,7 +232,7 @@ class Estimate:
     def table(self) -> Table:
         """Table with a row for each traction, jump and goal, and for the energy if it has bounds.
 
-        Its columns are "quantity" (name), "value" (in the estimated state), "better" (with the layer meshed), "error"
+        Its columns are "quantity" (name), "value" (with interface laws), "better" (with the layer meshed), "error"
         (relative), and the bounds "lower" and "upper"; nan stands for numbers that do not exist.
         """
         nan, rows = math.nan, []
@@ -249,7 +249,7 @@ class Estimate:
 
     @property
     def caveats(self) -> list[str]:
-        """Sentences that say what the estimate does not cover, as goals without bounds; [] if nothing is to be said."""
+        """Sentences on the limits of the estimate, for example that goals have no bounds; [] if there are none."""
         caveats = []
         laws = [term.law for term in self.better.model.terms]
         if self.state.sudden and any(law.traits.remembers and not law.traits.bounded for law in laws):

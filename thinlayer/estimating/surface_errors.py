@@ -26,7 +26,7 @@ def squared_norms(before: State, better: State, seam_layer: SeamLayer, layers: S
     """Return squared L2 norms on a seam of traction t, of jump [u], and of their changes from u_0 to u_1. Collective.
 
     Args:
-        before: the estimated state u_0.
+        before: the state u_0 with interface laws or bonds.
         better: u_1, the state of the interface model whose bodies are in equilibrium with the meshed layers.
         seam_layer: the layer on the seam.
         layers: state of the meshed layers, from which the tractions t(u_1) are taken.
@@ -47,7 +47,7 @@ def squared_norms(before: State, better: State, seam_layer: SeamLayer, layers: S
 
 
 def relative_errors(squares: Array) -> tuple[float, float]:
-    """Return the relative errors of traction and jump on S; nan for a field that is zero in the estimated state.
+    """Return the relative errors of traction and jump on S; nan for a field that is zero with the interface law.
 
     `squares` are the squared norms (4,) of `squared_norms`, or a sum of them over several seams.
     """
@@ -59,13 +59,14 @@ def relative_errors(squares: Array) -> tuple[float, float]:
 def change_density(iteration: GlobalLocal, state: State, better: State, z: BodyEquilibrium) -> Array:
     """Return the density on S, per area, of the change of a goal from a state to a better state. Collective.
 
-    It has three terms. The first is the work of the interface laws in z, minus that of the meshed layers with the same
-    face displacements. The second is the work of the residual forces of z in the change of the face displacements. The
-    third, for the compliance, is the change of the work of loads on the layers.
+    It has three terms. The first is the work of the interface laws in the adjoint solution z. The work of meshed layers
+    with the same displacements of their faces is subtracted. The second is the work of forces that z leaves unbalanced
+    on the faces, in the change of the face displacements. The third, for the compliance, is the change of the work of
+    loads on the layers.
 
     Args:
         iteration: the iteration from the interface model to the structure with meshed layers.
-        state: the estimated state.
+        state: the state with interface laws or bonds.
         better: the state of the interface model whose bodies are in equilibrium with the meshed layers.
         z: adjoint solution of the goal.
 

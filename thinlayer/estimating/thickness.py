@@ -47,7 +47,7 @@ class ThinEnough(FormerNames):
         table: table with a row for each thickness that was tried, with the columns "eps" and "error". The error is its
             upper bound, where there are bounds.
         at_tolerance: whether the error at `eps` is equal to the tolerance, with `eps` correct to one percent.
-        lacks: what the estimate at `eps` does not cover, in words; "": nothing is to be said.
+        lacks: limits of the estimate at `eps`, in words, for example that goals have no bounds; "": none.
         bonded: True: without the layer, bodies are bonded. False: the interface law replaces the layer.
     """
 
@@ -222,8 +222,8 @@ def _search(
         tolerance: the relative error that is allowed.
 
     Returns:
-        The thickness; whether errors exceed the tolerance just above it, False if it is `thickest`; and thickness ->
-        error for all thicknesses that were tried.
+        The thickness; True if errors exceed the tolerance just above it, False if it is `thickest`, above which nothing
+        was tried; and thickness -> error for all thicknesses that were tried.
     """
 
     errors: dict[float, float] = {}
