@@ -1,4 +1,4 @@
-"""Studies: figures of the paper, sweeps in the layer's thickness, limits, estimates; data/studies.toml lists them."""
+"""Studies: figures of the paper, sweeps in the layer's thickness, limits, estimates. data/studies.toml lists them."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Rows of the study `rates`: meshed frictional layers without cohesion against Coulomb contact on S."""
+"""Rows of the study `rates` that compare meshed frictional layers without cohesion with Coulomb contact on S."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rubber bearings, a disc between stiff plates: meshed, and by interface laws with and without a pressure on S."""
+"""Rubber bearings, discs between stiff plates: meshed, and by interface laws with and without a pressure on S."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def run(record: Record, *, nu: Sequence[float] = POISSON_RATIOS, quick: bool = F
     The models are the meshed rubber, the law `Rubber` of order 1, and `LinearElastic` of order 0.
 
     Args:
-        record: record of the run: its folder, tables and checks.
+        record: record of the run, with its folder, tables and checks.
         nu: Poisson's ratios of the rubber, in (0, 1/2].
         quick: every other ratio, fewer cells, and two of the three shape factors.
     """

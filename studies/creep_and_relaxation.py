@@ -1,4 +1,4 @@
-"""Creep and relaxation of columns: interface law, meshed layer and closed forms; rates of the time schemes."""
+"""Creep and relaxation of columns: both models against closed forms, and rates of convergence of time schemes."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     the interface law at t = 1, for decreasing time steps.
 
     Args:
-        record: record of the run: its folder, tables and checks.
+        record: record of the run, with its folder, tables and checks.
         quick: longer and fewer steps.
     """
     steps = TIME_STEPS[:2] if quick else TIME_STEPS
@@ -247,9 +247,9 @@ class Column:
             steps: decreasing lengths of the time steps.
 
         Returns:
-            A table row: "exact" (closed form at t = 1); "SCHEME DT" (relative error with the step DT) and "SCHEME
-            order" (last rate of convergence; None if the last error is only rounding) for the schemes "Euler" and
-            "midpoint".
+            Table row, in which "exact" is the closed form at t = 1. For the schemes "Euler" and "midpoint", "SCHEME DT"
+            is the relative error with the step DT, and "SCHEME order" the last rate of convergence. The rate is None if
+            the last error is only rounding.
         """
         exact = float(self.case.exact(self.pull, np.array(ERROR_TIME)))
         row: dict[str, float | None] = {"exact": exact}

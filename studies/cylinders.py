@@ -1,4 +1,4 @@
-"""Rows of the study `rates` with closed forms: a coated fibre and bonded tubes, concentric cylinders."""
+"""Rows of the study `rates` on concentric cylinders, a coated fibre and bonded tubes, with their closed forms."""
 
 from __future__ import annotations
 

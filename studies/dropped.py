@@ -1,4 +1,4 @@
-"""Cases of the study `may_i_drop`, structures with thin layers: from another program, further ones, random ones.
+"""Cases of the study `may_i_drop`: structures with thin layers, published for another program, chosen here, or random.
 
 Authors of another program have published results for some of these cases, without all the data. The missing data are
 chosen here: the layer's modulus and the load on unequal bodies with nu = 0.45, the load on the bearing, and the

@@ -82,7 +82,7 @@ def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: 
     an elastic fraction; it is solved for both values, h = 0 and that of the meshed layer.
 
     Args:
-        record: record of the run: its folder, tables and checks.
+        record: record of the run, with its folder, tables and checks.
         loads: reading of the paper's loads, "R1", "R4m" or "both".
         quick: coarser meshes.
     """
@@ -224,7 +224,10 @@ def refine(record: Record, bar: YieldingBar, counts: Sequence[int]) -> None:
 
 
 def draw(record: Record) -> None:
-    """Draw the ratio t_T/u_T along S for both readings of the loads, from table.csv in the folder of `record`."""
+    """Draw tangential traction over tangential jump along S for both readings of the loads.
+
+    The values are read from table.csv in the folder of `record`.
+    """
     panels, ranges = {}, {}
     for name, of_loads in record.load("table.csv").split("loads").items():
         title = f"{name}: {READINGS[name].expected}"

@@ -41,7 +41,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     """Move the end of the bar up and down, with the layer meshed and with its interface law, and check closed forms.
 
     Args:
-        record: record of the run: its folder, tables and checks.
+        record: record of the run, with its folder, tables and checks.
         quick: coarser mesh, longer steps.
     """
     cells, steps = (2, 10) if quick else (4, 20)

@@ -1,4 +1,4 @@
-"""Figures 5 and 6: a bar on a layer of two elastic sublayers; tangential traction over displacement along S."""
+"""Figures 5 and 6: a bar on a layer of two elastic sublayers, and tangential traction over displacement along S."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ POINT_X = 10.0  # mm, where the deviation is followed as eps -> 0
 def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: bool = False) -> None:
     """Solve the bar of Fig. 5 at eps = 0.1 mm, then follow the deviation of t_T/u_T from K_T as eps -> 0.
 
-    K_T is the tangential stiffness of the interface law.
+    t_T is the tangential traction, u_T the tangential jump, and K_T the tangential stiffness of the interface law.
 
     Args:
-        record: record of the run: its folder, tables and checks.
+        record: record of the run, with its folder, tables and checks.
         eps: thicknesses (mm) at which the deviation is computed.
         quick: coarser mesh.
     """
@@ -59,7 +59,7 @@ def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: 
 
 
 class StratifiedBar:
-    """The bar of Fig. 5 on any layer, and the ratio t_T/u_T along S.
+    """The bar of Fig. 5 on any layer, and its tangential traction over tangential jump along S.
 
     Args:
         record: record of the run, which keeps the solver's reports.
@@ -102,6 +102,7 @@ class StratifiedBar:
 def _deviation(record: Record, bar: StratifiedBar, eps: Sequence[float]) -> Table:
     """Tabulate the deviation of t_T/u_T from K_T for the thicknesses `eps`, with observed rates of convergence.
 
+    t_T is the tangential traction, u_T the tangential jump, and K_T the tangential stiffness of the interface law.
     There are two series. In "ratios_held" moduli are proportional to the thickness, and K_T is constant. In
     "moduli_held" moduli are constant, and K_T is proportional to 1/eps. `record` writes the table to deviation.csv.
     """
@@ -116,7 +117,7 @@ def _deviation(record: Record, bar: StratifiedBar, eps: Sequence[float]) -> Tabl
 
 
 def draw(record: Record) -> None:
-    """Draw Fig. 6, the ratio t_T/u_T along S, from table.csv in the folder of `record`."""
+    """Draw Fig. 6, tangential traction over tangential jump along S, from table.csv in the folder of `record`."""
     table = record.load("table.csv")
     x, law = table["x_mm"], table["ratio_interface"] / 1e3
     lines = {"meshed layer": (x, table["ratio_band"] / 1e3), "interface law": (x[::8], law[::8])}

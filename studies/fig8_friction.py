@@ -1,4 +1,4 @@
-"""Figures 7 and 8: a bar pushed along a rigid base; contact status, tangential displacement for three stiffnesses."""
+"""Figures 7 and 8: a bar pushed along a rigid base; contact status and tangential displacement for three stiffnesses."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def run(record: Record) -> None:
     The numbers of separated, sliding and sticking nodes must be those of the paper, and almost the same on both meshes.
 
     Args:
-        record: record of the run: its folder, tables and checks.
+        record: record of the run, with its folder, tables and checks.
     """
     reports = {}
     for n in (N, N + 1):

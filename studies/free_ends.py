@@ -1,4 +1,7 @@
-"""Free ends of a layer: constants on a half strip, errors of order 1 with and without them, least bodies' stiffness."""
+"""Free ends of a layer: constants with which laws of order 1 correct them, and errors with and without the correction.
+
+The study also checks for which stiffness of the bodies the correction is good.
+"""
 
 from __future__ import annotations
 
@@ -152,7 +155,7 @@ def run(record: Record, *, nu: Sequence[float] = POISSON_RATIOS, quick: bool = F
     with which laws of order 1 correct their free ends.
 
     Args:
-        record: record of the run: its folder, tables and checks.
+        record: record of the run, with its folder, tables and checks.
         nu: Poisson's ratios of the layer, from 0 to 0.5.
         quick: every other ratio, three structures with two thicknesses; the table's own rows are not computed anew.
     """

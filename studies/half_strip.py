@@ -1,4 +1,4 @@
-"""The free end of a layer between rigid faces: plane strain on the half strip x > 0, 0 < y < 1, and its constants.
+"""Constants of the free end of a layer between rigid faces, in plane strain on the half strip x > 0, 0 < y < 1.
 
 The faces y = 0 and y = 1 are moved by -w/2 and w/2, across the layer (N) or along it (T). The end x = 0 is free. Far
 from it the strain is uniform; near it the layer is weaker. Lengths are relative to the thickness, stresses to mu.

@@ -1,4 +1,4 @@
-"""Meshed networks of layers against their interface models: convergence as eps -> 0, and the effect of junctions."""
+"""Networks of layers, meshed against interface models: convergence as eps -> 0, and the effect of junctions."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
     constant c.
 
     Args:
-        record: record of the run: its folder, tables and checks.
+        record: record of the run, with its folder, tables and checks.
         eps: thicknesses; the networks are 1 to 2 wide.
         quick: fewer networks.
     """

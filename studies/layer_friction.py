@@ -40,7 +40,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     The study compares several paths of shear and normal loading, and several laws.
 
     Args:
-        record: record of the run: its folder, tables and checks.
+        record: record of the run, with its folder, tables and checks.
         quick: longer steps.
     """
     steps, law = 100 if quick else 400, MohrCoulomb(LMBDA, MU, 0.0, OMEGA)

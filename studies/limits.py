@@ -1,4 +1,4 @@
-"""Limits of the elastic law: with growing stiffness it bonds, without tangential stiffness it slides."""
+"""Limits of the elastic interface law: bonded bodies for growing stiffness, sliding without tangential stiffness."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     second part K_T tends to zero at a fixed K_N, and results are compared with bodies that slide without friction.
 
     Args:
-        record: record of the run: its folder, tables and checks.
+        record: record of the run, with its folder, tables and checks.
         quick: coarser mesh, and fewer stiffnesses.
     """
     joint, setup = fourier(1 / 16 if quick else 1 / 48, cell="quadrilateral")

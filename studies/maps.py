@@ -1,4 +1,4 @@
-"""Pictures of tables with two axes, whose cells have a text and a colour for a range of values."""
+"""Pictures of values over two axes: coloured cells with a text, where a colour stands for a range of values."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     structures, along.csv the changes along S in one structure.
 
     Args:
-        record: record of the run: its folder, tables and checks.
+        record: record of the run, with its folder, tables and checks.
         quick: without structures in 3D, with fewer random structures.
     """
     _effectivities(record, quick=quick)

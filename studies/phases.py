@@ -1,4 +1,4 @@
-"""Rows of the study `rates` for layers with phases: laws, wrong laws for comparison, areas in each phase, snaps."""
+"""Rows of the study `rates` for layers with phases: laws, wrong laws for comparison, and checks of phases and snaps."""
 
 from __future__ import annotations
 
@@ -152,9 +152,9 @@ def snaps(full: Solution, limit: Solution) -> dict[str, float]:
         limit: history with the interface law.
 
     Returns:
-        The entries of `shares`; "snaps", their number with the interface law; "error_times", the largest difference of
-        the times of a snap, over the last such time; "error_lost", the relative difference of the total energies lost.
-        Errors are NaN if both models have not the same number of snaps.
+        The entries of `shares`, and "snaps", the number of snaps with the interface law. "error_times" is the largest
+        difference of the times of a snap, over the last such time. "error_lost" is the relative difference of the total
+        energies lost. Errors are NaN if the models have different numbers of snaps.
     """
     assert isinstance(full, History)
     assert isinstance(limit, History)

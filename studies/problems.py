@@ -1,4 +1,4 @@
-"""Structures that several studies solve, as joints and arguments of `Structure`, and the solution of one of them."""
+"""Structures that several studies solve, given by joint and arguments of `Structure`; exact solution of one."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     the displacements inside and outside, and the radial stress on S, an almost rigid interface.
 
     Args:
-        record: record of the run: its folder, tables and checks.
+        record: record of the run, with its folder, tables and checks.
         quick: coarser meshes.
     """
     punched(record, (5, 10) if quick else (5, 10, 16))

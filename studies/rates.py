@@ -1,4 +1,4 @@
-"""Interface laws against meshed layers as eps -> 0, a row for each layer: errors O(eps), O(eps^2) at order 1."""
+"""Comparisons of interface laws with meshed layers as eps -> 0: errors are O(eps), for laws of order 1 O(eps^2)."""
 
 from __future__ import annotations
 

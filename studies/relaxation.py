@@ -1,4 +1,4 @@
-"""The paper's relaxation method (SOR): number of sweeps for factors omega, meshes and stiffnesses of the layer."""
+"""The paper's relaxation method (SOR): its number of sweeps for factors omega, meshes and stiffnesses of the layer."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     """Count sweeps of relaxation (SOR) with the factor omega = 1 at contact nodes, then with one omega at all nodes.
 
     Args:
-        record: record of the run: its folder, tables and checks.
+        record: record of the run, with its folder, tables and checks.
         quick: two coarse meshes.
     """
     meshes = (8, 16) if quick else (8, 16, 32)

@@ -1,4 +1,4 @@
-"""Row of the study `rates`: two cylinders, glued end to end, in 3D and as an axisymmetric section."""
+"""Row of the study `rates` on two cylinders, glued end to end, in 3D and in an axisymmetric section."""
 
 from __future__ import annotations
 

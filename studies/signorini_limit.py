@@ -1,4 +1,4 @@
-"""Contact with interfaces of growing stiffness: the error to Signorini's and Coulomb's laws is O(1/K); Newton steps."""
+"""Contact with a layer of growing stiffness K: errors O(1/K) to Signorini's and Coulomb's laws, and Newton steps."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     Errors are measured on one mesh. Steps are counted for several stiffnesses, friction coefficients and meshes.
 
     Args:
-        record: record of the run: its folder, tables and checks.
+        record: record of the run, with its folder, tables and checks.
         quick: coarser meshes.
     """
     meshes = (32, 64) if quick else (32, 64, 128, 256, 512, 724)

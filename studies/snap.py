@@ -118,7 +118,7 @@ def rows(curve: str, history: History, delta: Array) -> Table:
 
 
 def moved(t: npt.ArrayLike) -> Array:
-    """Return the prescribed displacements delta at the times `t` of a march up to 2.4 and back."""
+    """Return the prescribed displacements of the block's upper side at the times `t`: up to 2.4 and back."""
     return np.asarray(END - np.abs(np.asarray(t, float) - END))
 
 
@@ -150,7 +150,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     """Move the upper side of the block up and down, and follow its equilibria by arc length from both ends.
 
     Args:
-        record: record of the run: its folder, tables and checks.
+        record: record of the run, with its folder, tables and checks.
         quick: coarser mesh, a path with a smaller snap-back.
     """
     cells, steps, r, step = (12, 12, 0.4, 0.06) if quick else (32, 48, 0.3, 0.02)

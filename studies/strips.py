@@ -38,7 +38,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     """Solve two strips that are held flat (shear lag) and that bend, with the layer meshed and as an interface law.
 
     Args:
-        record: record of the run: its folder, tables and checks.
+        record: record of the run, with its folder, tables and checks.
         quick: coarser meshes.
     """
     shear_lag(record, 5.0 if quick else 2.5)

@@ -1,4 +1,4 @@
-"""Sweeps that several studies share: the meshed layer against the interface law as the thickness decreases."""
+"""Comparisons that several studies share: the meshed layer against its interface law for decreasing thickness."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class Row:
 
         Args:
             record: record of the run, which writes the table and receives the checks.
-            name: name of the row.
+            name: name of this `Row`.
             eps: thicknesses.
             quick: whether to use coarser meshes and fewer steps.
             pictured: whether to draw deformed structures.
@@ -224,7 +224,7 @@ def check_floors(record: Record, name: str, wrong: Table, right: Table, floors: 
 
     Args:
         record: record of the run, which receives the checks.
-        name: name of the wrong law's row.
+        name: name of the `Row` of the wrong law.
         wrong: table of errors of the wrong law, a line for each thickness.
         right: table of errors of the right law.
         floors: "traction" or "jump" -> smallest and largest relative error of the wrong law at the smallest thickness.
@@ -238,12 +238,12 @@ def check_floors(record: Record, name: str, wrong: Table, right: Table, floors: 
 
 
 def table_of(case: str) -> str:
-    """Return the name of the csv file with the table of the row `case`."""
+    """Return the name of the csv file with the table of errors of the `Row` named `case`."""
     return f"table_{case.replace(' ', '_')}.csv" if case else "table.csv"
 
 
 def along_of(case: str, eps: float) -> str:
-    """Return the name of the csv file with fields along S of the row `case` at the thickness `eps`."""
+    """Return the name of the csv file with fields along S of the `Row` named `case`, at the thickness `eps`."""
     return f"along_{case.replace(' ', '_')}_{eps:g}.csv"
 
 
@@ -254,7 +254,7 @@ def draw_along(record: Record, cases: Mapping[str, str], name: str) -> None:
 
     Args:
         record: record of the run.
-        cases: title of a panel -> name of the row drawn there.
+        cases: title of a panel -> name of the `Row` drawn there.
         name: name of the picture's file, without its ending.
     """
     panels: dict[str, Curves] = {}

@@ -1,4 +1,4 @@
-"""A brick wall, pressed and sheared to its limit: joints slide and open, with and without mortar in heads; a panel."""
+"""A brick wall, pressed and sheared to its limit, with and without mortar in heads; a panel with meshed joints."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     the shear stress with the interface law and with meshed joints of several thicknesses.
 
     Args:
-        record: record of the run: its folder, tables and checks.
+        record: record of the run, with its folder, tables and checks.
         quick: fewer bricks, longer steps, one thickness of the panel's joints.
     """
     push_panel(record, THICKNESSES[:1] if quick else THICKNESSES)

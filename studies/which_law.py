@@ -1,4 +1,4 @@
-"""Which law to choose: errors of orders 0 and 1 and of Rubber over thickness, Poisson's ratio, stiffness of bodies."""
+"""Which law to choose: errors of orders 0 and 1 and of Rubber over thickness, Poisson's ratio and bodies' stiffness."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     Between rollers the reference is an exact solution, at free ends a meshed layer.
 
     Args:
-        record: record of the run: its folder, tables and checks.
+        record: record of the run, with its folder, tables and checks.
         quick: three thicknesses and five Poisson's ratios, a coarser mesh.
     """
     table = record.table("table.csv")

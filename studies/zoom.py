@@ -1,4 +1,4 @@
-"""Stresses inside a layer by `Zoom`, and strengths of its stress singularities, against those of a meshed layer."""
+"""Stresses inside a layer and strengths of their singularities by `Zoom`, against those of a meshed layer."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     """Compare stresses in a meshed layer between two blocks with those of `Zoom` into interface models.
 
     Args:
-        record: record of the run: its folder, tables and checks.
+        record: record of the run, with its folder, tables and checks.
         quick: two thicknesses, one ratio of moduli for each Poisson's ratio.
     """
     for nu, ratio in CASES[::3] if quick else CASES:

@@ -286,7 +286,8 @@ class GlobalLocal:
     def _transposed(self) -> Iterator[None]:
         """Return a context manager within which the transposed stiffness is used, as adjoint solutions need it.
 
-        The transposed stiffness has couples of its own. Nothing changes if the model is symmetric.
+        Couples, the loads that balance resultants on the layers, are computed anew for it. Nothing changes if the model
+        is symmetric.
         """
         if self.model.symmetric:
             yield
@@ -304,7 +305,10 @@ class GlobalLocal:
         return self.layers.dirichlet_displacements(iterate.v, iterate.load, iterate.values)
 
     def residual(self, iterate: BodyEquilibrium) -> Array:
-        """Return the residual F - (E u - l) of `iterate` (n,), face forces that meshed layers do not balance."""
+        """Return the residual (n,) of `iterate`: the forces on the layers' faces that meshed layers do not balance.
+
+        It is r = F - (E u - l) in the notation of the module.
+        """
         return iterate.F - self.layers.dirichlet_reactions(iterate.v, iterate.load, iterate.values)
 
     def step(self, old: BodyEquilibrium) -> BodyEquilibrium:
@@ -417,15 +421,17 @@ class GlobalLocal:
     def energy_gap(self, iterate: BodyEquilibrium) -> float:
         """Return twice an upper bound of the energy of `iterate` above the solution's energy (Prager and Synge).
 
-        It is r . E^+ r with the residual r.
+        It is r . E^+ r in the notation of the module.
         """
         return self.layers.compliance(self.residual(iterate))[1]
 
     def energy(self, state: State, iterate: BodyEquilibrium) -> GoalBounds | None:
-        """Return bounds of J(u_0) - min J, for the energy J of the structure with meshed layers. Collective.
+        """Return bounds of the energy of a state with the layers meshed, above the least energy. Collective.
+
+        This is J(u_0) - min J in the notation of the module.
 
         Args:
-            state: the state u_0.
+            state: the state u_0 of the interface model.
             iterate: the last iterate.
 
         Returns:

@@ -1,4 +1,4 @@
-"""Goals: quantities of interest of a structure, whose change with the layer's model is estimated; their base `Goal`."""
+"""Goals: quantities of interest of a structure, whose change by meshing its layers is estimated; base class `Goal`."""
 
 from __future__ import annotations
 

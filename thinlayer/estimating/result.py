@@ -55,26 +55,29 @@ class GoalError(NamedTuple):
 
     @property
     def between(self) -> tuple[float, float]:
-        """Smallest and largest relative error |Q - Q(u_0)|/|Q| for all values Q within the bounds."""
+        """Smallest and largest relative error of the goal that its bounds allow.
+
+        The error is |Q - Q_0|/|Q|, for a value Q within the bounds and the value Q_0 with the interface law.
+        """
         errors = [abs(q - self.value) / abs(q) if q else math.inf for q in (self.lower, self.upper)]
         least = 0.0 if self.lower <= self.value <= self.upper else min(errors)
         return least, math.inf if self.lower < 0 < self.upper else max(errors)
 
     @property
     def change(self) -> float:
-        """Estimated change Q(u_1) - Q(u_0) of the goal if the layer is meshed."""
+        """Estimated change of the goal if the layer is meshed, in the goal's unit."""
         return self.better - self.value
 
     @property
     def relative(self) -> float:
-        """Estimated relative error |Q(u_1) - Q(u_0)|/|Q(u_1)| of the goal; nan if the goal is zero."""
+        """Estimated |change| of the goal over its |value| with the layer meshed; nan if the goal is zero."""
         if self.zero:
             return math.nan
         return 0.0 if self.fixed else abs(self.change / self.better) if self.better else math.inf
 
     @property
     def zero(self) -> bool:
-        """Whether Q(u_0) and Q(u_1) are zero up to rounding."""
+        """Whether the goal is zero up to rounding, with the interface law and with the layer meshed."""
         return max(abs(self.value), abs(self.better)) <= ZERO_GOAL_SHARE * self.scale
 
     @property
@@ -84,7 +87,7 @@ class GoalError(NamedTuple):
 
     @property
     def fixed(self) -> bool:
-        """Whether Q(u_1) is equal to Q(u_0) up to rounding, because equilibrium alone determines the goal."""
+        """Whether meshing the layer does not change the goal (up to rounding), as equilibrium alone determines it."""
         return abs(self.change) <= FIXED_GOAL_SHARE * self.scale
 
 
@@ -154,7 +157,7 @@ class Estimate:
 
     # ---------------------------------------------------------------- where
     def density(self, goal: str = "compliance") -> Array:
-        """Return the density on S, per area, of the change Q(u_1) - Q(u_0) of a goal. Collective.
+        """Return the density on S, per area, of the estimated change of a goal by meshing the layer. Collective.
 
         A mesh of the layer is needed where the density is large. Its integral over S is the change: exactly if model
         and goal are linear, otherwise to first order in the change. A warning is issued if the integral is off by more

@@ -23,7 +23,7 @@ ROUNDING_SHARES = (1e-11, 1e-9)
 
 
 def squared_norms(before: State, better: State, seam_layer: SeamLayer, layers: State) -> Array:
-    """Return squared L2 norms on a seam of traction t, of jump [u], and of their changes from u_0 to u_1. Collective.
+    """Return squared L2 norms on a seam of traction t, of jump [u], and of their changes by meshing. Collective.
 
     Args:
         before: the state u_0 with interface laws or bonds.
