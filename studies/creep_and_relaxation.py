@@ -200,7 +200,7 @@ def check_printed(record: Record, curves: dict[str, Array]) -> None:
 
 
 def until(end: float, dt: float) -> list[float]:
-    """Return the times dt, 2 dt, ..., `end` at which equal time steps of the length `dt` from 0 end."""
+    """Return the ends dt, 2 dt, ..., `end` of equal time steps."""
     return [(k + 1) * dt for k in range(round(end / dt))]
 
 

@@ -1,11 +1,12 @@
-"""Figures 2 and 3: a steel bar on a Mohr-Coulomb layer; where it yields, tangential traction over displacement along S.
+"""Figures 2 and 3: a steel bar on a Mohr-Coulomb layer; where it yields, and tangential traction over displacement.
 
-The paper gives the loads as "(0.164, -0.0164) N/mm" and not the sides they act on. Two readings:
+The paper gives the loads as "(0.164, -0.0164) N/mm" and not the sides they act on. There are two readings; t_T/u_T is
+the tangential traction over the tangential jump:
 
 R1: 0.164 MPa along S on the left side, 0.0164 MPa onto S on the upper side, right side on rollers, as in Fig. 7. The
     shear is ten times the pressure: without cohesion the layer yields all along S, and t_T/u_T is small everywhere.
 R4m: 0.164 MPa onto S on the upper side, 0.0164 MPa to the left on the right side, no support. The layer is pressed ten
-    times more than sheared: it stays elastic, with the ratio mu, except near the left end. Fig. 3 shows this
+    times more than sheared: it stays elastic, with t_T/u_T = mu, except near the left end. Fig. 3 shows this
     ("beginning of the plastification in the left part", the ratio "equal to the coefficient" mu on the right).
 """
 

@@ -160,8 +160,8 @@ class Strip:
 def check_energies(record: Record, strip: Strip, relaxed: History, unrelaxed: History) -> None:
     """Check that the least energy of a layer in one pure phase lies between the energies of two marches.
 
-    Pure phases may be in a local minimum, of more than this energy. With the relaxed law, whose phases may mix, the
-    energy is at most as large.
+    With pure phases the layer may be in a local minimum, with more energy than this. With the relaxed law, whose phases
+    may mix, the energy is at most as large.
 
     Args:
         record: record of the run, which receives the checks.
@@ -178,7 +178,7 @@ def check_energies(record: Record, strip: Strip, relaxed: History, unrelaxed: Hi
 
 
 def check_digits(record: Record, table: Table, limit: Table) -> None:
-    """Check digits of the bar's results, and that its thresholds are linear in eps.
+    """Check results of the bar against known digits, and that its thresholds are linear in eps.
 
     Also check that the paper's formula for U before Eq. (47) is wrong.
 

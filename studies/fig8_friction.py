@@ -1,4 +1,4 @@
-"""Figures 7 and 8: a bar pushed along a rigid base; contact status and tangential displacement for three stiffnesses."""
+"""Figures 7 and 8: a bar pushed along a rigid base; contact status and tangential jump for three stiffnesses."""
 
 from __future__ import annotations
 

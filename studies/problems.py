@@ -109,7 +109,8 @@ class Wave:
     def across(self, lmbda: float, mu: float, thickness: float) -> Array:
         """Return the transfer matrix (4, 4) of an isotropic layer.
 
-        It maps the amplitudes (u_x, u_y, t_x, t_y) at the lower face to those at the upper face.
+        It maps the amplitudes of displacement and traction (u_x, u_y, t_x, t_y) at the lower face to those at the upper
+        face.
 
         Args:
             lmbda, mu: Lamé's moduli of the layer; lmbda may be infinite.

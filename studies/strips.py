@@ -35,7 +35,7 @@ NEAR_ENDS = 0.95  # share of the half length in which shear stresses are compare
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Solve two strips that are held flat (shear lag) and that bend, with the layer meshed and as an interface law.
+    """Solve two strips that are held flat (shear lag) or free to bend, with the layer meshed and as an interface law.
 
     Args:
         record: record of the run, with its folder, tables and checks.

@@ -104,8 +104,8 @@ class GoalBounds(NamedTuple):
     """Estimate and bounds of a goal, or of an energy, with the layer meshed.
 
     Attributes:
-        estimate: estimated value: the goal's value in an iterate, plus the work of the residual on S in the goal's
-            adjoint solution; nan: not known.
+        estimate: the goal's value in an iterate, plus the work of the residual on S in the goal's adjoint solution;
+            nan: not known.
         lower, upper: bounds of the goal; infinite or nan if there are none.
         rounding: possible change of the bounds by rounding of forces, which is large if bodies move far.
     """
