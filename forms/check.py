@@ -14,12 +14,12 @@ from ufl.indexed import Indexed
 
 from forms.base import Array, InputError, require
 from forms.law import BulkLaw, Law, Step, checked_stress, explained_errors, require_shape
-from forms.law_tangents import evaluate, law_identity, symbolic
+from forms.law_tangents import evaluate, law_identity, symbolic_law
 from forms.parameter_fields import ParameterField, ParameterValue
 from forms.tensors import Expr, mandel_vector
 
 SAMPLE_STRAINS = (0.01, 0.3)  # sizes of the strains at which laws are evaluated
-RELATIVE_TOLERANCE = 1e-8  # relative difference that counts as rounding
+ROUNDING_TOLERANCE = 1e-8  # relative difference that counts as rounding
 MIN_NORMAL_NUMBER = 1e-290  # magnitude below which products of numbers have lost digits
 ASYMMETRY_MESSAGE = "{}: the tangent is not symmetric (by {:.1e} of its size); declare symmetric = False, or correct it"
 _CHECKED_LAWS: set[tuple[object, ...]] = set()  # laws that have passed, with their parameter values
@@ -56,15 +56,15 @@ def check(law: Law, d: int | None = 3) -> None:
     if law.traits.nodal:
         return
     for _, sublayer in law.as_bulk_law().sublayers:
-        law_3d: BulkLaw = sublayer.in_space
-        values = [np.asarray(_number(value)).tobytes() for value in law_3d.parameters().values()]
-        key = (type(law_3d), d, repr(law_3d.choices()), *values)
+        law_3d: BulkLaw = sublayer.law_3d
+        value_bytes = [np.asarray(_numeric_value(value)).tobytes() for value in law_3d.parameters().values()]
+        key = (type(law_3d), d, repr(law_3d.choices()), *value_bytes)
         if law_identity(law_3d) is None and key not in _CHECKED_LAWS:
-            require_computed(law_3d, d)
+            require_consistent(law_3d, d)
             _CHECKED_LAWS.add(key)
 
 
-def require_computed(law: BulkLaw, d: int | None = 3) -> None:
+def require_consistent(law: BulkLaw, d: int | None = 3) -> None:
     """Check a law as `check` does, even if the same law has passed the check before.
 
     Nothing is checked if the law is not written in UFL.
@@ -79,32 +79,32 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
     """
     if not law.traits.in_ufl:
         return
-    numeric_law, name, method = law.mapped(_number), type(law).__name__, law.methods[0]
+    numeric_law, name, method = law.mapped(_numeric_value), type(law).__name__, law.methods[0]
     d = 3 if law.traits.compiled else d
-    point = symbolic(numeric_law, d=d)
+    point = symbolic_law(numeric_law, d=d)
     expressions = _method_expressions(point.law, point.step)
     if isinstance(expressions[method], Zero) and not law.traits.compiled:
         raise InputError(f"{name}.{method} is zero, whatever the strain; a law of this kind needs a stiffness")
-    flat = mandel_vector(expressions[method])
-    exprs: dict[str, Expr] = {**expressions, "tangent": ufl.diff(flat, point.strain)}
+    stress_vector = mandel_vector(expressions[method])
+    all_expressions: dict[str, Expr] = {**expressions, "tangent": ufl.diff(stress_vector, point.strain)}
     if law.traits.has_energy and law.traits.symmetric and not (law.traits.rate or law.internal):
-        exprs["slope"] = ufl.diff(expressions["energy"], point.strain) - flat
+        all_expressions["error"] = ufl.diff(expressions["energy"], point.strain) - stress_vector
     with explained_errors(law, method):
-        exprs = {key: expand_derivatives(expression) for key, expression in exprs.items()}
+        all_expressions = {key: expand_derivatives(expression) for key, expression in all_expressions.items()}
 
-    def value(key: str, sample: Array) -> Array | None:
-        return _evaluated(exprs[key], {point.numbers: sample})
+    def value_at(key: str, inputs: Array) -> Array | None:
+        return _evaluated(all_expressions[key], {point.symbols: inputs})
 
-    for size in SAMPLE_STRAINS:
-        e, sample = _sample(numeric_law, size, d or 3)
-        _require_no_branches(law, d, sample, value)
+    for strain_size in SAMPLE_STRAINS:
+        e, sample = _random_inputs(numeric_law, strain_size, d or 3)
+        _require_no_branches(law, d, sample, value_at)
         for key in expressions:
-            tensor = value(key, sample)
+            tensor = value_at(key, sample)
             if tensor is not None and tensor.ndim == 2 and (skew := _relative_difference(tensor, tensor.T)):
                 text = f"{name}.{key} is not symmetric: by {skew:.1e} of its size"
                 raise InputError(f"{text}; use ufl.sym, or a vector (3,)")
-        samples = [np.concatenate([change, sample[6:]]) for change in (e, -e, 3 * e[::-1])]
-        tangents = [C for inputs in samples if (C := value("tangent", inputs)) is not None]
+        samples = [np.concatenate([strain, sample[6:]]) for strain in (e, -e, 3 * e[::-1])]
+        tangents = [C for inputs in samples if (C := value_at("tangent", inputs)) is not None]
         for C in tangents:
             if law.traits.linear and _relative_difference(C, tangents[0]):
                 text = f"{name} declares linear = True, but its stress is not affine in the strain"
@@ -112,10 +112,10 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
             if law.traits.symmetric and (skew := _relative_difference(C, C.T)):
                 note = f". The memory was random numbers: {', '.join(law.internal)}" * bool(law.internal)
                 raise InputError(ASYMMETRY_MESSAGE.format(name, skew) + note)
-        error, stress = (value(key, sample) if "slope" in exprs else None for key in ("slope", method))
-        if error is not None and stress is not None and np.abs(error).max() > RELATIVE_TOLERANCE * np.abs(stress).max():
-            away = f"it is {np.abs(error).max() / (np.abs(stress).max() or 1.0):.1e} of the stress away"
-            text = f"{name}: the derivative of the energy by the strain is not the stress, {away}"
+        error, stress = (value_at(key, sample) if "error" in all_expressions else None for key in ("error", method))
+        if error is not None and stress is not None and np.abs(error).max() > ROUNDING_TOLERANCE * np.abs(stress).max():
+            difference = f"it is {np.abs(error).max() / (np.abs(stress).max() or 1.0):.1e} of the stress away"
+            text = f"{name}: the derivative of the energy by the strain is not the stress, {difference}"
             raise InputError(f"{text}; correct one of them, or write symmetric = False if the stress has no energy")
 
 
@@ -127,15 +127,15 @@ def _method_expressions(law: BulkLaw, step: Step) -> dict[str, Expr]:
     Raises:
         InputError: a method fails, or returns a wrong shape or the wrong internal variables.
     """
-    name, (method, update) = type(law).__name__, law.methods
-    expressions = {method: checked_stress(law, law.own_step(step))}
-    with explained_errors(law, update):
+    name, (stress_method, update_method) = type(law).__name__, law.methods
+    expressions = {stress_method: checked_stress(law, law.law_step(step))}
+    with explained_errors(law, update_method):
         new = law.advance(step)
     if not isinstance(new, dict) or set(new) != set(law.internal):
         returned = sorted(new) if isinstance(new, dict) else repr(new)
-        raise InputError(f"{name}.{update} gives {returned}; it must give {sorted(law.internal)}")
+        raise InputError(f"{name}.{update_method} gives {returned}; it must give {sorted(law.internal)}")
     for variable, shape in law.internal.items():
-        key = f"{update}[{variable!r}]"
+        key = f"{update_method}[{variable!r}]"
         expressions[key] = require_shape(law, key, new[variable], shape)
     if law.traits.has_energy:
         with explained_errors(law, "energy or dissipation"):
@@ -144,20 +144,20 @@ def _method_expressions(law: BulkLaw, step: Step) -> dict[str, Expr]:
     return expressions
 
 
-def _sample(law: BulkLaw, size: float, d: int) -> tuple[Array, Array]:
+def _random_inputs(law: BulkLaw, strain_size: float, d: int) -> tuple[Array, Array]:
     """Return a random strain, a Mandel vector (6,), and a random vector of all inputs of `law` with this strain.
 
     The vector contains, in this order: strain, strain at the beginning of the step, internal variables, unit normal
-    (3,), dt = 0.1, theta = 1, parameters. `SymbolicLaw.numbers` has the same order. The strain components are normally
-    distributed with standard deviation `size`. Only the first `d` components of the normal are not zero.
+    (3,), dt = 0.1, theta = 1, parameters. `SymbolicLaw.symbols` has the same order. The strain components are normally
+    distributed with standard deviation `strain_size`. Only the first `d` components of the normal are not zero.
     """
     rng = np.random.default_rng(3)
-    e, n = size * rng.normal(size=6), np.pad(rng.normal(size=d), (0, 3 - d))
-    old_state = 0.1 * size * rng.normal(size=6), size * rng.random(law.memory)
+    e, n = strain_size * rng.normal(size=6), np.pad(rng.normal(size=d), (0, 3 - d))
+    old_state = 0.1 * strain_size * rng.normal(size=6), strain_size * rng.random(law.memory)
     return e, np.concatenate([e, *old_state, n / np.linalg.norm(n), [0.1, 1.0], law.parameter_values()])
 
 
-def _require_no_branches(law: BulkLaw, d: int | None, sample: Array, values: Callable[..., Array | None]) -> None:
+def _require_no_branches(law: BulkLaw, d: int | None, sample: Array, value_at: Callable[..., Array | None]) -> None:
     """Raise InputError if a law gives other values for numeric parameters than for symbols in their place.
 
     This happens if a Python condition in the law depends on a parameter.
@@ -165,23 +165,23 @@ def _require_no_branches(law: BulkLaw, d: int | None, sample: Array, values: Cal
     Args:
         law: the law.
         d: number of components of the layer's unit normal; None: the law gets no normal.
-        sample: vector of all inputs of the law, in the order of `SymbolicLaw.numbers`.
-        values: function of a method's name and a vector of inputs. It evaluates the method of the law with symbols, and
-            returns None where this is impossible.
+        sample: vector of all inputs of the law, in the order of `SymbolicLaw.symbols`.
+        value_at: function of a method's name and a vector of inputs. It evaluates the method of the law with symbols,
+            and returns None where this is impossible.
     """
-    n_start, stress = 12 + law.memory, values(law.methods[0], sample)
-    work = 0.0 if stress is None else float(np.abs(stress).max() * np.abs(sample[:6]).max())
-    scales = {"energy": work, "dissipation": work}  # scale of rounding errors where an energy is zero
+    normal_start, stress = 12 + law.memory, value_at(law.methods[0], sample)
+    energy_scale = 0.0 if stress is None else float(np.abs(stress).max() * np.abs(sample[:6]).max())
+    scales = {"energy": energy_scale, "dissipation": energy_scale}  # scale of rounding errors where an energy is zero
     for dt, theta, field_value in ((0.1, 1.0, 1.0), (0.0, 0.5, 0.0)):
-        numeric_law = law.mapped(partial(_number, field_value=field_value))
-        inputs = np.concatenate([sample[: n_start + 3], [dt, theta], numeric_law.parameter_values()])
+        numeric_law = law.mapped(partial(_numeric_value, field_value=field_value))
+        inputs = np.concatenate([sample[: normal_start + 3], [dt, theta], numeric_law.parameter_values()])
         try:
-            point = symbolic(numeric_law, inputs, d)
+            point = symbolic_law(numeric_law, inputs, d)
             expressions = _method_expressions(point.law, point.step)
         except Exception:  # for example a division by zero
             continue
         for key, expression in expressions.items():
-            direct, traced = _evaluated(expression), values(key, inputs)
+            direct, traced = _evaluated(expression), value_at(key, inputs)
             if direct is not None and traced is not None and _relative_difference(direct, traced, scales.get(key, 0.0)):
                 text = f"{type(law).__name__}.{key}: a parameter, or a value computed from it, is in a Python condition"
                 raise InputError(f"{text}, which runs once for all numbers; write ufl.conditional(ufl.eq(a, b), c, d)")
@@ -193,7 +193,7 @@ def _relative_difference(a: Array, b: Array, scale: float = 0.0) -> float:
     The difference is divided by the largest of all |a|, |b| and `scale`.
     """
     difference, largest = np.abs(a - b).max(), max(np.abs(a).max(), np.abs(b).max(), scale, MIN_NORMAL_NUMBER)
-    return float(difference / largest) if difference > RELATIVE_TOLERANCE * largest else 0.0
+    return float(difference / largest) if difference > ROUNDING_TOLERANCE * largest else 0.0
 
 
 def _evaluated(expression: Expr, values: dict[Expr, Array] | None = None) -> Array | None:
@@ -211,7 +211,7 @@ def _evaluated(expression: Expr, values: dict[Expr, Array] | None = None) -> Arr
     return numbers if np.isfinite(numbers).all() else None
 
 
-def _number(value: ParameterValue, _power: float = 0.0, field_value: float = 1.0) -> ParameterValue:
+def _numeric_value(value: ParameterValue, _power: float = 0.0, field_value: float = 1.0) -> ParameterValue:
     """Return a parameter's value as a float or an array, for example that of a DOLFINx Constant.
 
     A function of the place, or a NaN, is replaced by `field_value`. A UFL expression is returned unchanged. `_power`,

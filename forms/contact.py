@@ -71,8 +71,8 @@ class ContactLaw(Law):
         """
         if not callable(self.gap):
             return np.full(x.shape[1], float(self.gap))
-        what, wanted = f"{type(self).__name__}: gap(x)", "it must be a numpy function of places (d, n) with n lengths"
-        return checked_values(what, self.gap, x, wanted=wanted, where=lambda k: f" at {place_text(x, k)}")
+        call, wanted = f"{type(self).__name__}: gap(x)", "it must be a numpy function of places (d, n) with n lengths"
+        return checked_values(call, self.gap, x, wanted=wanted, where=lambda k: f" at {place_text(x, k)}")
 
     def _traits_of_methods(self) -> dict[str, bool]:
         return {"has_energy": self.memory, "remembers": self.memory, "of_jumps": True, "nodal": True}
@@ -93,21 +93,21 @@ class ContactLaw(Law):
         """
         p = np.concatenate([[0.0], self.K_N * np.logspace(-9, 0, 10)])
         for name, least in {"threshold": 0.0, "threshold_rate": -np.inf}.items():
-            where, pressures = f"{type(self).__name__}.{name}(p)", p.copy()
+            label, pressures = f"{type(self).__name__}.{name}(p)", p.copy()
             try:
                 with np.errstate(all="ignore"):  # the law may not be meant for pressures this large
                     value = getattr(self, name)(pressures)
             except InputError:
                 raise
             except Exception as error:
-                raise InputError(f"{where}: {type(error).__name__}: {error}; p is an array (n,), pressures") from error
+                raise InputError(f"{label}: {type(error).__name__}: {error}; p is an array (n,), pressures") from error
             if not np.array_equal(pressures, p):
-                raise InputError(f"{where} changes p; it must return a new array")
+                raise InputError(f"{label} changes p; it must return a new array")
             is_valid = isinstance(value, np.ndarray) and value.shape == p.shape and value.dtype.kind == "f"
-            require(is_valid, f"{where} for {len(p)} pressures", value, f"it must be an array of {len(p)} floats")
+            require(is_valid, f"{label} for {len(p)} pressures", value, f"it must be an array of {len(p)} floats")
             for k in np.flatnonzero(~(np.isfinite(value) & (value >= least)))[:1]:
                 allowed = "finite, >= 0" if name == "threshold" else "finite"
-                raise InputError(f"{where} is {value[k]} at p = {p[k]:g}; allowed: {allowed}")
+                raise InputError(f"{label} is {value[k]} at p = {p[k]:g}; allowed: {allowed}")
         if self.numbers is not None:
             if np.shape(self.numbers) != (4,) or self.numbers[:2] != (self.K_N, self.K_T):
                 raise InputError(f"{type(self).__name__}.numbers is {self.numbers!r}; see ContactLaw.numbers, or None")
@@ -119,7 +119,7 @@ class ContactLaw(Law):
         """Return the contact pressures (n,), >= 0, at jumps `w` (n, d), tangential components first."""
         return self.K_N * np.maximum(-w[:, -1], 0.0)
 
-    def _trial(self, w: Array, slip: Array | None) -> tuple[Array, Array, Array, Array]:
+    def _trial_state(self, w: Array, slip: Array | None) -> tuple[Array, Array, Array, Array]:
         """Return pressure, threshold, trial traction and its norm at the jumps `w` (n, d).
 
         The trial traction (n, d - 1) is the tangential traction if the slip stays at its value `slip` (n, d - 1) before
@@ -138,7 +138,7 @@ class ContactLaw(Law):
             w: jumps (n, d) at the end of the step, tangential components first.
             slip: slip (n, d - 1) at the beginning of the step; None: zero.
         """
-        p, bound, trial_t, norm = self._trial(w, slip)
+        p, bound, trial_t, norm = self._trial_state(w, slip)
         factor = np.where(norm <= bound, 1.0, bound / np.where(norm > 0, norm, 1.0))
         return np.column_stack([trial_t * factor[:, None], -p])
 
@@ -151,18 +151,18 @@ class ContactLaw(Law):
             w: jumps (n, d) at the end of the step, tangential components first.
             slip: slip (n, d - 1) at the beginning of the step; None: zero.
         """
-        p, bound, trial_t, norm = self._trial(w, slip)
+        p, bound, trial_t, norm = self._trial_state(w, slip)
         n, d = w.shape
         tangents = np.zeros((n, d, d))
         tangents[:, -1, -1] = np.where(p > 0, self.K_N, 0.0)
         slides = norm > bound
         tangents[~slides, : d - 1, : d - 1] = self.K_T * np.eye(d - 1)
         if slides.any():
-            slip_way = trial_t[slides] / norm[slides, None]
-            projector = np.eye(d - 1) - slip_way[:, :, None] * slip_way[:, None, :]
+            slip_direction = trial_t[slides] / norm[slides, None]
+            projector = np.eye(d - 1) - slip_direction[:, :, None] * slip_direction[:, None, :]
             tangents[slides, : d - 1, : d - 1] = (self.K_T * bound[slides] / norm[slides])[:, None, None] * projector
             bound_rate = -self.K_N * np.where(p > 0, self.threshold_rate(p), 0.0)[slides]
-            tangents[slides, : d - 1, -1] = slip_way * bound_rate[:, None]
+            tangents[slides, : d - 1, -1] = slip_direction * bound_rate[:, None]
         return tangents
 
     def bonded(self, n: int, d: int) -> Array:
@@ -183,7 +183,7 @@ class ContactLaw(Law):
             w: jumps (n, d) at the end of the step, tangential components first.
             slip: slip (n, d - 1) at the beginning of the step; None: zero.
         """
-        p, bound, _, norm = self._trial(w, slip)
+        p, bound, _, norm = self._trial_state(w, slip)
         return np.where(p <= 0, Status.SEPARATED, np.where(norm <= bound, Status.STICK, Status.SLIDING)).astype(np.int8)
 
     def slip_after(self, w: Array, slip: Array) -> Array:
@@ -206,13 +206,13 @@ class ContactLaw(Law):
         stored = (t[:, -1] ** 2 / self.K_N + (t[:, :-1] ** 2).sum(axis=1) / self.K_T) / 2
         return stored, (t[:, :-1] * (self.slip_after(w, slip) - slip)).sum(axis=1)
 
-    def homotopy(self, share: float) -> ContactHomotopy:
+    def homotopy(self, spring_weight: float) -> ContactHomotopy:
         """Return a law for continuation: the weighted mean of this law and of elastic springs.
 
         Args:
-            share: weight of the springs, from 0 (this law alone) to 1 (springs alone).
+            spring_weight: weight of the springs, from 0 (this law alone) to 1 (springs alone).
         """
-        return ContactHomotopy(self, share)
+        return ContactHomotopy(self, spring_weight)
 
     @property
     def numbers(self) -> tuple[float, float, float, float] | None:
@@ -230,27 +230,27 @@ class ContactLaw(Law):
             lmbda, mu: Lame moduli of the layer divided by its thickness, stress per length.
             others: the law's other parameters, by name.
         """
-        names = [f.name for f in fields(cls) if f.name not in ("K_N", "K_T")]
-        for name in (name for name in others if name not in names):
-            raise InputError(f"{cls.__name__}.of_layer has no {name!r}; known: lmbda, mu, {', '.join(names)}")
+        parameter_names = [f.name for f in fields(cls) if f.name not in ("K_N", "K_T")]
+        for name in (name for name in others if name not in parameter_names):
+            raise InputError(f"{cls.__name__}.of_layer has no {name!r}; known: lmbda, mu, {', '.join(parameter_names)}")
         LinearElastic(lmbda, mu)  # raises InputError for moduli out of range
         return cls(K_N=lmbda + 2 * mu, K_T=mu, **others)
 
 
 @dataclass(frozen=True)
 class ContactHomotopy:
-    """Weighted mean of a contact law and of elastic springs: t = (1 - share) t_law + share K (w - slip).
+    """Weighted mean of a contact law and of elastic springs: t = (1 - a) t_law + a K (w - slip).
 
-    t is the traction, w the jump. The springs have the stiffnesses of the law, K = diag(K_T, ..., K_N). They resist
-    jumps in all directions, so that an equilibrium exists under all loads.
+    t is the traction, w the jump, a the weight of the springs. The springs have the stiffnesses of the law, K =
+    diag(K_T, ..., K_N). They resist jumps in all directions, so that an equilibrium exists under all loads.
 
     Attributes:
         law: the contact law.
-        share: weight of the springs, from 0 (the contact law alone) to 1 (springs alone).
+        spring_weight: weight a of the springs, from 0 (the contact law alone) to 1 (springs alone).
     """
 
     law: ContactLaw
-    share: float
+    spring_weight: float
 
     def bonded(self, n: int, d: int) -> Array:
         """Return the tangents (n, d, d) of the springs alone at `n` nodes, diag(K_T, ..., K_N) at each."""
@@ -258,16 +258,16 @@ class ContactHomotopy:
 
     def traction(self, w: Array, slip: Array | None = None) -> Array:
         """Return the traction (n, d) at jumps `w` (n, d), with the slip (n, d - 1) before the step; None: no slip."""
-        elastic_slip = w[:, :-1] if slip is None else w[:, :-1] - slip
-        elastic = np.column_stack([self.law.K_T * elastic_slip, self.law.K_N * w[:, -1]])
-        return (1 - self.share) * self.law.traction(w, slip) + self.share * elastic
+        elastic_jumps = w[:, :-1] if slip is None else w[:, :-1] - slip
+        spring_tractions = np.column_stack([self.law.K_T * elastic_jumps, self.law.K_N * w[:, -1]])
+        return (1 - self.spring_weight) * self.law.traction(w, slip) + self.spring_weight * spring_tractions
 
     def tangent(self, w: Array, slip: Array | None = None) -> Array:
         """Return the derivative (n, d, d) of the traction by the jumps `w` (n, d).
 
         `slip` (n, d - 1) is the slip before the step; None: no slip.
         """
-        return (1 - self.share) * self.law.tangent(w, slip) + self.share * self.bonded(*w.shape)
+        return (1 - self.spring_weight) * self.law.tangent(w, slip) + self.spring_weight * self.bonded(*w.shape)
 
     def status(self, w: Array, slip: Array | None = None) -> npt.NDArray[np.int8]:
         """Return the `Status` (n,) that the contact law alone has at the jumps `w` (n, d).

@@ -24,7 +24,7 @@ from forms.parameter_fields import (
 )
 from forms.stations import AnyStation, Faces, Station, gauss_stations
 from forms.tensors import MANDEL_PAIRS, SQRT2, Expr, condensed_tangent, isotropic_tensor, layer_frame
-from forms.traits import warn_outside
+from forms.traits import warn_caller
 
 VOIGT_PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 VOIGT_INDEX = ((0, 5, 4), (5, 1, 3), (4, 3, 2))  # Voigt index of each component of a tensor
@@ -47,7 +47,7 @@ def __getattr__(name: str) -> Callable[[Expr, Expr, Expr], Expr]:
     """
     if name != "lame":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    warn_outside(DeprecationWarning(f"{__name__}.lame is deprecated since thinlayer 1.1; use {__name__}.lame_stress"))
+    warn_caller(DeprecationWarning(f"{__name__}.lame is deprecated since thinlayer 1.1; use {__name__}.lame_stress"))
     return lame_stress
 
 
@@ -65,8 +65,8 @@ class IsotropicLaw(BulkLaw):
 
     def check(self) -> None:
         require_positive(self, "mu")
-        minimum = -2 / 3 * self.mu
-        self.require(minimum < self.lmbda < math.inf, "lmbda", f"> -2 mu/3 = {minimum:g}")
+        min_lmbda = -2 / 3 * self.mu
+        self.require(min_lmbda < self.lmbda < math.inf, "lmbda", f"> -2 mu/3 = {min_lmbda:g}")
 
     def stiffness(self, n: Array) -> Array:
         return isotropic_tensor(float(self.lmbda), float(self.mu))
@@ -124,7 +124,7 @@ class LinearElastic(LinearLaw, IsotropicLaw):
         """
         E, nu = as_parameter_field(E), as_parameter_field(nu)
         if isinstance(E, ParameterField) or isinstance(nu, ParameterField):
-            moduli = [ParameterField(modulus, (E, nu)) for modulus in (_lmbda_of_young, _mu_of_young)]
+            moduli = [ParameterField(compute_modulus, (E, nu)) for compute_modulus in (_lmbda_of_young, _mu_of_young)]
             return cls(*moduli)  # type: ignore[arg-type]
         return cls(_lmbda_of_young(E, nu), _mu_of_young(E, nu))
 
@@ -156,8 +156,8 @@ class LinearElastic(LinearLaw, IsotropicLaw):
 
     @staticmethod
     def _strain_change(law: LinearElastic, faces: Faces) -> Expr:
-        in_s = faces.in_s(faces.change)
-        return in_s - law._thinning_ratio * ufl.tr(in_s) * faces.normal
+        in_plane = faces.in_plane(faces.strain_change)
+        return in_plane - law._thinning_ratio * ufl.tr(in_plane) * faces.n_dyad
 
     @property
     def _thinning_ratio(self) -> float:
@@ -174,7 +174,7 @@ class LinearElastic(LinearLaw, IsotropicLaw):
         if self.fields:
             return None
         nu = poisson_ratio(self)
-        return EndStrips.of(free_end(nu)) if 0 <= nu <= MAX_FREE_END_NU * (1 + MODULUS_RATIO_TOLERANCE) else None
+        return EndStrips.of_end(free_end(nu)) if 0 <= nu <= MAX_FREE_END_NU * (1 + MODULUS_RATIO_TOLERANCE) else None
 
     def stations_at_ends(self, weights: EndWeights) -> list[AnyStation]:
         """Return three stations near free ends: two for the mean strain, one for its change between the faces.
@@ -196,16 +196,16 @@ class LinearElastic(LinearLaw, IsotropicLaw):
 
 
 def _lmbda_of_young(E: float, nu: float) -> float:
-    _require_young(E, nu)
+    _require_valid_young(E, nu)
     return E * nu / ((1 + nu) * (1 - 2 * nu))
 
 
 def _mu_of_young(E: float, nu: float) -> float:
-    _require_young(E, nu)
+    _require_valid_young(E, nu)
     return E / (2 * (1 + nu))
 
 
-def _require_young(E: float, nu: float) -> None:
+def _require_valid_young(E: float, nu: float) -> None:
     """Raise an error unless Young's modulus E > 0 and Poisson's ratio -1 < nu < 1/2.
 
     E and nu are numbers, or arrays of values at several places.
@@ -216,9 +216,9 @@ def _require_young(E: float, nu: float) -> None:
     """
     for name, values, least, most, allowed in (("E", E, 0.0, math.inf, "> 0"), ("nu", nu, -1.0, 0.5, "-1 < nu < 0.5")):
         require(np.asarray(values).dtype.kind in "iuf", f"LinearElastic: {name}", values, f"allowed: {allowed}")
-        allowed_ones = (np.asarray(values) > least) & (np.asarray(values) < most)
-        if not np.all(allowed_ones):
-            k = int(np.argmin(allowed_ones))
+        is_allowed = (np.asarray(values) > least) & (np.asarray(values) < most)
+        if not np.all(is_allowed):
+            k = int(np.argmin(is_allowed))
             raise ParameterRangeError(f"{name} is {np.ravel(values)[k]:g}; allowed: {allowed}", k)
 
 
@@ -249,8 +249,8 @@ class Anisotropic(LinearLaw):
         self.require(C.shape == (6, 6), "shape of C", "(6, 6)", C.shape)
         self.require(bool(np.isfinite(C).all()), "C", "finite numbers", "not finite")
         self.require(np.allclose(C, C.T, rtol=1e-10, atol=0), "C", "C = C^T", "not symmetric")
-        lowest = np.linalg.eigvalsh(C)[0]
-        self.require(lowest >= -1e-10 * np.abs(C).max(), "smallest eigenvalue of C", ">= 0", f"{lowest:g}")
+        eig_min = np.linalg.eigvalsh(C)[0]
+        self.require(eig_min >= -1e-10 * np.abs(C).max(), "smallest eigenvalue of C", ">= 0", f"{eig_min:g}")
         self.require(self.frame in ("global", "layer"), "frame", "'global', 'layer'", repr(self.frame))
         object.__setattr__(self, "C", C)
 
@@ -271,8 +271,8 @@ class Anisotropic(LinearLaw):
             raise InputError("Anisotropic: frame='layer' needs a layer; in a body use frame='global'")
         rotation = layer_frame(step.n) if self.frame == "layer" else ufl.Identity(3)
         e = rotation.T * step.mid * rotation
-        voigt = ufl.as_vector([e[i, j] if i == j else 2 * e[i, j] for i, j in VOIGT_PAIRS])
-        s = ufl.dot(ufl.as_tensor(self.C) if isinstance(self.C, np.ndarray) else self.C, voigt)
+        voigt_strain = ufl.as_vector([e[i, j] if i == j else 2 * e[i, j] for i, j in VOIGT_PAIRS])
+        s = ufl.dot(ufl.as_tensor(self.C) if isinstance(self.C, np.ndarray) else self.C, voigt_strain)
         return rotation * ufl.as_tensor([[s[k] for k in row] for row in VOIGT_INDEX]) * rotation.T
 
     def stiffness(self, n: Array) -> Array:

@@ -55,10 +55,10 @@ def mohr_coulomb_fixed_opening(
     yield_shear = sign * np.sqrt(max(R**2 - s_N**2, 0.0))
     past_yield = (mu * x - yield_shear) / R  # shear after first yield
     with np.errstate(divide="ignore"):
-        angle_y = past_yield + np.arctanh(yield_shear / R)
+        tanh_arg = past_yield + np.arctanh(yield_shear / R)
     yields = sign * past_yield > 0
-    t_T = np.where(yields, R * np.tanh(angle_y), mu * x)
-    return np.stack([t_T, p + np.where(yields, np.sign(s_N) * R / np.cosh(np.minimum(np.abs(angle_y), 300)), s_N)], -1)
+    t_T = np.where(yields, R * np.tanh(tanh_arg), mu * x)
+    return np.stack([t_T, p + np.where(yields, np.sign(s_N) * R / np.cosh(np.minimum(np.abs(tanh_arg), 300)), s_N)], -1)
 
 
 def first_yield_ratio(nu: float, friction_angle: float) -> float:
@@ -95,7 +95,7 @@ def apparent_friction(friction_angle: float, dilatancy_angle: float) -> float:
 # With delta = eps sqrt(lmbda/(12 mu)), p = (1 - v) lmbda w_N/eps, where delta^2 lap_S v = v, and v = 1 on free ends.
 # For infinite lmbda this is Stefan's squeeze film, with the leading term of Gent and Lindley (Proc. Inst. Mech. Eng.
 # 173, 1959): eps times the stiffness is 4 mu s^2 for a strip and 6 mu s^2 for a disc; s is loaded over free area.
-def rubber_strip(lmbda: float, mu: float, eps: float, a: float) -> float:
+def strip_stiffness(lmbda: float, mu: float, eps: float, a: float) -> float:
     """Return the mean normal traction per opening of a rubber strip between rigid plates, stress per length.
 
     In plane strain it is [lmbda (1 - tanh(x)/x) + 2 mu]/eps with x = a/delta and delta = eps sqrt(lmbda/(12 mu)). For
@@ -110,10 +110,10 @@ def rubber_strip(lmbda: float, mu: float, eps: float, a: float) -> float:
     Raises:
         InputError: an argument out of range.
     """
-    return (retained_pressure_share(lmbda, mu, a / eps, 0.5) + 2 * mu) / eps
+    return (pressure_modulus(lmbda, mu, a / eps, 0.5) + 2 * mu) / eps
 
 
-def rubber_disc(lmbda: float, mu: float, eps: float, radius: float) -> float:
+def disc_stiffness(lmbda: float, mu: float, eps: float, radius: float) -> float:
     """Return the mean normal traction per opening of a rubber disc between rigid plates, stress per length.
 
     It is [lmbda (1 - 2 I_1(x)/(x I_0(x))) + 2 mu]/eps with x = radius/delta and delta = eps sqrt(lmbda/(12 mu)). I_0
@@ -128,10 +128,10 @@ def rubber_disc(lmbda: float, mu: float, eps: float, radius: float) -> float:
     Raises:
         InputError: an argument out of range.
     """
-    return (retained_pressure_share(lmbda, mu, radius / eps, 1.0) + 2 * mu) / eps
+    return (pressure_modulus(lmbda, mu, radius / eps, 1.0) + 2 * mu) / eps
 
 
-def retained_pressure_share(lmbda: float, mu: float, slenderness: float, k: float) -> float:
+def pressure_modulus(lmbda: float, mu: float, slenderness: float, k: float) -> float:
     """Return the modulus, a stress, with which the pressure in a rubber layer with free ends resists an opening.
 
     Flow towards the free ends makes it smaller than lmbda, its value in an infinite layer. It is lmbda (1 - 2 k
@@ -186,7 +186,7 @@ class PlasticCylinder(NamedTuple):
         """Return the internal pressure at which the plastic zone reaches the radius c: k (2 ln(c/a) + 1 - c^2/b^2)."""
         return self.k * (2 * math.log(c / self.a) + 1 - (c / self.b) ** 2)
 
-    def zone(self, pressure: float) -> float:
+    def zone_radius(self, pressure: float) -> float:
         """Return the outer radius c of the plastic zone under an internal pressure; a if there is no plastic zone.
 
         Raises:
@@ -205,7 +205,7 @@ class PlasticCylinder(NamedTuple):
 
         They are k c^2/(2 mu r) with a plastic zone up to the radius c, and p a^2/(2 mu r (1 - a^2/b^2)) without one.
         """
-        return np.asarray(self._size(pressure) / (2 * self.mu * np.asarray(r, float)))
+        return np.asarray(self._elastic_coefficient(pressure) / (2 * self.mu * np.asarray(r, float)))
 
     def radial_stress(self, pressure: float, r: Array) -> Array:
         """Return the radial stresses at the radii `r`, an array of any shape, under an internal pressure p.
@@ -214,17 +214,18 @@ class PlasticCylinder(NamedTuple):
         plastic zone p a^2/(1 - a^2/b^2) replaces k c^2.
         """
         r = np.asarray(r, float)
-        plastic = -pressure + 2 * self.k * np.log(r / self.a)
-        return np.where(r < self.zone(pressure), plastic, -self._size(pressure) * (1 / r**2 - 1 / self.b**2))
+        plastic_stress = -pressure + 2 * self.k * np.log(r / self.a)
+        elastic_stress = -self._elastic_coefficient(pressure) * (1 / r**2 - 1 / self.b**2)
+        return np.where(r < self.zone_radius(pressure), plastic_stress, elastic_stress)
 
-    def _size(self, pressure: float) -> float:
+    def _elastic_coefficient(self, pressure: float) -> float:
         """Return A, stress times length squared, in the elastic stress s_rr = -A (1/r^2 - 1/b^2) at a pressure."""
-        c = self.zone(pressure)
+        c = self.zone_radius(pressure)
         return self.k * c**2 if c > self.a else pressure * self.a**2 / (1 - (self.a / self.b) ** 2)
 
 
 # ---------------------------------------------------------------- the bar of section 6.2 of the paper, of Eq. (44)
-def fraction(x: Array, cost: float, g: float) -> Array:
+def signed_phase_fraction(x: Array, cost: float, g: float) -> Array:
     """Return the fractions of a material in phase 1, with a minus those in phase -1, that minimise its energy.
 
     The phases are 0, 1 and -1. Phase 0 has no transformation energy and no driving force.
@@ -234,8 +235,8 @@ def fraction(x: Array, cost: float, g: float) -> Array:
         cost: transformation energy per volume of the phases 1 and -1.
         g: energy that mixing phases gains, per volume; 0: phases do not mix.
     """
-    excess = np.abs(x) - cost
-    return np.asarray(np.sign(x) * (np.clip(0.5 + excess / g, 0, 1) if g else excess > 0))
+    excess_drive = np.abs(x) - cost
+    return np.asarray(np.sign(x) * (np.clip(0.5 + excess_drive / g, 0, 1) if g else excess_drive > 0))
 
 
 def phase_energy(x: Array, cost: float, g: float, phase: Array | float) -> Array:
@@ -249,8 +250,8 @@ def phase_energy(x: Array, cost: float, g: float, phase: Array | float) -> Array
         g: energy that mixing phases gains, per volume.
         phase: fractions in phase 1, or minus the fractions in phase -1.
     """
-    share = np.abs(phase)
-    return np.asarray(cost * share - x * phase - share * (1 - share) * g / 2)
+    phase_fraction = np.abs(phase)
+    return np.asarray(cost * phase_fraction - x * phase - phase_fraction * (1 - phase_fraction) * g / 2)
 
 
 class BarResponse(NamedTuple):
@@ -261,21 +262,21 @@ class BarResponse(NamedTuple):
         sigma: stress.
         U: elongation of the layer, a length.
         energy: energy of the whole bar, divided by the area of its section.
-        local: whether the strain in each phase is one at which this phase is stable; the response is then a local
-            minimiser of the energy.
+        is_local_minimum: whether the strain in each phase is one at which this phase is stable; the response is then a
+            local minimiser of the energy.
     """
 
     phase: Array
     sigma: Array
     U: Array
     energy: Array
-    local: npt.NDArray[np.bool_]
+    is_local_minimum: npt.NDArray[np.bool_]
 
-    def least(self) -> BarResponse:
+    def of_least_energy(self) -> BarResponse:
         """Return the response of least energy along the last axis of the arrays; of several equal ones, the first.
 
-        Among the responses of `Bar.layouts` with equal energy this is the one with the fewest elements in phase 1 or
-        -1.
+        Among the responses of `Bar.layout_responses` with equal energy this is the one with the fewest elements in
+        phase 1 or -1.
         """
         indices = np.argmin(self.energy, axis=-1)[..., None]
         return BarResponse._make(np.take_along_axis(array, indices, -1)[..., 0] for array in self)
@@ -315,9 +316,9 @@ class Bar:
     eps: float
 
     def __post_init__(self) -> None:
-        bound = self.alpha**2 / (2 * self.kbar) * (1 - BOUND_TOLERANCE)
-        if not (all(0 < value < math.inf for value in astuple(self)[:5]) and self.cbar >= bound and 0 <= self.eps < 1):
-            raise InputError(f"{self}; allowed: all > 0, cbar >= alpha^2/(2 kbar) = {bound:g}, 0 <= eps < 1")
+        c_min = self.alpha**2 / (2 * self.kbar) * (1 - BOUND_TOLERANCE)
+        if not (all(0 < value < math.inf for value in astuple(self)[:5]) and self.cbar >= c_min and 0 <= self.eps < 1):
+            raise InputError(f"{self}; allowed: all > 0, cbar >= alpha^2/(2 kbar) = {c_min:g}, 0 <= eps < 1")
 
     @property
     def sigma_m(self) -> float:
@@ -353,7 +354,7 @@ class Bar:
         return self.delta_0 + self.free_elongation
 
     @property
-    def up(self) -> float:
+    def snap_elongation(self) -> float:
         """Elongation of the bar at which a layer all in phase 0 snaps to phase 1: l R kbar cbar/alpha.
 
         The paper has no snaps.
@@ -361,9 +362,12 @@ class Bar:
         return self.l * self.R * self.sigma_up
 
     @property
-    def down(self) -> float:
-        """Elongation of the bar at which a layer all in phase 1 snaps back to phase 0: up - l alpha (1 - eps)/K."""
-        return self.up - self.l * self.alpha * (1 - self.eps) / self.K
+    def snap_back_elongation(self) -> float:
+        """Elongation of the bar at which a layer all in phase 1 snaps back to phase 0.
+
+        It is `snap_elongation` minus l alpha (1 - eps)/K.
+        """
+        return self.snap_elongation - self.l * self.alpha * (1 - self.eps) / self.K
 
     @property
     def loop_area(self) -> float:
@@ -390,7 +394,7 @@ class Bar:
         alpha/kbar)/(l R) after that. In the first and third case Eq. (47) of the paper prints the factor (k/(eps l))
         K/K_eps without delta; K_eps is K kbar R.
         """
-        return self.branch(delta, self.phase(delta)).sigma
+        return self.responses_at(delta, self.phase(delta)).sigma
 
     def U(self, delta: Array | float) -> Array:
         """Return the elongations of the layer in the global minimiser at the elongations `delta` of the bar.
@@ -399,14 +403,14 @@ class Bar:
         sigma_m l (1 - eps)/K while phase 1 grows, and l (sigma + alpha)/kbar after that. For the first and third case
         the paper prints, before Eq. (47), K delta/(K_eps (1 - eps)), which exceeds delta.
         """
-        return self.branch(delta, self.phase(delta)).U
+        return self.responses_at(delta, self.phase(delta)).U
 
     def energy(self, delta: Array | float) -> Array:
         """Return the least energies of the bar, divided by the area of its section, at the elongations `delta`.
 
         They are the right side of Eq. (45) of the paper, in the shape of `delta`.
         """
-        return self.branch(delta, self.phase(delta)).energy
+        return self.responses_at(delta, self.phase(delta)).energy
 
     def boundary(self, delta: Array | float) -> Array:
         """Return the lengths of the layer's part in phase 0, in the global minimiser at elongations `delta` of the bar.
@@ -418,7 +422,7 @@ class Bar:
         return self.eps * self.l * (1 - np.abs(self.phase(delta)))
 
     # ------------------------------------------------------------ local minimisers
-    def branch(self, delta: Array | float, phase: Array | float) -> BarResponse:
+    def responses_at(self, delta: Array | float, phase: Array | float) -> BarResponse:
         """Return the responses of the bar with prescribed phases in its layer, whether these are stable or not.
 
         Args:
@@ -426,31 +430,31 @@ class Bar:
             phase: fractions of the layer in phase 1, or minus the fractions in phase -1; shape that fits `delta`.
         """
         delta, phase = np.broadcast_arrays(np.asarray(delta, float), np.asarray(phase, float))
-        share = np.abs(phase)
+        phase_fraction = np.abs(phase)
         sigma = np.asarray((delta - phase * self.free_elongation) / (self.l * self.R), float)
         U = np.asarray(self.l * (sigma + self.alpha * phase) / self.kbar, float)
-        energy = self.l * self.R * sigma**2 / 2 + share * self.sigma_m * self.free_elongation
-        old_stable = (share == 1) | (np.abs(sigma) <= self.sigma_up)
-        new_stable = (share == 0) | (np.sign(phase) * sigma >= self.sigma_up - self.alpha)
-        return BarResponse(phase, sigma, U, energy, old_stable & new_stable)
+        energy = self.l * self.R * sigma**2 / 2 + phase_fraction * self.sigma_m * self.free_elongation
+        phase_0_stable = (phase_fraction == 1) | (np.abs(sigma) <= self.sigma_up)
+        phase_1_stable = (phase_fraction == 0) | (np.sign(phase) * sigma >= self.sigma_up - self.alpha)
+        return BarResponse(phase, sigma, U, energy, phase_0_stable & phase_1_stable)
 
-    def layouts(self, delta: Array | float, n: int) -> BarResponse:
+    def layout_responses(self, delta: Array | float, n: int) -> BarResponse:
         """Return the responses of a bar whose layer has n equal elements, with 0, 1, ..., n of them in phase 1.
 
         If delta < 0, they are in phase -1 instead. Each array of the result has the axes of `delta`, then an axis of
         length n + 1 for the number of these elements. Their places in the layer do not matter. Layouts with elements in
-        both phases 1 and -1 have no less energy. The global minimiser is `BarResponse.least`; its energy tends to
-        `Bar.energy` from above like n^-2.
+        both phases 1 and -1 have no less energy. The global minimiser is `BarResponse.of_least_energy`; its energy
+        tends to `Bar.energy` from above like n^-2.
 
         Args:
             delta: elongations of the bar, of any shape.
             n: number of elements.
         """
         delta = np.asarray(delta, float)[..., None]
-        return self.branch(delta, np.where(delta < 0, -1, 1) * (np.arange(n + 1) / n))
+        return self.responses_at(delta, np.where(delta < 0, -1, 1) * (np.arange(n + 1) / n))
 
     # ------------------------------------------------------------ a uniform layer that softens
-    def layer(self, U: Array | float, mixing: float = 1.0) -> tuple[Array, Array, Array]:
+    def layer_response(self, U: Array | float, mixing: float = 1.0) -> tuple[Array, Array, Array]:
         """Return stress, energy per area of the section, and fraction in phase 1 of a uniform layer without the body.
 
         A fraction in phase -1 has a minus. The three arrays have the shape of `U`.
@@ -462,11 +466,11 @@ class Bar:
         """
         x, g = self.alpha * np.asarray(U, float), mixing * self.alpha * self.free_elongation
         C, stiffness = self.l * self.cbar, self.kbar / self.l
-        phase = fraction(x, C, g)
-        elastic = stiffness * np.square(U)
-        return stiffness * np.asarray(U) - self.alpha * phase, elastic / 2 + phase_energy(x, C, g, phase), phase
+        phase = signed_phase_fraction(x, C, g)
+        elastic_work = stiffness * np.square(U)
+        return stiffness * np.asarray(U) - self.alpha * phase, elastic_work / 2 + phase_energy(x, C, g, phase), phase
 
-    def path(self, mixing: float, end: float | None = None) -> Array:
+    def path_vertices(self, mixing: float, end_elongation: float | None = None) -> Array:
         """Return the four vertices of the piecewise linear equilibrium path of a bar with a uniform layer.
 
         The path starts without load at the first vertex. Phases start to mix at the second one, and all of the layer is
@@ -475,13 +479,14 @@ class Bar:
 
         Args:
             mixing: share, from 0 to 1, of the energy that mixing phases gains.
-            end: elongation of the bar at the fourth vertex, larger than the others; None: twice the largest of these.
+            end_elongation: elongation of the bar at the fourth vertex, larger than the others; None: twice the largest
+                of these.
 
         Returns:
             Elongation of the bar and stress at each vertex, (4, 2).
         """
-        half_drop = mixing * self.alpha / 2
-        sigma = np.array([0, self.sigma_up - half_drop, self.sigma_up - self.alpha + half_drop])
+        half_stress_drop = mixing * self.alpha / 2
+        sigma = np.array([0, self.sigma_up - half_stress_drop, self.sigma_up - self.alpha + half_stress_drop])
         delta = self.l * self.R * sigma + np.array([0, 0, self.free_elongation])
-        end_delta = 2 * delta.max() if end is None else end
+        end_delta = 2 * delta.max() if end_elongation is None else end_elongation
         return np.column_stack([[*delta, end_delta], [*sigma, (end_delta - self.free_elongation) / (self.l * self.R)]])

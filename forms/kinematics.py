@@ -21,18 +21,18 @@ class Kinematics:
     multiplies all integrals over the mesh, such as 2 pi r in axisymmetry. The number of dimensions of the mesh is d.
 
     Attributes:
-        x: coordinates on the mesh, UFL (d,); None if no mesh is set (`on` returns a copy with a mesh).
+        x: coordinates on the mesh, UFL (d,); None if no mesh is set (`on_mesh` returns a copy with a mesh).
         name: value of `plane` in `Structure(plane=...)` that selects these kinematics.
-        rotations: whether rigid rotations cause no strain.
+        has_rigid_rotations: whether rigid rotations cause no strain.
         degree: polynomial degree of `factor` in the coordinates.
     """
 
     x: Expr | None = None
     name: ClassVar[str] = "strain"
-    rotations: ClassVar[bool] = True
+    has_rigid_rotations: ClassVar[bool] = True
     degree: ClassVar[int] = 0
 
-    def on(self, mesh: ufl.Mesh) -> Self:
+    def on_mesh(self, mesh: ufl.Mesh) -> Self:
         """Return a copy of these kinematics that uses the coordinates of `mesh`."""
         return replace(self, x=ufl.SpatialCoordinate(mesh))
 
@@ -40,25 +40,25 @@ class Kinematics:
         """Return a copy with other coordinates `x`, UFL (d,), such as those of points on S off the mesh's facets."""
         return replace(self, x=x)
 
-    def slots(self, d: int) -> tuple[int, ...]:
+    def strain_indices(self, d: int) -> tuple[int, ...]:
         """Return the indices, from 0 to 5, of the Mandel components of strain that may be nonzero.
 
         `d` is the number of dimensions of the mesh.
         """
         return tuple(k for k, (_, j) in enumerate(MANDEL_PAIRS) if j < d)
 
-    def translations(self, d: int) -> tuple[int, ...]:
+    def translation_axes(self, d: int) -> tuple[int, ...]:
         """Return the indices of the coordinate axes along which rigid translations cause no strain.
 
         `d` is the number of dimensions of the mesh.
         """
         return tuple(range(d))
 
-    def radius(self, x: Array) -> Array:
+    def axis_distances(self, x: Array) -> Array:
         """Return the distances (n,) of places (n, d) from the axis of revolution; infinite if there is no such axis."""
         return np.full(len(x), np.inf)
 
-    def stress_slots(self, d: int) -> tuple[int, ...]:
+    def stress_indices(self, d: int) -> tuple[int, ...]:
         """Return the indices, from 0 to 5, of the Mandel components of stress that may be nonzero.
 
         The other components are set to zero, whatever the law returns. `d` is the number of dimensions of the mesh.
@@ -70,27 +70,27 @@ class Kinematics:
         """Factor, UFL, of all integrals over the mesh; here 1, so that integrals in 2D are per unit depth."""
         return 1
 
-    def factor_at(self, x: Array) -> Array:
+    def factors_at(self, x: Array) -> Array:
         """Return the values (...) of `factor` at places with the coordinates `x` (..., d)."""
         return np.ones(x.shape[:-1])
 
-    def node_areas(self, corners: Array, lengths: Array) -> Array:
+    def node_areas(self, corners: Array, shape_integrals: Array) -> Array:
         """Return the areas (n, k) of S that belong to each of the k corners of n facets.
 
         They are the integrals of the corners' shape functions of degree 1, times `factor`.
 
         Args:
             corners: coordinates (n, k, d) of the corners.
-            lengths: integrals (n, k) of the same shape functions without the factor: areas in 3D, lengths in 2D.
+            shape_integrals: integrals (n, k) of these shape functions without the factor: areas in 3D, lengths in 2D.
         """
-        factors = self.factor_at(corners)
-        return np.asarray(lengths * ((factors + factors.sum(axis=1, keepdims=True)) / (factors.shape[1] + 1)))
+        factors = self.factors_at(corners)
+        return np.asarray(shape_integrals * ((factors + factors.sum(axis=1, keepdims=True)) / (factors.shape[1] + 1)))
 
     def strain(self, u: Expr) -> Expr:
         """Return the strain (3, 3), UFL, of the displacements `u` in a body or in a meshed layer."""
         return strain(u)
 
-    def along(self, gradient: Expr, u: Expr) -> Expr:
+    def strain_along(self, gradient: Expr, u: Expr) -> Expr:
         """Return the strain (3, 3), UFL, that displacements of points on S cause along S.
 
         Args:
@@ -99,7 +99,7 @@ class Kinematics:
         """
         return three_dimensional(ufl.sym(gradient))
 
-    def restricted(self, a: Expr) -> Expr:
+    def admissible_part(self, a: Expr) -> Expr:
         """Return a stress or a prescribed strain (3, 3) without the components that the kinematics exclude.
 
         These kinematics exclude none.
@@ -119,10 +119,10 @@ class PlaneStress(Kinematics):
 
     name = "stress"
 
-    def stress_slots(self, d: int) -> tuple[int, ...]:
-        return self.slots(d)
+    def stress_indices(self, d: int) -> tuple[int, ...]:
+        return self.strain_indices(d)
 
-    def restricted(self, a: Expr) -> Expr:
+    def admissible_part(self, a: Expr) -> Expr:
         """Return a stress or a prescribed strain (3, 3) with zeros in place of its out-of-plane components."""
         return ufl.as_tensor([[a[0, 0], a[0, 1], 0], [a[1, 0], a[1, 1], 0], [0, 0, 0]])
 
@@ -137,16 +137,16 @@ class Axisymmetric(Kinematics):
     """
 
     name = "axisymmetric"
-    rotations = False
+    has_rigid_rotations = False
     degree = 1
 
-    def slots(self, d: int) -> tuple[int, ...]:
+    def strain_indices(self, d: int) -> tuple[int, ...]:
         return (0, 1, 2, 3)
 
-    def translations(self, d: int) -> tuple[int, ...]:
+    def translation_axes(self, d: int) -> tuple[int, ...]:
         return (1,)
 
-    def radius(self, x: Array) -> Array:
+    def axis_distances(self, x: Array) -> Array:
         return x[:, 0]
 
     @property
@@ -154,21 +154,21 @@ class Axisymmetric(Kinematics):
         """Circumference 2 pi r, UFL, by which all integrals over the mesh are multiplied."""
         return 2 * ufl.pi * self._r
 
-    def factor_at(self, x: Array) -> Array:
+    def factors_at(self, x: Array) -> Array:
         return np.asarray(2 * np.pi * x[..., 0])
 
     def strain(self, u: Expr) -> Expr:
-        return strain(u) + self._hoops(u)
+        return strain(u) + self._hoop_strain(u)
 
-    def along(self, gradient: Expr, u: Expr) -> Expr:
-        return super().along(gradient, u) + self._hoops(u)
+    def strain_along(self, gradient: Expr, u: Expr) -> Expr:
+        return super().strain_along(gradient, u) + self._hoop_strain(u)
 
     @property
     def _r(self) -> Expr:
-        assert self.x is not None, "kinematics of no mesh; see `on`"
+        assert self.x is not None, "kinematics of no mesh; see `on_mesh`"
         return self.x[0]
 
-    def _hoops(self, u: Expr) -> Expr:
+    def _hoop_strain(self, u: Expr) -> Expr:
         return ufl.as_tensor([[0, 0, 0], [0, 0, 0], [0, 0, u[0] / self._r]])
 
 

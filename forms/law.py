@@ -30,7 +30,7 @@ from forms.parameter_fields import (
 )
 from forms.stations import AnyStation, gauss_stations
 from forms.tensors import Expr, average_lame, condensed_tangent, isotropic_tensor
-from forms.traits import VARIABLE_SIZES, Traits, accept_renamed, require_declarations, reset_inherited
+from forms.traits import VARIABLE_SIZES, Traits, accept_renamed, require_declarations, reset_inherited_attributes
 
 if TYPE_CHECKING:
     from forms.ends.weights import EndStrips, EndWeights
@@ -60,7 +60,7 @@ class Step(NamedTuple):
         q: internal variables at the beginning, by name.
         dt: length of the step; 0 at a sudden load; None in problems without time.
         theta: fraction of the step after which forces balance; from 1 (backward Euler) down to 1/2 (midpoint).
-        rates: whether the law declares `rate`, so that it may use the strain rate.
+        allows_rate: whether the law declares `rate`, so that it may use the strain rate.
     """
 
     e: Expr
@@ -69,7 +69,7 @@ class Step(NamedTuple):
     q: Mapping[str, Expr] = {}
     dt: Expr | None = None
     theta: Expr = 1.0
-    rates: bool = True
+    allows_rate: bool = True
 
     @property
     def mid(self) -> Expr:
@@ -83,7 +83,7 @@ class Step(NamedTuple):
         Raises:
             InputError: the law does not declare `rate`, or the problem has no time.
         """
-        if self.dt is None or not self.rates:
+        if self.dt is None or not self.allows_rate:
             raise InputError("a law that uses step.rate must declare rate = True")
         return (self.e - self.e_old) / self.dt
 
@@ -131,20 +131,20 @@ class Law(LayerResults):
     def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
         accept_renamed(cls, {"eased": "homotopy"})
-        reset_inherited(cls)
+        reset_inherited_attributes(cls)
 
     def __post_init__(self) -> None:
         for f in fields(self):
-            reserved = any(f.name in vars(base) for base in type(self).__mro__ if base.__module__ == __name__)
-            self.require(not reserved, f"the parameter {f.name!r}", "another one", "a name that all laws use")
+            is_reserved = any(f.name in vars(base) for base in type(self).__mro__ if base.__module__ == __name__)
+            self.require(not is_reserved, f"the parameter {f.name!r}", "another one", "a name that all laws use")
             allowed = "a number" + (", a function in numpy" if f.name in self.functions else "")
             self.require(not isinstance(getattr(self, f.name), ufl.core.expr.Expr), f.name, allowed, "a UFL expression")
-        scalars = scalar_fields(type(self))
+        scalar_names = scalar_field_names(type(self))
         for f in fields(self):
-            scalar = f.name in scalars
-            if scalar and f.name not in self.functions and self.takes_fields:
+            is_scalar = f.name in scalar_names
+            if is_scalar and f.name not in self.functions and self.takes_fields:
                 object.__setattr__(self, f.name, as_parameter_field(getattr(self, f.name)))
-            self._check_number(f.name, getattr(self, f.name), f.default is None, scalar)
+            self._check_number(f.name, getattr(self, f.name), f.default is None, is_scalar)
         for name in self.fields:
             self.require(type(self).at is Law.at, name, "a number, as `at` gives what varies", "a function of places")
         if not self.fields:  # parameters that are functions need places, see `check_at`
@@ -153,15 +153,15 @@ class Law(LayerResults):
         require_declarations(self)
 
     def _check_number(self, name: str, value: object, may_be_none: bool, scalar: bool) -> None:
-        function = isinstance(value, ParameterField) or (callable(value) and name in self.functions)
-        if function or (value is None and may_be_none) or name not in self.parameters():
+        is_function = isinstance(value, ParameterField) or (callable(value) and name in self.functions)
+        if is_function or (value is None and may_be_none) or name not in self.parameters():
             return
         try:
             array = np.asarray(value)
         except ValueError:  # ragged
             array = np.asarray("")
-        numeric = array.dtype.kind in "iuf" and not (scalar and array.ndim)
-        require(numeric, f"{type(self).__name__}: {name}", value, f"allowed: {'a number' if scalar else 'numbers'}")
+        is_numeric = array.dtype.kind in "iuf" and not (scalar and array.ndim)
+        require(is_numeric, f"{type(self).__name__}: {name}", value, f"allowed: {'a number' if scalar else 'numbers'}")
 
     def check(self) -> None:
         """Raise InputError if a parameter is out of its range."""
@@ -191,10 +191,10 @@ class Law(LayerResults):
         The traits of a new law follow from its class and its parameters. A copy in which other numbers or symbols
         replace parameters keeps them.
         """
-        traits = Traits.of(self, **self._traits_of_methods())
+        traits = Traits.of_law(self, **self._traits_of_methods())
         return replace(traits, varies=True) if self.fields and traits.compiled else traits
 
-    def for_points(self) -> Self:
+    def compiled_copy(self) -> Self:
         """Return a copy of the law that is compiled and evaluated at quadrature points, not made part of a UFL form.
 
         The parameters of such a copy may be functions of the place.
@@ -216,7 +216,7 @@ class Law(LayerResults):
         raise InputError(f"{type(self).__name__} has neither strains nor jumps; derive it from BulkLaw or TractionLaw")
 
     @property
-    def own_times(self) -> tuple[float, ...]:
+    def relaxation_times(self) -> tuple[float, ...]:
         """Creep and relaxation times of the law; () if it has none, or if they are not known.
 
         The parameters of the law must be numbers.
@@ -275,8 +275,8 @@ class Law(LayerResults):
         Args:
             change: function of a parameter's value and of its power of eps in `powers`, 0 if it has none.
         """
-        changed = {name: change(value, self.powers.get(name, 0)) for name, value in self.parameters().items()}
-        return self.with_parameters(changed)
+        new_values = {name: change(value, self.powers.get(name, 0)) for name, value in self.parameters().items()}
+        return self.with_parameters(new_values)
 
     # ---------------------------------------------------------------- parameters that are functions of the place
     @property
@@ -293,17 +293,17 @@ class Law(LayerResults):
         Raises:
             InputError: a function fails, does not return n finite real numbers, or is out of range at a place.
         """
-        return {name: self._field_at(name, parameter, x) for name, parameter in self.fields.items()}
+        return {name: self._field_values(name, parameter, x) for name, parameter in self.fields.items()}
 
-    def _field_at(self, name: str, parameter: ParameterField, x: Array) -> Array:
+    def _field_values(self, name: str, parameter: ParameterField, x: Array) -> Array:
         try:
             return parameter(x)
         except ParameterRangeError as error:
             reason = str(error) if str(error)[:1].isalpha() and " is " in str(error) else f"{name} is {error}"
             raise InputError(f"{type(self).__name__}: {reason}, at {place_text(x, error.k)}") from None
         except Exception as error:
-            what, wanted = f"{type(self).__name__}: {name}(x)", "it must be a numpy function of places (d, n)"
-            raise InputError(f"{failure_text(what, x, error)}; {wanted} in the joint that gives n numbers") from error
+            call, wanted = f"{type(self).__name__}: {name}(x)", "it must be a numpy function of places (d, n)"
+            raise InputError(f"{failure_text(call, x, error)}; {wanted} in the joint that gives n numbers") from error
 
     def at_places(self, x: Array) -> Iterator[Self]:
         """Yield, for each of n places with the coordinates `x` (d, n), the law with the parameters that it has there.
@@ -323,14 +323,14 @@ class Law(LayerResults):
         if not self.fields:
             return
         values, n = list(self.fields_at(x).values()), x.shape[1]
-        at = sorted({*extreme_places(values, differences=True), *range(0, n, max(n // MAX_CHECKED_PLACES, 1))})
+        at = sorted({*extreme_places(values, with_differences=True), *range(0, n, max(n // MAX_CHECKED_PLACES, 1))})
         for k, law in zip(at, self.at_places(x[:, at]), strict=True):
             try:
                 law.check()
             except InputError as error:
                 raise InputError(f"{error}, at {place_text(x, k)}") from None
 
-    def samples(self, x: Array) -> list[Self]:
+    def laws_at_extremes(self, x: Array) -> list[Self]:
         """Return the law with the numbers that its parameters have at extreme ones of n places `x` (d, n).
 
         A place is extreme if a parameter, or the ratio of two, is smallest or largest there. The result has one law for
@@ -373,13 +373,13 @@ class BulkLaw(Law):
     switching_variables: ClassVar[tuple[str, ...]] = ("phase", "drive", "bound")
 
     def _traits_of_methods(self) -> dict[str, bool]:
-        cls, declared = type(self), Traits.of(self)
+        cls, declared_traits = type(self), Traits.of_law(self)
         return super()._traits_of_methods() | {
             "has_energy": cls.energy is not BulkLaw.energy,
             "has_homotopy": cls.homotopy is not BulkLaw.homotopy,
-            "in_series": not (declared.constrained or declared.switches),
+            "in_series": not (declared_traits.constrained or declared_traits.switches),
             "in_ufl": True,
-            "compiled": declared.rate or bool(self.internal) or declared.varies,
+            "compiled": declared_traits.rate or bool(self.internal) or declared_traits.varies,
         }
 
     def as_bulk_law(self) -> BulkLaw:
@@ -452,10 +452,10 @@ class BulkLaw(Law):
         Raises:
             InputError: the law is not isotropic linear elastic.
         """
-        what = f"order=1 of a Stack with the sublayer {type(self).__name__}"
-        raise InputError(f"{what}: all must be isotropic elastic (LinearElastic); {ORDER_0_REMEDY}")
+        subject = f"order=1 of a Stack with the sublayer {type(self).__name__}"
+        raise InputError(f"{subject}: all must be isotropic elastic (LinearElastic); {ORDER_0_REMEDY}")
 
-    def own_step(self, step: Step) -> Step:
+    def law_step(self, step: Step) -> Step:
         """Return the step with which the law's methods are called, from the full `step` of a point.
 
         For a law without rate and internal variables it has only the strain at t + theta dt and the normal.
@@ -474,8 +474,8 @@ class BulkLaw(Law):
         if self.traits.quadratic:
             increments = {name: new[name] - step.q[name] for name in new}
             return (2 * step.theta - 1) * self.energy(Step(step.e - step.e_old, step.n, q=increments))
-        stored = self.energy(Step(step.e, step.n, q=new)) - self.energy(Step(step.e_old, step.n, q=step.q))
-        return ufl.inner(self.stress(self.own_step(step)), step.e - step.e_old) - stored - self.dissipated(step)
+        stored_gain = self.energy(Step(step.e, step.n, q=new)) - self.energy(Step(step.e_old, step.n, q=step.q))
+        return ufl.inner(self.stress(self.law_step(step)), step.e - step.e_old) - stored_gain - self.dissipated(step)
 
     # ---------------------------------------------------------------- numbers
     @property
@@ -507,18 +507,18 @@ class BulkLaw(Law):
             InputError: the law has a pressure field or phases that switch, and its class does not override this method.
         """
         if self.traits.constrained or self.traits.switches:
-            lack = "its pressure needs" if self.traits.constrained else "its phases need"
-            why = f"{type(self).__name__}, because {lack} more than a strain out of the plane"
+            need = "its pressure needs" if self.traits.constrained else "its phases need"
+            why = f"{type(self).__name__}, because {need} more than a strain out of the plane"
             raise InputError(f"plane stress is not defined for {why}; use plane='strain', or write plane_stress(self)")
         return PlaneStressLaw(self)
 
     @property
-    def in_space(self) -> BulkLaw:
+    def law_3d(self) -> BulkLaw:
         """Three-dimensional law from which this law was made, for example for plane stress; by default itself."""
         return self
 
     def condensed(self, C: Array) -> Array:
-        """Return the tangent (6, 6) of this law, given that of the three-dimensional law `in_space`, `C` (6, 6)."""
+        """Return the tangent (6, 6) of this law, given that of the three-dimensional law `law_3d`, `C` (6, 6)."""
         return C
 
     def scaled(self, ratio: float) -> Self:
@@ -557,12 +557,12 @@ class WrappedLaw(BulkLaw):
         return ("law", type(self.law)), *self.law.choices()
 
     def with_parameters(self, values: Mapping[str, object]) -> Self:
-        return self._of(self.law.with_parameters(values))
+        return self._with_law(self.law.with_parameters(values))
 
     def mapped(self, change: ChangeParameter) -> Self:
-        return self._of(self.law.mapped(change))
+        return self._with_law(self.law.mapped(change))
 
-    def _of(self, law: Law) -> Self:
+    def _with_law(self, law: Law) -> Self:
         """Return a copy that wraps `law`, for example the wrapped law with other parameters; nothing is checked."""
         return super().with_parameters({"law": law})
 
@@ -603,11 +603,11 @@ class PlaneStressLaw(WrappedLaw):
         return self.law.memory + 3
 
     @property
-    def in_space(self) -> BulkLaw:
+    def law_3d(self) -> BulkLaw:
         return self.law
 
     def homotopy(self, parameter: float) -> Self:
-        return self._of(self.law.homotopy(parameter))
+        return self._with_law(self.law.homotopy(parameter))
 
     def condensed(self, C: Array) -> Array:
         """Return the tangent (6, 6) of plane stress, given the tangent `C` (6, 6) of the three-dimensional law.
@@ -622,15 +622,15 @@ class PlaneStressLaw(WrappedLaw):
         return tangent
 
 
-def scalar_fields(cls: type[Law]) -> set[str]:
+def scalar_field_names(cls: type[Law]) -> set[str]:
     """Return the names of those dataclass fields of a law class whose values are single numbers.
 
     Such a field is annotated as float or int, or as a union of these with None or functions. The text of the annotation
     decides.
     """
     annotations = {f.name: str(f.type) for f in fields(cls)}
-    number_fields = {name for name, text in annotations.items() if NUMBER_ANNOTATION.search(text)}
-    return {name for name in number_fields if not ARRAY_ANNOTATION.search(annotations[name])}
+    number_names = {name for name, text in annotations.items() if NUMBER_ANNOTATION.search(text)}
+    return {name for name in number_names if not ARRAY_ANNOTATION.search(annotations[name])}
 
 
 @contextmanager

@@ -60,14 +60,14 @@ class SymbolicLaw(NamedTuple):
         law: the law, with symbols for its parameters.
         step: the step, with symbols for its values.
         strain: strain (6,) at the end of the step, a UFL variable for differentiation.
-        numbers: vector of all symbols: strain at the end (6) and at the beginning (6) of the step, internal variables,
+        symbols: vector of all symbols: strain at the end (6) and at the beginning (6) of the step, internal variables,
             normal (3), dt, theta, parameters. Symmetric tensors are Mandel vectors.
     """
 
     law: BulkLaw
     step: Step
     strain: Expr
-    numbers: Expr
+    symbols: Expr
 
 
 def variable(e: Expr) -> Expr:
@@ -83,31 +83,31 @@ def _symbols(length: int) -> Expr:
     return ufl.Constant(_SYMBOL_MESH, shape=(length,))
 
 
-def symbolic(law: BulkLaw, values: Array | None = None, d: int | None = 3) -> SymbolicLaw:
+def symbolic_law(law: BulkLaw, values: Array | None = None, d: int | None = 3) -> SymbolicLaw:
     """Return a law and a time step at one point with symbols in place of all their numbers.
 
     Args:
         law: the law.
-        values: numbers, in the order of `SymbolicLaw.numbers`, to use instead of symbols; None: symbols.
+        values: numbers, in the order of `SymbolicLaw.symbols`, to use instead of symbols; None: symbols.
         d: number of components, 2 or 3, of the layer's unit normal that the law gets; None: no normal.
     """
-    shapes = {name: _shape(value) for name, value in law.parameters().items()}
-    length = 6 + 6 + law.memory + 3 + 2 + sum(int(np.prod(shape)) for shape in shapes.values())
-    numbers = _symbols(length) if values is None else ufl.as_vector([ufl.as_ufl(float(value)) for value in values])
-    inputs = iter(numbers[i] for i in range(length))
+    shapes = {name: _parameter_shape(value) for name, value in law.parameters().items()}
+    n_symbols = 6 + 6 + law.memory + 3 + 2 + sum(int(np.prod(shape)) for shape in shapes.values())
+    symbols = _symbols(n_symbols) if values is None else ufl.as_vector([ufl.as_ufl(float(value)) for value in values])
+    unread_symbols = iter(symbols[i] for i in range(n_symbols))
 
     def read(shape: tuple[int, ...]) -> Expr:
-        return ufl.as_tensor([read(shape[1:]) for _ in range(shape[0])]) if shape else next(inputs)
+        return ufl.as_tensor([read(shape[1:]) for _ in range(shape[0])]) if shape else next(unread_symbols)
 
     new_e, old_e = variable(read((6,))), read((6,))
     q = {name: mandel_tensor(read((6,))) if shape == (3, 3) else read(shape) for name, shape in law.internal.items()}
     normal, dt, theta = read((3,)), read(()), read(())
     n = None if d is None else normal if d == 3 else ufl.as_vector([normal[0], normal[1]])
     step = Step(mandel_tensor(new_e), n, mandel_tensor(old_e), q, dt, theta, law.traits.rate)
-    return SymbolicLaw(law.with_parameters({name: read(shape) for name, shape in shapes.items()}), step, new_e, numbers)
+    return SymbolicLaw(law.with_parameters({name: read(shape) for name, shape in shapes.items()}), step, new_e, symbols)
 
 
-def _shape(value: ParameterValue) -> tuple[int, ...]:
+def _parameter_shape(value: ParameterValue) -> tuple[int, ...]:
     """Return the shape of a parameter, which is a number, an array or a DOLFINx Constant."""
     return tuple(value.ufl_shape) if isinstance(value, Expr) else np.asarray(value).shape
 
@@ -119,7 +119,7 @@ def law_identity(law: BulkLaw) -> tuple[object, ...] | None:
     """
     if not all(kind.__module__.partition(".")[0] in ("forms", "builtins") for kind in type(law).__mro__):
         return None
-    return (type(law), repr(law.choices()), *map(_shape, law.parameters().values()))
+    return (type(law), repr(law.choices()), *map(_parameter_shape, law.parameters().values()))
 
 
 def reads_input(law: BulkLaw, name: str) -> bool:
@@ -129,25 +129,25 @@ def reads_input(law: BulkLaw, name: str) -> bool:
         law: a law in UFL.
         name: the input in question: "n", the unit normal of the layer, or "dt", the length of the step.
     """
-    point = symbolic(law)
+    point = symbolic_law(law)
     symbol = ufl.Constant(_SYMBOL_MESH, shape=getattr(point.step, name).ufl_shape)
     step = point.step._replace(**{name: symbol})
-    outputs = [point.law.stress(point.law.own_step(step)), *point.law.advance(step).values()]
+    outputs = [point.law.stress(point.law.law_step(step)), *point.law.advance(step).values()]
     return any(symbol is node for output in outputs for node in traverse_unique_terminals(ufl.as_ufl(output)))
 
 
-def require_numbers_alone(law: BulkLaw, numbers: Expr, expressions: Iterable[Expr]) -> None:
+def require_known_symbols(law: BulkLaw, known_symbols: Expr, expressions: Iterable[Expr]) -> None:
     """Raise InputError if the equations of a law contain other symbols than those of its parameters and of the step.
 
     Compiled code has no values for anything else, such as a coordinate or a function on the mesh.
 
     Args:
         law: the law, for messages.
-        numbers: vector of all allowed symbols (`SymbolicLaw.numbers`).
+        known_symbols: vector of all allowed symbols (`SymbolicLaw.symbols`).
         expressions: the equations, UFL.
     """
     for node in (node for expression in expressions for node in traverse_unique_terminals(expression)):
-        if node is not numbers and not isinstance(node, (ConstantValue, MultiIndex, Label)):
+        if node is not known_symbols and not isinstance(node, (ConstantValue, MultiIndex, Label)):
             text = f"{type(law).__name__} contains {str(node)[:80]}, a {type(node).__name__}"
             raise InputError(f"{text}; a compiled law knows its parameters and step: declare one, or `varies` and `at`")
 
@@ -187,10 +187,10 @@ def _evaluate_node(node: Expr, operands: list[Values]) -> Values:
     if isinstance(node, Variable):
         return operands[0]
     if isinstance(node, (ScalarValue, Zero)) and not node.ufl_free_indices:
-        return np.full(node.ufl_shape, _real(node.value()) if isinstance(node, ScalarValue) else 0.0)
+        return np.full(node.ufl_shape, _real_or_nan(node.value()) if isinstance(node, ScalarValue) else 0.0)
     if isinstance(node, Terminal):
         components = np.ndindex(*node.ufl_shape)
-        return np.reshape([_real(node((0.0,), component=component)) for component in components], node.ufl_shape)
+        return np.reshape([_real_or_nan(node((0.0,), component=component)) for component in components], node.ufl_shape)
     if isinstance(node, ListTensor):
         return np.stack(operands)
     if isinstance(node, (Indexed, ComponentTensor, IndexSum)):
@@ -198,7 +198,7 @@ def _evaluate_node(node: Expr, operands: list[Values]) -> Values:
     if not isinstance(node, Sum):  # operands of a sum have the same free indices
         pairs, free_indices = zip(operands, node.ufl_operands, strict=True), [*node.ufl_free_indices]
         operands = [_broadcast(values, operand, len(node.ufl_shape), free_indices) for values, operand in pairs]
-    function = NUMPY_FUNCTIONS.get(type(node)) or np.vectorize(lambda *values: _scalar_function(node, values))
+    function = NUMPY_FUNCTIONS.get(type(node)) or np.vectorize(lambda *values: _evaluate_scalar(node, values))
     return np.asarray(function(*operands))
 
 
@@ -210,18 +210,18 @@ def _evaluate_indexing(node: Expr, values: Values, indices: Iterable[Expr]) -> V
         values: values of its operand; the axes are those of the operand's shape, then one for each free index.
         indices: indices, fixed or free, that the node applies to the operand.
     """
-    free, operand_free = [*node.ufl_free_indices], [*node.ufl_operands[0].ufl_free_indices]
-    named = [i.count() for i in indices if isinstance(i, Index)]
+    free_indices, operand_indices = [*node.ufl_free_indices], [*node.ufl_operands[0].ufl_free_indices]
+    applied_indices = [i.count() for i in indices if isinstance(i, Index)]
     if isinstance(node, Indexed):
         selection = tuple(slice(None) if isinstance(i, Index) else int(i) for i in indices)
-        return _index_sum(values[selection], named + operand_free, free)
+        return _einsum(values[selection], applied_indices + operand_indices, free_indices)
     if isinstance(node, ComponentTensor):
-        return _index_sum(values, operand_free, named + free)
-    shape = [-1 - k for k in range(len(node.ufl_shape))]
-    return _index_sum(values, shape + operand_free, shape + free)
+        return _einsum(values, operand_indices, applied_indices + free_indices)
+    shape_axes = [-1 - k for k in range(len(node.ufl_shape))]
+    return _einsum(values, shape_axes + operand_indices, shape_axes + free_indices)
 
 
-def _index_sum(values: Values, axes: list[int], kept: list[int]) -> Values:
+def _einsum(values: Values, axes: list[int], kept: list[int]) -> Values:
     """Return a sum over some axes of an array, as `numpy.einsum` does.
 
     Args:
@@ -229,25 +229,25 @@ def _index_sum(values: Values, axes: list[int], kept: list[int]) -> Values:
         axes: number that names each axis of the array. Axes with equal numbers are replaced by their diagonal.
         kept: numbers of the result's axes, in its order; the sum is over all others.
     """
-    axis_numbers = {name: k for k, name in enumerate(dict.fromkeys(axes))}
-    return np.einsum(values, [axis_numbers[name] for name in axes], [axis_numbers[name] for name in kept])
+    einsum_labels = {name: k for k, name in enumerate(dict.fromkeys(axes))}
+    return np.einsum(values, [einsum_labels[name] for name in axes], [einsum_labels[name] for name in kept])
 
 
-def _broadcast(values: Values, operand: Expr, axes: int, free: list[int]) -> Values:
+def _broadcast(values: Values, operand: Expr, n_axes: int, free_indices: list[int]) -> Values:
     """Return an operand's values, reshaped so that numpy can combine them with those of the node's other operands.
 
     Args:
         values: the values; the axes are those of the operand's shape, then one for each of its free indices.
         operand: UFL expression of the operand.
-        axes: number of dimensions that the shape of the node has.
-        free: free indices of the node. An index that the operand does not have becomes an axis of length 1.
+        n_axes: number of dimensions that the shape of the node has.
+        free_indices: free indices of the node. An index that the operand does not have becomes an axis of length 1.
     """
     shape = operand.ufl_shape
     sizes = dict(zip(operand.ufl_free_indices, np.shape(values)[len(shape) :], strict=True))
-    return np.reshape(values, [*[1] * (axes - len(shape)), *shape, *(sizes.get(name, 1) for name in free)])
+    return np.reshape(values, [*[1] * (n_axes - len(shape)), *shape, *(sizes.get(name, 1) for name in free_indices)])
 
 
-def _scalar_function(node: Expr, values: tuple[float, ...]) -> float:
+def _evaluate_scalar(node: Expr, values: tuple[float, ...]) -> float:
     """Return the value of a scalar function or comparison for numeric arguments; NaN where it is undefined.
 
     Args:
@@ -256,17 +256,17 @@ def _scalar_function(node: Expr, values: tuple[float, ...]) -> float:
     """
     try:
         value = node._ufl_expr_reconstruct_(*map(ufl.as_ufl, map(float, values))).evaluate((0.0,), {}, (), {})
-        return bool(value) if isinstance(value, (bool, np.bool_)) else _real(value)
+        return bool(value) if isinstance(value, (bool, np.bool_)) else _real_or_nan(value)
     except (ValueError, ZeroDivisionError, OverflowError):
         return math.nan
 
 
-def _real(value: complex) -> float:
+def _real_or_nan(value: complex) -> float:
     return math.nan if isinstance(value, complex) else float(value)
 
 
 PROBE_STRAIN = 1e-6 * np.array([1.0, -0.7, 0.4, 0.5, -0.3, 0.6])  # too small to yield; norms have no derivative at 0
-COUPLING_TOLERANCE = 1e-9  # share of a traction, or component of a unit normal, below which it counts as zero
+SMALL_COMPONENT = 1e-9  # share of a traction, or component of a unit normal, below which it counts as zero
 # a negative eigenvalue beyond this share of the tangent's largest entry is not a rounding error
 EIGENVALUE_TOLERANCE = 1e-6
 LONG_TIME_STEP = 1e30  # length of a time step in which rates are practically zero
@@ -286,12 +286,12 @@ def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
     Returns:
         The tangent, stress; None if it cannot be evaluated.
     """
-    if (C := law.in_space.stiffness(n)) is not None:
+    if (C := law.law_3d.stiffness(n)) is not None:
         return law.condensed(C)
-    return _rest_tangent(law, n, LONG_TIME_STEP if law.traits.rate else 0.0)
+    return _first_step_tangent(law, n, LONG_TIME_STEP if law.traits.rate else 0.0)
 
 
-def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
+def tangent_after(law: BulkLaw, n: Array, dt: float) -> Array | None:
     """Return the tangent d stress/d strain (6, 6) of a linear law at the end of a first time step of length `dt`.
 
     It is the effective stiffness, in Mandel's order, of a law that creeps or relaxes under loads that last for dt.
@@ -304,38 +304,38 @@ def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
     Returns:
         The tangent, stress; None if the law is not linear or the tangent cannot be evaluated.
     """
-    return _rest_tangent(law, n, dt) if law.traits.linear else None
+    return _first_step_tangent(law, n, dt) if law.traits.linear else None
 
 
-def _rest_tangent(law: BulkLaw, n: Array, dt: float) -> Array | None:
+def _first_step_tangent(law: BulkLaw, n: Array, dt: float) -> Array | None:
     """Return the tangent (6, 6) of a law at the end of a first step of length `dt`, for small strains.
 
     It is the mean of the tangents at two opposite small strains. `n` (d,) is the unit normal of the layer. None: the
     tangent cannot be evaluated.
     """
-    law_3d = law.in_space
+    law_3d = law.law_3d
     if not law_3d.traits.in_ufl:
         return None
     try:
         numeric_law = law_3d.mapped(lambda value, _: np.asarray(getattr(value, "value", value), float))
-        point = symbolic(numeric_law, d=3 if law_3d.traits.compiled else len(n))
-        stress = in_mandel(point.law.stress(point.law.own_step(point.step)))
+        point = symbolic_law(numeric_law, d=3 if law_3d.traits.compiled else len(n))
+        stress = in_mandel(point.law.stress(point.law.law_step(point.step)))
         tangent: Expr = expand_derivatives(ufl.diff(stress, point.strain))
         with warnings.catch_warnings(action="ignore"):  # UFL warns of roots of negative numbers
-            start = np.concatenate([np.zeros(6 + law_3d.memory), np.pad(n, (0, 3 - len(n))), [dt, 1.0]])
-            inputs = [np.concatenate([e, start, numeric_law.parameter_values()]) for e in (PROBE_STRAIN, -PROBE_STRAIN)]
-            C = np.mean([evaluate(tangent, {point.numbers: values}) for values in inputs], axis=0)
+            fixed = np.concatenate([np.zeros(6 + law_3d.memory), np.pad(n, (0, 3 - len(n))), [dt, 1.0]])
+            inputs = [np.concatenate([e, fixed, numeric_law.parameter_values()]) for e in (PROBE_STRAIN, -PROBE_STRAIN)]
+            C = np.mean([evaluate(tangent, {point.symbols: values}) for values in inputs], axis=0)
     except Exception:  # a part of the law has no numerical value; the model reports such errors
         return None
     return law.condensed(np.asarray(C)) if np.isfinite(C).all() else None
 
 
-def needs_director(law: BulkLaw) -> bool:
+def depends_on_normal(law: BulkLaw) -> bool:
     """Return whether the stress of a law depends on the unit normal n of a layer.
 
     A `KernelLaw` declares this itself (`isotropic`).
     """
-    law_3d = law.in_space
+    law_3d = law.law_3d
     return not law_3d.isotropic if isinstance(law_3d, KernelLaw) else reads_input(law_3d, "n")
 
 
@@ -344,7 +344,7 @@ def depends_on_step_length(law: BulkLaw) -> bool:
 
     A `KernelLaw` declares this itself (`rate`, `relaxes`).
     """
-    law_3d = law.in_space
+    law_3d = law.law_3d
     return law_3d.traits.rate or (law_3d.relaxes if isinstance(law_3d, KernelLaw) else reads_input(law_3d, "dt"))
 
 
@@ -354,8 +354,8 @@ def is_checked_at_rest(law: BulkLaw) -> bool:
     The tangent may be negative for a law that declares `softens`. It is not computed for a law with internal variables
     and a rate. Nor is it computed for a non-linear law of jumps, for which no jump is known to be small.
     """
-    at_jumps = law.traits.of_jumps and not law.traits.linear
-    return not (law.traits.softens or (law.traits.rate and law.internal) or at_jumps)
+    nonlinear_jumps = law.traits.of_jumps and not law.traits.linear
+    return not (law.traits.softens or (law.traits.rate and law.internal) or nonlinear_jumps)
 
 
 def acoustic_tensor(C: Array, n: Array) -> Array:
@@ -398,9 +398,9 @@ def require_stable(law: BulkLaw, C: Array | None, n: Array | None = None, slots:
     if C is None or not np.isfinite(C).all():
         return
     A, of = (C[np.ix_(slots, slots)], "(of C)") if n is None else (acoustic_tensor(C, n), "across the layer (of n.C.n)")
-    lowest, size = float(np.linalg.eigvals(A).real.min()), float(np.abs(C).max())
-    if lowest < -EIGENVALUE_TOLERANCE * size:
-        details = f"the smallest eigenvalue {of} is {lowest:.4g}, the largest entry of C {size:.4g}; allowed: >= 0"
+    eig_min, largest = float(np.linalg.eigvals(A).real.min()), float(np.abs(C).max())
+    if eig_min < -EIGENVALUE_TOLERANCE * largest:
+        details = f"the smallest eigenvalue {of} is {eig_min:.4g}, the largest entry of C {largest:.4g}; allowed: >= 0"
         raise InputError(f"{type(law).__name__}: the stiffness at rest is negative, {details}; check the signs")
 
 
@@ -410,8 +410,8 @@ def symmetric_mandel(a: Array) -> Array:
 
 
 def is_isotropic(C: Array) -> bool:
-    """Return whether a tangent (6, 6) in Mandel's order is isotropic, up to the relative error `COUPLING_TOLERANCE`."""
-    return bool(np.abs(C - isotropic_tensor(*average_lame(C))).max() <= COUPLING_TOLERANCE * np.abs(C).max())
+    """Return whether a tangent (6, 6) in Mandel's order is isotropic, up to the relative error `SMALL_COMPONENT`."""
+    return bool(np.abs(C - isotropic_tensor(*average_lame(C))).max() <= SMALL_COMPONENT * np.abs(C).max())
 
 
 def in_plane_modulus(C: Array, n: Array) -> float:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 ELASTIC, SLIDING, CRUSHED, TORN, OPEN = "elastic", "sliding", "crushed", "torn", "open"
 YIELD_STATUSES = (ELASTIC, SLIDING, CRUSHED, TORN, OPEN)
 # traction or plastic strain, over the largest traction or strain of a layer, that counts as zero
-ZERO_TRACTION_SHARE = 1e-6
+NEGLIGIBLE_FRACTION = 1e-6
 
 
 class LayerPoints(NamedTuple):
@@ -70,11 +70,11 @@ class LayerResults:
         Args:
             points: values at the points.
         """
-        flow = np.einsum("pij,pj->pi", points.plastic, points.n)
-        t_N, closure = ((vector * points.n).sum(axis=1) for vector in (points.traction, -flow))
-        slip = 2 * np.linalg.norm(flow + closure[:, None] * points.n, axis=1)
-        is_open = (points.opening > 0) & (np.abs(t_N) <= ZERO_TRACTION_SHARE * points.largest_traction)
-        is_elastic = np.maximum(slip, np.abs(closure)) <= ZERO_TRACTION_SHARE * points.largest_strain
+        plastic_vector = np.einsum("pij,pj->pi", points.plastic, points.n)
+        t_N, closure = ((vector * points.n).sum(axis=1) for vector in (points.traction, -plastic_vector))
+        slip = 2 * np.linalg.norm(plastic_vector + closure[:, None] * points.n, axis=1)
+        is_open = (points.opening > 0) & (np.abs(t_N) <= NEGLIGIBLE_FRACTION * points.largest_traction)
+        is_elastic = np.maximum(slip, np.abs(closure)) <= NEGLIGIBLE_FRACTION * points.largest_strain
         masks = {OPEN: is_open, ELASTIC: is_elastic, SLIDING: slip >= np.abs(closure), CRUSHED: closure > 0}
         return np.select([*masks.values()], [*masks], TORN)
 

@@ -19,7 +19,7 @@ from forms.temperature import (
     TemperatureField,
     TemperatureFunction,
     checked_values,
-    evaluated,
+    evaluate_parameter,
     place_and_time_text,
     real_values,
 )
@@ -46,14 +46,14 @@ def lamination_gain(lmbda: float, mu: float, chi: Array) -> float:
         chi: orientation of the transformation, symmetric, (2, 2) or (3, 3). If it is (2, 2), k is in the plane.
     """
     c = np.linalg.eigvalsh(chi)
-    low, high = float(c[0]), float(c[-1])
-    s = min(max((lmbda + 2 * mu) / (2 * (lmbda + mu)) * (low + high), low), high)
-    size2 = (low + high) * s - low * high  # |chi k|^2
-    return (size2 - s * s) / mu + s * s / (lmbda + 2 * mu)
+    c_min, c_max = float(c[0]), float(c[-1])
+    s = min(max((lmbda + 2 * mu) / (2 * (lmbda + mu)) * (c_min + c_max), c_min), c_max)
+    norm_squared = (c_min + c_max) * s - c_min * c_max  # |chi k|^2
+    return (norm_squared - s * s) / mu + s * s / (lmbda + 2 * mu)
 
 
 @dataclass(frozen=True, eq=False)
-class Phases(IsotropicLaw):
+class PhaseLaw(IsotropicLaw):
     """Base of the non-monotone laws: an elastic material with three phases z = -1, 0, 1 of equal elastic moduli.
 
     At the strain e phase z has the energy lmbda tr(e)^2/2 + mu e:e - z alpha chi:e + Psi |z| per volume. Its stress is
@@ -103,18 +103,18 @@ class Phases(IsotropicLaw):
 
         If T is a number, the values at this temperature replace parameters that are functions of it.
         """
-        functions = [name for name in PHASE_PARAMETERS if callable(getattr(self, name))]
-        if functions and self.T is None:
-            raise InputError(f"{type(self).__name__}: {functions[0]} needs T; give T, a number or a function (x, t)")
+        callables = [name for name in PHASE_PARAMETERS if callable(getattr(self, name))]
+        if callables and self.T is None:
+            raise InputError(f"{type(self).__name__}: {callables[0]} needs T; give T, a number or a function (x, t)")
         if self.varies:
             return
         self.require(self.T is None or is_finite(self.T), "T", "a number, a function", repr(self.T))
-        for name in functions:
-            value = evaluated(self, name, getattr(self, name), np.array([self.T], float))
+        for name in callables:
+            value = evaluate_parameter(self, name, getattr(self, name), np.array([self.T], float))
             object.__setattr__(self, name, float(value[0]))
-        self._check_phases({name: np.array([getattr(self, name)], float) for name in PHASE_PARAMETERS}, lambda k: "")
+        self._check_ranges({name: np.array([getattr(self, name)], float) for name in PHASE_PARAMETERS}, lambda k: "")
 
-    def plane_stress(self) -> Phases:
+    def plane_stress(self) -> PhaseLaw:
         """Return the law for plane stress: the same phases with the modulus lmbda of plane stress.
 
         This is exact because chi acts in the plane, and all phases have equal moduli.
@@ -125,7 +125,7 @@ class Phases(IsotropicLaw):
     def check_dimension(self, d: int) -> None:
         self.require(len(self.chi) == d, "shape of chi", f"({d}, {d}) in a model of dimension {d}", self.chi.shape)
 
-    def _check_phases(self, parameters: Mapping[str, Array], where: Callable[[int], str]) -> None:
+    def _check_ranges(self, parameters: Mapping[str, Array], where: Callable[[int], str]) -> None:
         """Raise InputError unless alpha and the transformation energy are positive and finite at all of n places.
 
         Args:
@@ -133,8 +133,8 @@ class Phases(IsotropicLaw):
             where: function from the index of a place to a text that tells the place, for messages.
         """
         for name, values in parameters.items():
-            invalid = np.flatnonzero(~((values > 0) & np.isfinite(values)))
-            for k in invalid[np.argsort(values[invalid])][:1]:
+            invalid_places = np.flatnonzero(~((values > 0) & np.isfinite(values)))
+            for k in invalid_places[np.argsort(values[invalid_places])][:1]:
                 self.require(False, name + where(k), "> 0", f"{values[k]:g}")
 
     @property
@@ -153,23 +153,23 @@ class Phases(IsotropicLaw):
         wanted = "T(x, t) must be a numpy function of places (d, n) and a time that gives n temperatures"
         where = partial(place_and_time_text, x, t)
         T = checked_values(f"{type(self).__name__}: T", self.T, x, t, wanted=wanted, where=where)
-        values = {name: evaluated(self, name, getattr(self, name), T) for name in PHASE_PARAMETERS}
-        self._check_phases(values, where)
+        values = {name: evaluate_parameter(self, name, getattr(self, name), T) for name in PHASE_PARAMETERS}
+        self._check_ranges(values, where)
         return values | {"T": T}
 
-    def mapped(self, change: ChangeParameter) -> Phases:
+    def mapped(self, change: ChangeParameter) -> PhaseLaw:
         law = super().mapped(change)
         if not self.varies:
             return law.with_parameters({"T": None})
-        functions = {name: self._mapped_function(name, change) for name in PHASE_PARAMETERS}
-        return law.with_parameters(functions | {"T": self.T})
+        new_values = {name: self._mapped_parameter(name, change) for name in PHASE_PARAMETERS}
+        return law.with_parameters(new_values | {"T": self.T})
 
-    def _mapped_function(self, name: str, change: ChangeParameter) -> ParameterValue | Callable[[Array], Expr]:
+    def _mapped_parameter(self, name: str, change: ChangeParameter) -> ParameterValue | Callable[[Array], Expr]:
         parameter, power = getattr(self, name), self.powers.get(name, 0)
         return (lambda T: change(real_values(parameter(T)), power)) if callable(parameter) else change(parameter, power)
 
     # ---------------------------------------------------------------- quantities of a step, UFL
-    def _drive(self, e: Expr, n: Expr) -> Expr:
+    def _driving_force(self, e: Expr, n: Expr) -> Expr:
         """Return the driving force alpha chi:e of phase 1, energy per volume, UFL.
 
         `e` is the strain (3, 3), `n` the unit normal of the layer.
@@ -190,7 +190,7 @@ class Phases(IsotropicLaw):
 
 
 @dataclass(frozen=True, eq=False)
-class NonMonotone(Phases):
+class NonMonotone(PhaseLaw):
     """The relaxed non-monotone law: phases mix in fine laminates that minimise the energy.
 
     Let m = alpha chi:e be the driving force, and Psi the transformation energy. The material is a mixture of phase 0
@@ -209,7 +209,7 @@ class NonMonotone(Phases):
     monotone in w, and nothing snaps. Along other strains the energy need not be convex, for example with chi = I. Where
     phases mix the tangent may be singular (chi = n (x) n, lmbda = 0); the stiffness of the bodies remains.
 
-    The moduli lmbda and mu, alpha, transformation_energy (Psi), chi and T are described in the base class `Phases`.
+    The moduli lmbda and mu, alpha, transformation_energy (Psi), chi and T are described in the base class `PhaseLaw`.
 
     Attributes:
         mixing: factor on the energy that laminates save, > 0 and <= 1: g = mixing alpha^2 G. If it is below 1, the
@@ -234,12 +234,12 @@ class NonMonotone(Phases):
         object.__setattr__(self, "G", lamination_gain(self.lmbda, self.mu, self.chi))
         self._check_temperature()
 
-    def _check_phases(self, parameters: Mapping[str, Array], where: Callable[[int], str]) -> None:
-        super()._check_phases(parameters, where)
-        values, least = parameters["transformation_energy"], self.mixing * self.G * np.square(parameters["alpha"]) / 2
-        for k in np.flatnonzero(~(values >= least * (1 - 1e-12)))[:1]:
-            allowed = f">= mixing alpha^2 G/2 = {least[k]:g}: phases 1 and -1 would mix"
-            self.require(False, f"transformation_energy{where(k)}", allowed, f"{values[k]:g}")
+    def _check_ranges(self, parameters: Mapping[str, Array], where: Callable[[int], str]) -> None:
+        super()._check_ranges(parameters, where)
+        psi, psi_min = parameters["transformation_energy"], self.mixing * self.G * np.square(parameters["alpha"]) / 2
+        for k in np.flatnonzero(~(psi >= psi_min * (1 - 1e-12)))[:1]:
+            allowed = f">= mixing alpha^2 G/2 = {psi_min[k]:g}: phases 1 and -1 would mix"
+            self.require(False, f"transformation_energy{where(k)}", allowed, f"{psi[k]:g}")
 
     @property
     def softens(self) -> bool:
@@ -247,38 +247,38 @@ class NonMonotone(Phases):
 
     @property
     def plateau(self) -> bool:
-        chi_n, normal = np.asarray(self.chi)[:, 1], np.asarray(self.chi)[1, 1]
-        gain = (chi_n @ chi_n - normal**2) / self.mu + normal**2 / (self.lmbda + 2 * self.mu)
-        return bool(gain > self.mixing * self.G * (1 - 1e-9))
+        chi_n, chi_nn = np.asarray(self.chi)[:, 1], np.asarray(self.chi)[1, 1]
+        gain_along_n = (chi_n @ chi_n - chi_nn**2) / self.mu + chi_nn**2 / (self.lmbda + 2 * self.mu)
+        return bool(gain_along_n > self.mixing * self.G * (1 - 1e-9))
 
     @property
-    def _gain(self) -> Expr:
+    def _mixing_gain(self) -> Expr:
         """Factor g = mixing alpha^2 G, energy per volume: mixing phases in equal parts saves g/8."""
         return self.mixing * self.G * self.alpha * self.alpha  # type: ignore[operator]
 
-    def _fraction(self, m: Expr) -> Expr:
+    def _phase_fraction(self, m: Expr) -> Expr:
         """Return the fraction, from 0 to 1, of phase 1 (driving force `m` >= 0) or of phase -1 (`m` < 0), UFL."""
-        return ufl.min_value(ufl.max_value((abs(m) - self.transformation_energy) / self._gain + 0.5, 0.0), 1.0)
+        return ufl.min_value(ufl.max_value((abs(m) - self.transformation_energy) / self._mixing_gain + 0.5, 0.0), 1.0)
 
-    def _phase(self, m: Expr) -> Expr:
-        return ufl.conditional(ufl.lt(m, 0), -1.0, 1.0) * self._fraction(m)
+    def _signed_fraction(self, m: Expr) -> Expr:
+        return ufl.conditional(ufl.lt(m, 0), -1.0, 1.0) * self._phase_fraction(m)
 
     def stress(self, step: Step) -> Expr:
-        phase = self._phase(self._drive(step.mid, step.n))
+        phase = self._signed_fraction(self._driving_force(step.mid, step.n))
         return lame_stress(self.lmbda, self.mu, step.mid) - phase * self._transformation_stress(step.n)
 
     def advance(self, step: Step) -> dict[str, Expr]:
-        return {"phase": self._phase(self._drive(step.e, step.n)), "stored": self.energy(step)}
+        return {"phase": self._signed_fraction(self._driving_force(step.e, step.n)), "stored": self.energy(step)}
 
     def energy(self, step: Step) -> Expr:
-        m = self._drive(step.e, step.n)
-        theta, g = self._fraction(m), self._gain
+        m = self._driving_force(step.e, step.n)
+        theta, g = self._phase_fraction(m), self._mixing_gain
         phase_energy = theta * (abs(m) - self.transformation_energy) + theta * (1 - theta) * g / 2
         return isotropic_energy(self.lmbda, self.mu, step.e) - phase_energy
 
 
 @dataclass(frozen=True, eq=False)
-class NonMonotoneUnrelaxed(Phases):
+class NonMonotoneUnrelaxed(PhaseLaw):
     """The non-monotone law with pure phases: stress = lmbda tr(e) I + 2 mu e - z alpha chi, z = -1, 0 or 1.
 
     The phase z is an internal variable. Each facet of S has one phase. In the meshed layer each column of cells over a
@@ -294,7 +294,7 @@ class NonMonotoneUnrelaxed(Phases):
     computed. Both steps are repeated until no phase changes, and the energy falls each time. `march` stops where the
     first column switches, so that the result does not depend on its steps.
 
-    The moduli lmbda and mu, alpha, transformation_energy (Psi), chi and T are described in the base class `Phases`.
+    The moduli lmbda and mu, alpha, transformation_energy (Psi), chi and T are described in the base class `PhaseLaw`.
     """
 
     linear: ClassVar = True
@@ -305,12 +305,12 @@ class NonMonotoneUnrelaxed(Phases):
         return lame_stress(self.lmbda, self.mu, step.mid) - step.q["phase"] * self._transformation_stress(step.n)
 
     def advance(self, step: Step) -> dict[str, Expr]:
-        drive, bound = self._drive(step.e, step.n), ufl.as_ufl(self.transformation_energy)
+        drive, bound = self._driving_force(step.e, step.n), ufl.as_ufl(self.transformation_energy)
         return {"phase": step.q["phase"], "stored": self.energy(step), "drive": drive, "bound": bound}
 
     def energy(self, step: Step) -> Expr:
         z = step.q["phase"]
-        phase_energy = abs(z) * self.transformation_energy - z * self._drive(step.e, step.n)
+        phase_energy = abs(z) * self.transformation_energy - z * self._driving_force(step.e, step.n)
         return isotropic_energy(self.lmbda, self.mu, step.e) + phase_energy
 
     def excess(self, phase: Array, drive: Array, bound: Array) -> Array:

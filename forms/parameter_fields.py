@@ -15,7 +15,7 @@ from forms.base import Array, InputError, is_number
 from forms.tensors import Expr
 
 MAX_CHECKED_PLACES = 1000  # number of places at which parameters are checked in addition to their extremes
-Combine = Callable[[float, float], float]  # an operator of two numbers or arrays
+BinaryOperation = Callable[[float, float], float]  # an operator of two numbers or arrays
 FieldOperator = Callable[["ParameterField", object], "ParameterField"]
 
 
@@ -31,7 +31,7 @@ class ParameterRangeError(InputError):
         self.k = k
 
 
-def _operators(combine: Combine) -> tuple[FieldOperator, FieldOperator]:
+def _operator_methods(combine: BinaryOperation) -> tuple[FieldOperator, FieldOperator]:
     """Return the methods for an operator and for its reflection, such as `__sub__` and `__rsub__` of `ParameterField`.
 
     Args:
@@ -74,17 +74,17 @@ class ParameterField:
         name = getattr(self.function, "__qualname__", type(self.function).__name__)
         return f"{name}({', '.join(map(repr, self.operands)) or 'x'})"
 
-    def _with(self, combine: Combine, other: object, *, swapped: bool = False) -> ParameterField:
+    def _with(self, combine: BinaryOperation, other: object, *, swapped: bool = False) -> ParameterField:
         value = other[()] if isinstance(other, np.ndarray) and not other.ndim else other
         if not (isinstance(value, ParameterField) or is_number(value)):
             return NotImplemented
         operand = value if isinstance(value, ParameterField) else float(value)
         return ParameterField(combine, (operand, self) if swapped else (self, operand))
 
-    __add__, __radd__ = _operators(operator.add)
-    __sub__, __rsub__ = _operators(operator.sub)
-    __mul__, __rmul__ = _operators(operator.mul)
-    __truediv__, __rtruediv__ = _operators(operator.truediv)
+    __add__, __radd__ = _operator_methods(operator.add)
+    __sub__, __rsub__ = _operator_methods(operator.sub)
+    __mul__, __rmul__ = _operator_methods(operator.mul)
+    __truediv__, __rtruediv__ = _operator_methods(operator.truediv)
 
 
 # what a user may give for a scalar parameter: a number, or a numpy function of places (d, n) that gives n values
@@ -118,15 +118,15 @@ def parameter_numbers(value: ParameterValue) -> Array:
     return np.asarray(np.nan if isinstance(value, ParameterField) else value, float)
 
 
-def failure_text(what: str, x: Array, error: Exception) -> str:
+def failure_text(call: str, x: Array, error: Exception) -> str:
     """Return the text of a message that a user's function has failed.
 
     Args:
-        what: name of the function.
+        call: text of the failed call, such as "gap(x)".
         x: array with which it was called.
         error: error that it raised.
     """
-    return f"{what} fails for an array of shape {x.shape}: {type(error).__name__}: {error}"
+    return f"{call} fails for an array of shape {x.shape}: {type(error).__name__}: {error}"
 
 
 def place_text(x: Array, k: int) -> str:
@@ -134,15 +134,15 @@ def place_text(x: Array, k: int) -> str:
     return f"x = ({', '.join(f'{c:g}' for c in x[:, k])})"
 
 
-def extreme_places(values: Sequence[Array], *, differences: bool = False) -> list[int]:
+def extreme_places(values: Sequence[Array], *, with_differences: bool = False) -> list[int]:
     """Return the indices of the places where a quantity, or the ratio of two, is smallest or largest.
 
     Args:
         values: values (n,) of each quantity at n places.
-        differences: whether to add the places where the difference of two quantities is smallest or largest.
+        with_differences: whether to add the places where the difference of two quantities is smallest or largest.
     """
-    arrays = list(values)
+    quantities = list(values)
     with np.errstate(all="ignore"):
         for a, b in combinations(values, 2):
-            arrays += [a / b] + ([a - b] if differences else [])
-    return sorted({int(pick(f)) for f in arrays for pick in (np.nanargmin, np.nanargmax) if np.isfinite(f).any()})
+            quantities += [a / b] + ([a - b] if with_differences else [])
+    return sorted({int(pick(f)) for f in quantities for pick in (np.nanargmin, np.nanargmax) if np.isfinite(f).any()})

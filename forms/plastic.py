@@ -21,7 +21,7 @@ MIN_FRICTION_ANGLE_DEGREES = 1.6  # degrees; smaller friction angles were probab
 MIN_ELASTIC_FRACTION = 1e-6  # smallest elastic fraction of the stiffness in continuation, as its parameter tends to 0
 
 
-def require_hardening(law: Plastic | VonMises, *names: str) -> None:
+def require_valid_hardening(law: Plastic | VonMises, *names: str) -> None:
     """Raise InputError unless the hardening parameters `names` and the saturation strain of a law are >= 0.
 
     With a saturation > 0 the saturation strain must be > 0.
@@ -76,12 +76,12 @@ class Plastic(IsotropicLaw):
         self.require(0 <= self.friction_angle < 90, "friction_angle", "0 <= friction_angle < 90 degrees")
         angle = self.friction_angle
         if 0 < angle < MIN_FRICTION_ANGLE_DEGREES:
-            what = f"{type(self).__name__}: friction_angle is {angle:g} degrees, almost no friction"
-            warn_of_range("friction angle", f"{what}; if it is in radians, friction_angle = {math.degrees(angle):.4g}")
+            label = f"{type(self).__name__}: friction_angle is {angle:g} degrees, almost no friction"
+            warn_of_range("friction angle", f"{label}; if it is in radians, friction_angle = {math.degrees(angle):.4g}")
         allowed = "> 0 where friction_angle = 0: nothing would resist shear"
         self.require(self.cohesion > 0 or angle > 0, "cohesion", allowed)
         self.require(0 <= self.elastic_fraction < 1, "elastic_fraction", "0 <= elastic_fraction < 1")
-        require_hardening(self, "hardening", "saturation")
+        require_valid_hardening(self, "hardening", "saturation")
 
     def homotopy(self, parameter: float) -> Plastic:
         """Return a law for continuation, whose elastic fraction is larger than this law's.
@@ -89,8 +89,8 @@ class Plastic(IsotropicLaw):
         Args:
             parameter: from 0 (this law) to 1 (an elastic layer, elastic fraction 1).
         """
-        h, share = self.elastic_fraction, MIN_ELASTIC_FRACTION ** (1 - parameter) if parameter else 0.0
-        return self.with_parameters({"elastic_fraction": h + share * (1 - h)})
+        h, weight = self.elastic_fraction, MIN_ELASTIC_FRACTION ** (1 - parameter) if parameter else 0.0
+        return self.with_parameters({"elastic_fraction": h + weight * (1 - h)})
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ class MohrCoulombMonodirectional(Plastic):
         """
         return ufl.max_value(self.lmbda * ufl.tr(e) + 2 * self.mu * ufl.dot(n, ufl.dot(e, n)), 0)
 
-    def _trial(self, step: Step) -> Expr:
+    def _trial_stress(self, step: Step) -> Expr:
         """Return the stress (3, 3), UFL, at t + theta dt if the plastic strain did not change in the step.
 
         It is that of a law without elastic fraction.
@@ -208,18 +208,18 @@ class MohrCoulombMonodirectional(Plastic):
         stress = lame_stress(self.lmbda, self.mu, e)
         if not self.unilateral:
             return stress
-        opening = self._tension(e, n) / (self.lmbda + 2 * self.mu)
-        return stress - opening * lame_stress(self.lmbda, self.mu, ufl.outer(n, n))
+        opening_strain = self._tension(e, n) / (self.lmbda + 2 * self.mu)
+        return stress - opening_strain * lame_stress(self.lmbda, self.mu, ufl.outer(n, n))
 
     def energy(self, step: Step) -> Expr:
         e = step.e - step.q["plastic"]
         stored = isotropic_energy(self.lmbda, self.mu, e)
         if self.unilateral:
             stored -= self._tension(e, three_dimensional(step.n)) ** 2 / (2 * (self.lmbda + 2 * self.mu))
-        elastic = isotropic_energy(self.lmbda, self.mu, step.e)
-        return (1 - self.elastic_fraction) * stored + self.elastic_fraction * elastic
+        elastic_energy = isotropic_energy(self.lmbda, self.mu, step.e)
+        return (1 - self.elastic_fraction) * stored + self.elastic_fraction * elastic_energy
 
-    def _flow(self, step: Step) -> tuple[Expr, Expr]:
+    def _plastic_increments(self, step: Step) -> tuple[Expr, Expr]:
         """Return the increments of the plastic strain (3, 3) and of the accumulated plastic strain until t + theta dt.
 
         Both are UFL. The increments are those from the beginning of the step, t. The plastic strain does not change the
@@ -230,18 +230,18 @@ class MohrCoulombMonodirectional(Plastic):
         e_N = ufl.dot(n, ufl.dot(e, n))
         t_N, t_T = self.lmbda * ufl.tr(e) + 2 * self.mu * e_N, 2 * self.mu * (ufl.dot(e, n) - e_N * n)
         t_N = ufl.min_value(t_N, 0) if self.unilateral else t_N
-        cohesion = self.cohesion + self.hardening * p + self.saturation * p / (self._half_strain + p)
+        cohesion = self.cohesion + self.hardening * p + self.saturation * p / (self._half_saturation_strain + p)
         bound = cohesion - ufl.tan(ufl.pi / 180 * self.friction_angle) * t_N
-        squared_size = ufl.inner(t_T, t_T)
-        is_plastic = ufl.gt(squared_size, ufl.max_value(bound, 0) ** 2)
-        size = ufl.sqrt(ufl.conditional(is_plastic, squared_size, 1))
-        excess = ufl.conditional(is_plastic, size - bound, 1)
-        slip = ufl.min_value(self._slip_size(p, excess), size / self.mu)  # beyond the apex no shear traction remains
+        squared_norm = ufl.inner(t_T, t_T)
+        is_plastic = ufl.gt(squared_norm, ufl.max_value(bound, 0) ** 2)
+        norm = ufl.sqrt(ufl.conditional(is_plastic, squared_norm, 1))
+        excess = ufl.conditional(is_plastic, norm - bound, 1)
+        slip = ufl.min_value(self._slip_size(p, excess), norm / self.mu)  # beyond the apex no shear traction remains
         slip = ufl.conditional(is_plastic, slip, 0)
-        return slip / size * ufl.sym(ufl.outer(t_T, n)), slip
+        return slip / norm * ufl.sym(ufl.outer(t_T, n)), slip
 
     @property
-    def _half_strain(self) -> Expr:
+    def _half_saturation_strain(self) -> Expr:
         """Saturation strain p_0, at which the cohesion has gained half of its saturation, UFL; 1 without saturation."""
         return ufl.conditional(ufl.gt(self.saturation, 0), self.saturation_strain, 1.0)
 
@@ -254,23 +254,23 @@ class MohrCoulombMonodirectional(Plastic):
             p: accumulated plastic strain at the beginning of the step.
             excess: shear stress beyond its bound if the plastic strain did not change.
         """
-        d, a = self._half_strain + p, self.mu + self.hardening
-        b = a * d + self.saturation * self._half_strain / d - excess
+        d, a = self._half_saturation_strain + p, self.mu + self.hardening
+        b = a * d + self.saturation * self._half_saturation_strain / d - excess
         root = ufl.sqrt(b * b + 4 * a * excess * d)
         return ufl.conditional(ufl.gt(b, 0), 2 * excess * d / (b + root), (root - b) / (2 * a))
 
     def stress(self, step: Step) -> Expr:
-        stress = self._trial(step) - 2 * self.mu * self._flow(step)[0]
+        stress = self._trial_stress(step) - 2 * self.mu * self._plastic_increments(step)[0]
         return (1 - self.elastic_fraction) * stress + self.elastic_fraction * lame_stress(self.lmbda, self.mu, step.mid)
 
     def advance(self, step: Step) -> dict[str, Expr]:
-        flow, slip = self._flow(step)
+        flow, slip = self._plastic_increments(step)
         increments = {"plastic": flow, "accumulated": slip}
         return {name: step.q[name] + change / step.theta for name, change in increments.items()}
 
     def dissipated(self, step: Step) -> Expr:
-        flow, _ = self._flow(step)
-        stress = self._trial(step) - 2 * self.mu * flow
+        flow, _ = self._plastic_increments(step)
+        stress = self._trial_stress(step) - 2 * self.mu * flow
         return (1 - self.elastic_fraction) * ufl.inner(stress, flow) / step.theta
 
 
@@ -338,13 +338,13 @@ class VonMises(KernelLaw, IsotropicLaw):
             strength: yield stress in tension, stress; > 0.
             hardening: further parameters of the law, by name.
         """
-        elastic = LinearElastic.young(E, nu)
-        return cls(elastic.lmbda, elastic.mu, strength, **hardening)  # type: ignore[arg-type]
+        elastic_law = LinearElastic.young(E, nu)
+        return cls(elastic_law.lmbda, elastic_law.mu, strength, **hardening)  # type: ignore[arg-type]
 
     def check(self) -> None:
         super().check()
         require_positive(self, "strength")
-        require_hardening(self, "hardening", "kinematic", "saturation")
+        require_valid_hardening(self, "hardening", "kinematic", "saturation")
 
     def homotopy(self, parameter: float) -> VonMises:
         """Return a law for continuation, whose kinematic hardening is larger than this law's.
@@ -354,5 +354,5 @@ class VonMises(KernelLaw, IsotropicLaw):
         """
         if not parameter:
             return self
-        share = min(MIN_ELASTIC_FRACTION ** (1 - parameter), MAX_HARDENING_FRACTION)
-        return self.with_parameters({"kinematic": self.kinematic + 3 * self.mu * share / (1 - share)})
+        fraction = min(MIN_ELASTIC_FRACTION ** (1 - parameter), MAX_HARDENING_FRACTION)
+        return self.with_parameters({"kinematic": self.kinematic + 3 * self.mu * fraction / (1 - fraction)})

@@ -85,7 +85,7 @@ class Rubber(PressureLaw, IsotropicLaw):
         (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = [u_N] + eps div_S <u>,
 
     where [u_N] is the normal jump and <u> the mean displacement of both faces. The stiffness of the layer in shear is
-    added to this (`forms.work.surface`). The error is O(eps^2) for all Poisson's ratios in (0, 1/2).
+    added to this (`forms.work.s_terms`). The error is O(eps^2) for all Poisson's ratios in (0, 1/2).
 
     Attributes:
         lmbda: first Lame modulus, stress; > 0.

@@ -27,26 +27,26 @@ class AveragedElastic(LinearElastic):
 
 
 @dataclass(frozen=True)
-class EqualTractionSublayers(AveragedElastic):
+class EqualTractionLaw(AveragedElastic):
     """Mean law of isotropic elastic sublayers that have the same traction on planes parallel to S.
 
     All means are over the thickness. Phi_N and Phi_T are functions of the height, from -1/2 at the lower to 1/2 at the
     upper face. The displacements at a height contain the normal jump times Phi_N, and the tangential jump times Phi_T
-    (`in_series`).
+    (`sublayer_stations`).
 
     Attributes:
         lmbda, mu: moduli, stress. mu is the harmonic mean of the sublayers' mu, lmbda + 2 mu that of their lmbda + 2
             mu.
-        lateral: mean of r = lmbda/(lmbda + 2 mu), by which a layer with free faces thins per strain along S.
-        lateral_normal, lateral_tangential: means of r Phi_N and of r Phi_T.
-        normal, tangential: means of Phi_N and of Phi_T.
+        mean_r: mean of r = lmbda/(lmbda + 2 mu), by which a layer with free faces thins per strain along S.
+        mean_r_phi_n, mean_r_phi_t: means of r Phi_N and of r Phi_T.
+        mean_phi_n, mean_phi_t: means of Phi_N and of Phi_T.
     """
 
-    lateral: float
-    lateral_normal: float
-    lateral_tangential: float
-    normal: float
-    tangential: float
+    mean_r: float
+    mean_r_phi_n: float
+    mean_r_phi_t: float
+    mean_phi_n: float
+    mean_phi_t: float
 
     def strain(self, faces: Faces) -> Expr:
         """Return the strain (3, 3), UFL, whose stress by this law has the common traction of the sublayers.
@@ -56,16 +56,16 @@ class EqualTractionSublayers(AveragedElastic):
         Args:
             faces: displacements of the faces of the layer.
         """
-        n, across = three_dimensional(faces.n), faces.across() + faces.mean
-        thinning_change = faces.split(self.lateral_normal, self.lateral_tangential).difference
-        rotation_change = faces.split(self.normal, self.tangential).difference
-        stretch = self.lateral * ufl.tr(faces.in_s(across)) + ufl.tr(faces.in_s(thinning_change))
-        shear = 2 * ufl.dot(across + rotation_change, n)
+        n, mean_strain = three_dimensional(faces.n), faces.strain_across() + faces.mean_strain_s
+        thinning_change = faces.with_scaled_jump(self.mean_r_phi_n, self.mean_r_phi_t).strain_difference
+        rotation_change = faces.with_scaled_jump(self.mean_phi_n, self.mean_phi_t).strain_difference
+        stretch = self.mean_r * ufl.tr(faces.in_plane(mean_strain)) + ufl.tr(faces.in_plane(thinning_change))
+        shear = 2 * ufl.dot(mean_strain + rotation_change, n)
         shear -= ufl.dot(shear, n) * n
-        return (ufl.dot(n, ufl.dot(across, n)) + stretch) * faces.normal + jump_strain(shear, n)
+        return (ufl.dot(n, ufl.dot(mean_strain, n)) + stretch) * faces.n_dyad + jump_strain(shear, n)
 
 
-def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[AnyStation]:
+def sublayer_stations(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[AnyStation]:
     """Return the stations of the interface law of order 1 for isotropic elastic sublayers.
 
     The displacements at a height in the layer are <u> + Phi [u], with the mean <u> and the jump [u] of the faces. Phi
@@ -77,7 +77,7 @@ def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[AnyStation]:
     sublayers; without it a nearly incompressible sublayer would lock. The stress is the sum of two: one with this
     traction, and one due to the strains along S. Their energies add up.
 
-    The first station is `EqualTractionSublayers`. The other three have the strains along S at Phi_T = -1/2, 0 and 1/2.
+    The first station is `EqualTractionLaw`. The other three have the strains along S at Phi_T = -1/2, 0 and 1/2.
     The energy of the strains along S is quadratic in Phi_T. Weighted means of the moduli at the three stations make its
     integral over the sublayers exact.
 
@@ -92,34 +92,34 @@ def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[AnyStation]:
     def mean(values: Iterable[float]) -> float:
         return sum(a * value for a, value in zip(fractions, values, strict=True))
 
-    stiffness, mu = [lmbda + 2 * mu for lmbda, mu in moduli], [mu for _, mu in moduli]
-    M_mean, mu_mean = 1 / mean(1 / modulus for modulus in stiffness), 1 / mean(1 / modulus for modulus in mu)
-    r = [lmbda / modulus for (lmbda, _), modulus in zip(moduli, stiffness, strict=True)]
-    steps_n = [a * M_mean / modulus for a, modulus in zip(fractions, stiffness, strict=True)]
+    M_values, mu = [lmbda + 2 * mu for lmbda, mu in moduli], [mu for _, mu in moduli]
+    M_mean, mu_mean = 1 / mean(1 / modulus for modulus in M_values), 1 / mean(1 / modulus for modulus in mu)
+    r = [lmbda / modulus for (lmbda, _), modulus in zip(moduli, M_values, strict=True)]
+    steps_n = [a * M_mean / modulus for a, modulus in zip(fractions, M_values, strict=True)]
     steps_t = [a * mu_mean / shear for a, shear in zip(fractions, mu, strict=True)]
     # for each sublayer: means of Phi_N, Phi_T and Phi_T^2
-    normal, tangential = ([at + step / 2 for at, step in _from_below(steps)] for steps in (steps_n, steps_t))
-    squares = [at * at + at * step + step * step / 3 for at, step in _from_below(steps_t)]
+    phi_n_means, phi_t_means = ([at + step / 2 for at, step in _start_and_step(steps)] for steps in (steps_n, steps_t))
+    phi_t_squares = [at * at + at * step + step * step / 3 for at, step in _start_and_step(steps_t)]
 
     def product(first: list[float], second: list[float]) -> list[float]:
         return [a * b for a, b in zip(first, second, strict=True)]
 
-    def along(phi: float, shares: list[float]) -> AnyStation:
-        law = AveragedElastic(2 * mean(product(product(shares, r), mu)), mean(product(shares, mu)))
-        return Station(law, 1, lambda law, faces: faces.in_s(faces.mean + phi * faces.difference))
+    def station_at(phi: float, weights: list[float]) -> AnyStation:
+        law = AveragedElastic(2 * mean(product(product(weights, r), mu)), mean(product(weights, mu)))
+        return Station(law, 1, lambda law, faces: faces.in_plane(faces.mean_strain_s + phi * faces.strain_difference))
 
-    means = map(mean, (r, product(r, normal), product(r, tangential), normal, tangential))
-    across = EqualTractionSublayers(M_mean - 2 * mu_mean, mu_mean, *means)
-    pairs = list(zip(squares, tangential, strict=True))
-    low, middle = [2 * p - q for p, q in pairs], [1 - 4 * p for p in squares]
-    in_s = along(-0.5, low), along(0.0, middle), along(0.5, [2 * p + q for p, q in pairs])
-    return [Station(across, 1, EqualTractionSublayers.strain), *in_s]
+    means = map(mean, (r, product(r, phi_n_means), product(r, phi_t_means), phi_n_means, phi_t_means))
+    across_law = EqualTractionLaw(M_mean - 2 * mu_mean, mu_mean, *means)
+    moments = list(zip(phi_t_squares, phi_t_means, strict=True))
+    low, middle = [2 * p - q for p, q in moments], [1 - 4 * p for p in phi_t_squares]
+    in_plane_stations = station_at(-0.5, low), station_at(0.0, middle), station_at(0.5, [2 * p + q for p, q in moments])
+    return [Station(across_law, 1, EqualTractionLaw.strain), *in_plane_stations]
 
 
-def _from_below(steps: list[float]) -> Iterator[tuple[float, float]]:
+def _start_and_step(steps: list[float]) -> Iterator[tuple[float, float]]:
     """Yield, for each sublayer from the lower face on, the value of Phi at its lower side and the increment over it.
 
-    Phi is one of the functions in `in_series`, from -1/2 at the lower to 1/2 at the upper face. `steps` are its
+    Phi is one of the functions in `sublayer_stations`, from -1/2 at the lower to 1/2 at the upper face. `steps` are its
     increments over the sublayers.
     """
     return zip(accumulate(steps[:-1], initial=-0.5), steps, strict=True)
@@ -161,7 +161,7 @@ class Stack(BulkLaw):
             pairs = [(float(a), getattr(law, "sublayers", ((1.0, law),))) for a, law in sublayers]
         except (TypeError, ValueError) as error:
             raise InputError(f"Stack needs pairs (fraction, law): {error}") from error
-        sublayer_list = [(a * b, law) for a, parts in pairs for b, law in parts]
+        sublayer_list = [(a * b, law) for a, inner in pairs for b, law in inner]
         vars(self).update(fractions=tuple(a for a, _ in sublayer_list), laws=tuple(law for _, law in sublayer_list))
         self.check()
         require_declarations(self)
@@ -227,7 +227,7 @@ class Stack(BulkLaw):
         if self.fields:
             subject = "order=1 of a Stack with parameters that are functions"
             raise InputError(f"{subject}: the sublayers' shares of the jump would change along S; {ORDER_0_REMEDY}")
-        return in_series(self.sublayers)
+        return sublayer_stations(self.sublayers)
 
     def with_laws(self, laws: Sequence[BulkLaw]) -> Stack:
         """Return a stack with the same fractions of the thickness and the given laws, which are not checked."""

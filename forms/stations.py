@@ -27,23 +27,23 @@ class Faces(NamedTuple):
         n: unit normal of S, from the lower to the upper face, (d,).
         eps: thickness of the layer.
         jump: displacement [u] of the upper face minus that of the lower face, (d,).
-        gradient: gradient (d, d) of [u] along S.
-        mean: strain (3, 3) along S of the mean displacement <u> of both faces, or a prescribed strain; it is uniform
-            through the layer.
-        along: function that gives the strain (3, 3) along S of displacements on S. Its arguments are their gradient
-            along S (d, d) and their values (d,) (`Kinematics.along`).
-        slope: gradient (d,) of the thickness along S; None: the thickness is uniform.
+        grad_jump: gradient (d, d) of [u] along S.
+        mean_strain_s: strain (3, 3) along S of the mean displacement <u> of both faces, or a prescribed strain; it is
+            uniform through the layer.
+        strain_along: function that gives the strain (3, 3) along S of displacements on S. Its arguments are their
+            gradient along S (d, d) and their values (d,) (`Kinematics.strain_along`).
+        grad_eps: gradient (d,) of the thickness along S; None: the thickness is uniform.
     """
 
     n: Expr
     eps: Expr
     jump: Expr
-    gradient: Expr
-    mean: Expr
-    along: Callable[[Expr, Expr], Expr]
-    slope: Expr | None = None
+    grad_jump: Expr
+    mean_strain_s: Expr
+    strain_along: Callable[[Expr, Expr], Expr]
+    grad_eps: Expr | None = None
 
-    def across(self, z: float = 0.0) -> Expr:
+    def strain_across(self, z: float = 0.0) -> Expr:
         """Return the strain (3, 3) across the layer that the jump [u] causes: sym([u] (x) (n - z grad_S eps))/eps.
 
         Where the thickness varies, the surface of points with the height z is inclined by z grad_S eps; this changes
@@ -52,41 +52,43 @@ class Faces(NamedTuple):
         Args:
             z: height divided by the thickness, from -1/2 at the lower to 1/2 at the upper face.
         """
-        n = self.n if self.slope is None or z == 0 else self.n - z * self.slope
+        n = self.n if self.grad_eps is None or z == 0 else self.n - z * self.grad_eps
         return jump_strain(self.jump, n) / self.eps
 
     @property
-    def difference(self) -> Expr:
+    def strain_difference(self) -> Expr:
         """Strain (3, 3) along S of the upper face minus that of the lower face, sym(grad_S [u])."""
-        return self.along(self.gradient, self.jump)
+        return self.strain_along(self.grad_jump, self.jump)
 
     @property
-    def change(self) -> Expr:
+    def strain_change(self) -> Expr:
         """Strain (3, 3) of the layer at the upper face minus that at the lower, for displacements linear in the height.
 
-        It is `difference`; where the thickness varies, it is eps sym(grad_S ([u]/eps)).
+        It is `strain_difference`; where the thickness varies, it is eps sym(grad_S ([u]/eps)).
         """
-        return self.difference + self.across(0.5) - self.across(-0.5) if self.slope is not None else self.difference
+        if self.grad_eps is None:
+            return self.strain_difference
+        return self.strain_difference + self.strain_across(0.5) - self.strain_across(-0.5)
 
     @property
-    def normal(self) -> Expr:
+    def n_dyad(self) -> Expr:
         """Tensor n (x) n (3, 3), with the unit normal n."""
         return ufl.outer(three_dimensional(self.n), three_dimensional(self.n))
 
-    def in_s(self, e: Expr) -> Expr:
+    def in_plane(self, e: Expr) -> Expr:
         """Return the in-plane part P e P (3, 3) of a strain e (3, 3), with the projection P = I - n (x) n onto S."""
-        along = ufl.Identity(3) - self.normal
-        return along * e * along
+        projector = ufl.Identity(3) - self.n_dyad
+        return projector * e * projector
 
-    def split(self, normal: Expr, tangential: Expr) -> Faces:
+    def with_scaled_jump(self, normal: Expr, tangential: Expr) -> Faces:
         """Return the same faces with the normal jump multiplied by `normal`, the tangential jump by `tangential`.
 
         The mean displacement of the faces does not change.
         """
         n = self.n
         jump = tangential * self.jump + (normal - tangential) * ufl.dot(n, self.jump) * n
-        gradient = tangential * self.gradient + (normal - tangential) * ufl.outer(n, ufl.dot(n, self.gradient))
-        return self._replace(jump=jump, gradient=gradient)
+        grad_jump = tangential * self.grad_jump + (normal - tangential) * ufl.outer(n, ufl.dot(n, self.grad_jump))
+        return self._replace(jump=jump, grad_jump=grad_jump)
 
 
 @dataclass(frozen=True)
@@ -98,19 +100,19 @@ class Station(Generic[LawType]):
 
     Attributes:
         law: the law.
-        share: weight of the station in an integral over the height from -1/2 to 1/2.
+        station_weight: weight of the station in an integral over the height from -1/2 to 1/2.
         strain: function that returns the strain (3, 3), UFL, linear in displacements and in prescribed strains. Its
             arguments are the law, with parameters that are UFL expressions on S, and the displaced faces.
-        flow: function of the same law that returns the flux along S over the pressure's gradient and eps^3; 0 without a
-            pressure.
-        largest_ratio: lmbda/mu for small strains, beyond which this strain makes the layer lock.
+        mobility: function of the same law that returns the flux along S over the pressure's gradient and eps^3; 0
+            without a pressure.
+        max_lame_ratio: lmbda/mu for small strains, beyond which this strain makes the layer lock.
     """
 
     law: LawType
-    share: float
+    station_weight: float
     strain: Callable[[LawType, Faces], Expr]
-    flow: Callable[[LawType], Expr] = lambda law: 0
-    largest_ratio: float = math.inf
+    mobility: Callable[[LawType], Expr] = lambda law: 0
+    max_lame_ratio: float = math.inf
 
 
 AnyStation = Station[Any]  # of a law of any class; a list of stations may have laws of several
@@ -123,14 +125,14 @@ def gauss_stations(law: LawType, difference: Callable[[LawType, Faces], Expr] | 
         law: the law.
         difference: function that returns the strain (3, 3) at the upper face minus that at the lower face. Its
             arguments are those of `Station.strain`: the law and the displaced faces. None: displacements are linear in
-            the height (`Faces.change`), which locks for lmbda/mu > `LOCKING_RATIO`.
+            the height (`Faces.strain_change`), which locks for lmbda/mu > `LOCKING_RATIO`.
     """
-    change = difference or (lambda law, faces: faces.change)
+    strain_change = difference or (lambda law, faces: faces.strain_change)
 
     def at(z: float) -> Callable[[LawType, Faces], Expr]:
-        return lambda law, faces: faces.across() + faces.mean + z * change(law, faces)
+        return lambda law, faces: faces.strain_across() + faces.mean_strain_s + z * strain_change(law, faces)
 
-    return [Station(law, 1 / 2, at(z), largest_ratio=math.inf if difference else LOCKING_RATIO) for z in GAUSS_HEIGHTS]
+    return [Station(law, 1 / 2, at(z), max_lame_ratio=math.inf if difference else LOCKING_RATIO) for z in GAUSS_HEIGHTS]
 
 
 def pressure_stations(law: PressureLaw) -> list[AnyStation]:
@@ -141,6 +143,6 @@ def pressure_stations(law: PressureLaw) -> list[AnyStation]:
     has no traction on planes parallel to S. Its law is therefore that of plane stress.
     """
     return [
-        Station(law, 1, lambda law, faces: faces.across() + faces.mean, lambda law: 1 / (12 * law.mu)),
-        Station(law.plane_stress(), 1 / 12, lambda law, faces: faces.in_s(faces.change)),
+        Station(law, 1, lambda law, faces: faces.strain_across() + faces.mean_strain_s, lambda law: 1 / (12 * law.mu)),
+        Station(law.plane_stress(), 1 / 12, lambda law, faces: faces.in_plane(faces.strain_change)),
     ]

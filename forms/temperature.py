@@ -61,8 +61,8 @@ def finite_values(values: object, *shapes: tuple[int, ...]) -> Array | None:
         array = real_values(values)
     except (TypeError, ValueError):
         return None
-    fits = not shapes or array.shape in shapes or (-1, *array.shape[1:]) in shapes
-    return array if fits and np.isfinite(array).all() else None
+    shape_fits = not shapes or array.shape in shapes or (-1, *array.shape[1:]) in shapes
+    return array if shape_fits and np.isfinite(array).all() else None
 
 
 def place_and_time_text(x: Array, t: float, k: int) -> str:
@@ -71,12 +71,12 @@ def place_and_time_text(x: Array, t: float, k: int) -> str:
 
 
 def checked_values(
-    what: str, function: Callable[..., npt.ArrayLike], x: Array, *more: object, wanted: str, where: Callable[[int], str]
+    call: str, function: Callable[..., npt.ArrayLike], x: Array, *more: object, wanted: str, where: Callable[[int], str]
 ) -> Array:
     """Return the values (n,) of a user's function at n places or temperatures, which must be finite real numbers.
 
     Args:
-        what: name of the function, for messages.
+        call: text of the call, such as "gap(x)", for messages.
         function: the user's function of `x` and `more`.
         x: places (d, n) or temperatures (n,).
         more: further arguments of the function, such as the time.
@@ -89,15 +89,15 @@ def checked_values(
     try:
         values = np.array(np.broadcast_to(real_values(function(x.copy(), *more)), x.shape[-1:]))
     except InputError as error:
-        raise InputError(f"{what}: {error}") from None
+        raise InputError(f"{call}: {error}") from None
     except Exception as error:
-        raise InputError(f"{failure_text(what, x, error)}; {wanted}") from error
+        raise InputError(f"{failure_text(call, x, error)}; {wanted}") from error
     for k in np.flatnonzero(~np.isfinite(values))[:1]:
-        raise InputError(f"{what} is {values[k]}{where(int(k))}; {wanted}")
+        raise InputError(f"{call} is {values[k]}{where(int(k))}; {wanted}")
     return values
 
 
-def evaluated(law: object, name: str, parameter: float | TemperatureFunction, T: Array) -> Array:
+def evaluate_parameter(law: object, name: str, parameter: float | TemperatureFunction, T: Array) -> Array:
     """Return the values (n,) of a law's parameter at temperatures T (n,).
 
     Args:
@@ -111,5 +111,5 @@ def evaluated(law: object, name: str, parameter: float | TemperatureFunction, T:
     """
     if not callable(parameter):
         return np.full(len(T), float(parameter))
-    what, wanted = f"{type(law).__name__}: {name}(T)", "it must be a numpy function of temperatures, or Tabulated(...)"
-    return checked_values(what, parameter, T, wanted=wanted, where=lambda k: f" at T = {T[k]:g}")
+    call, wanted = f"{type(law).__name__}: {name}(T)", "it must be a numpy function of temperatures, or Tabulated(...)"
+    return checked_values(call, parameter, T, wanted=wanted, where=lambda k: f" at T = {T[k]:g}")

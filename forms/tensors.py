@@ -60,7 +60,7 @@ def mandel_tensors(vectors: Array) -> Array:
     return np.asarray(np.einsum("...k,kij->...ij", vectors, MANDEL_BASIS))
 
 
-def mandel_vector(a: Expr, slots: Sequence[int] = range(6)) -> Expr:
+def mandel_vector(a: Expr, indices: Sequence[int] = range(6)) -> Expr:
     """Return the Mandel vector of a symmetric tensor (3, 3), UFL.
 
     The order is 11, 22, 33, sqrt2 12, sqrt2 13, sqrt2 23. With the factors sqrt2 the product of two such vectors is the
@@ -68,9 +68,9 @@ def mandel_vector(a: Expr, slots: Sequence[int] = range(6)) -> Expr:
 
     Args:
         a: the tensor.
-        slots: indices, from 0 to 5, of the components that the vector has; by default all six.
+        indices: indices, from 0 to 5, of the components that the vector has; by default all six.
     """
-    return ufl.as_vector([a[i, j] if i == j else SQRT2 * a[i, j] for i, j in (MANDEL_PAIRS[k] for k in slots)])
+    return ufl.as_vector([a[i, j] if i == j else SQRT2 * a[i, j] for i, j in (MANDEL_PAIRS[k] for k in indices)])
 
 
 def mandel_tensor(a: Expr) -> Expr:
@@ -81,8 +81,8 @@ def mandel_tensor(a: Expr) -> Expr:
 
 def isotropic_tensor(lmbda: float, mu: float) -> Array:
     """Return the stiffness tensor of an isotropic material as a matrix (6, 6) of Mandel components, stress."""
-    volume = np.repeat([1.0, 0.0], 3)
-    return np.asarray(lmbda * np.outer(volume, volume) + 2 * mu * np.eye(6))
+    identity_vector = np.repeat([1.0, 0.0], 3)
+    return np.asarray(lmbda * np.outer(identity_vector, identity_vector) + 2 * mu * np.eye(6))
 
 
 def condensed_tangent(C: Array, kept: Sequence[int], eliminated: Sequence[int]) -> Array:
@@ -95,8 +95,8 @@ def condensed_tangent(C: Array, kept: Sequence[int], eliminated: Sequence[int]) 
         kept: indices, from 0 to 5, of the components of the result.
         eliminated: indices of the components whose stresses are zero.
     """
-    inner = np.linalg.pinv(C[np.ix_(eliminated, eliminated)])
-    return np.asarray(C[np.ix_(kept, kept)] - C[np.ix_(kept, eliminated)] @ inner @ C[np.ix_(eliminated, kept)])
+    inverse = np.linalg.pinv(C[np.ix_(eliminated, eliminated)])
+    return np.asarray(C[np.ix_(kept, kept)] - C[np.ix_(kept, eliminated)] @ inverse @ C[np.ix_(eliminated, kept)])
 
 
 def average_lame(C: Array) -> tuple[float, float]:
@@ -119,10 +119,10 @@ def layer_frame(n: Expr) -> Expr:
     if n.ufl_shape[0] == 2:
         return ufl.as_tensor([[n[1], n[0], 0], [-n[0], n[1], 0], [0, 0, 1]])
     opposite = ufl.lt(n[1], -1 + 1e-12)
-    squares = n[0] * n[0] + n[2] * n[2]
-    downwards = (1 - n[1]) / ufl.conditional(opposite, 1, squares)  # = 1/(1 + n_2) without cancellation
-    s = ufl.conditional(ufl.lt(n[1], 0), downwards, 1 / ufl.conditional(ufl.lt(n[1], 0), 1, 1 + n[1]))
+    tangential_squared = n[0] * n[0] + n[2] * n[2]
+    s_downwards = (1 - n[1]) / ufl.conditional(opposite, 1, tangential_squared)  # = 1/(1 + n_2) without cancellation
+    s = ufl.conditional(ufl.lt(n[1], 0), s_downwards, 1 / ufl.conditional(ufl.lt(n[1], 0), 1, 1 + n[1]))
     row_1, row_3 = [1 - s * n[0] * n[0], n[0], -s * n[0] * n[2]], [-s * n[0] * n[2], n[2], 1 - s * n[2] * n[2]]
-    turn = ufl.as_tensor([row_1, [-n[0], n[1], -n[2]], row_3])
+    rot = ufl.as_tensor([row_1, [-n[0], n[1], -n[2]], row_3])
     half_turn = ufl.as_tensor([[-1, 0, 0], [0, -1, 0], [0, 0, 1]])
-    return ufl.as_tensor([[ufl.conditional(opposite, half_turn[i, j], turn[i, j]) for j in range(3)] for i in range(3)])
+    return ufl.as_tensor([[ufl.conditional(opposite, half_turn[i, j], rot[i, j]) for j in range(3)] for i in range(3)])

@@ -27,7 +27,7 @@ class JumpStep(Step):
     n: Expr = Step.n
 
     @classmethod
-    def of(cls, step: Step) -> JumpStep:
+    def of_step(cls, step: Step) -> JumpStep:
         """Return the step of a traction law for a `step` whose strains are sym(w (x) n) with jumps w."""
         n = step.n
 
@@ -96,17 +96,17 @@ class TractionAsBulkLaw(WrappedLaw):
         return self.law.traits
 
     def stress(self, step: Step) -> Expr:
-        t, n = require_shape(self, "traction", self.law.traction(JumpStep.of(step)), (3,)), step.n
+        t, n = require_shape(self, "traction", self.law.traction(JumpStep.of_step(step)), (3,)), step.n
         return ufl.outer(t, n) + ufl.outer(n, t) - ufl.dot(t, n) * ufl.outer(n, n)
 
     def advance(self, step: Step) -> dict[str, Expr]:
-        return self.law.evolve(JumpStep.of(step)) if self.internal else {}
+        return self.law.evolve(JumpStep.of_step(step)) if self.internal else {}
 
     def energy(self, step: Step) -> Expr:
-        return self.law.energy(JumpStep.of(step))
+        return self.law.energy(JumpStep.of_step(step))
 
     def dissipation(self, step: Step) -> Expr:
-        return self.law.dissipation(JumpStep.of(step))
+        return self.law.dissipation(JumpStep.of_step(step))
 
 
 @cache

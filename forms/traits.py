@@ -48,22 +48,22 @@ def warn_of_range(key: str, message: str) -> None:
         key: identifier of the violated condition.
         message: the text.
     """
-    warn_outside(RangeWarning(message, key))
+    warn_caller(RangeWarning(message, key))
 
 
-def warn_outside(warning: Warning) -> None:
+def warn_caller(warning: Warning) -> None:
     """Issue a warning that points to the line outside these packages from which they were called.
 
     Python shows it once for each such line.
     """
-    show_warnings()
+    restore_warnings()
     level, frame = 1, sys._getframe()
     while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in (*PACKAGES, "contextlib"):
         level, frame = level + 1, frame.f_back
     warnings.warn(warning, stacklevel=level)
 
 
-def show_warnings() -> None:
+def restore_warnings() -> None:
     """Make Python show warnings again, in case an import of FFCx has redirected them to a log that nobody reads."""
     handlers = [*logging.getLogger("py.warnings").handlers, *logging.getLogger().handlers]
     if all(isinstance(handler, logging.NullHandler) for handler in handlers):
@@ -81,11 +81,11 @@ def accept_renamed(cls: type, new_names: Mapping[str, str]) -> None:
     """
     for old, new in new_names.items():
         if old in vars(cls):
-            warn_outside(DeprecationWarning(f"{cls.__name__}.{old} is deprecated since thinlayer 1.1; call it {new}"))
+            warn_caller(DeprecationWarning(f"{cls.__name__}.{old} is deprecated since thinlayer 1.1; call it {new}"))
             setattr(cls, new, vars(cls)[old])
 
 
-def reset_inherited(cls: type[Law]) -> None:
+def reset_inherited_attributes(cls: type[Law]) -> None:
     """Reset those inherited attributes of a new law class that belong to the stress of its base class.
 
     If a class defines another stress than its base, an inherited stiffness, for example, would be wrong. It is replaced
@@ -99,12 +99,12 @@ def reset_inherited(cls: type[Law]) -> None:
     for name in STRESS_ATTRIBUTES:
         if _is_for_another_stress(cls, name, RESPONSE_ATTRIBUTES + UPDATE_METHODS):
             _reset(cls, name)
-    own_energies = [name for name in ENERGY_METHODS if _is_own(cls, name)]
+    own_energy_methods = [name for name in ENERGY_METHODS if _is_custom(cls, name)]
     unchecked = getattr(cls, "rate", False) or cls.internal or not getattr(cls, "symmetric", True)
-    if unchecked and all(_is_for_another_stress(cls, name, RESPONSE_ATTRIBUTES) for name in own_energies):
-        for name in own_energies:
+    if unchecked and all(_is_for_another_stress(cls, name, RESPONSE_ATTRIBUTES) for name in own_energy_methods):
+        for name in own_energy_methods:
             _reset(cls, name)
-    if _is_own(cls, "quadratic") and _place(cls, "energy") < _place(cls, "quadratic"):
+    if _is_custom(cls, "quadratic") and _mro_index(cls, "energy") < _mro_index(cls, "quadratic"):
         _reset(cls, "quadratic", False)
 
 
@@ -119,22 +119,22 @@ def _is_for_another_stress(cls: type, name: str, responses: tuple[str, ...]) -> 
         name: name of the attribute.
         responses: names of the methods and attributes that give the stress or traction, or new internal variables.
     """
-    if not _is_own(cls, name):
+    if not _is_custom(cls, name):
         return False
-    bases = reversed(cls.__mro__[: _place(cls, name) + 1])
-    present = _responses(cls, responses)
-    before = next((attributes for base in bases if (attributes := _responses(base, responses))), present)
+    bases = reversed(cls.__mro__[: _mro_index(cls, name) + 1])
+    current = _own_responses(cls, responses)
+    earlier = next((attributes for base in bases if (attributes := _own_responses(base, responses))), current)
     return any(
-        before.get(key) is not present.get(key) for key in responses if key in before or key not in UPDATE_METHODS
+        earlier.get(key) is not current.get(key) for key in responses if key in earlier or key not in UPDATE_METHODS
     )
 
 
-def _responses(cls: type, names: tuple[str, ...]) -> dict[str, object]:
+def _own_responses(cls: type, names: tuple[str, ...]) -> dict[str, object]:
     """Return those attributes of a class among `names`, by name, that differ from the defaults of all laws."""
-    return {name: inspect.getattr_static(cls, name) for name in names if _is_own(cls, name)}
+    return {name: inspect.getattr_static(cls, name) for name in names if _is_custom(cls, name)}
 
 
-def _place(cls: type, name: str) -> int:
+def _mro_index(cls: type, name: str) -> int:
     """Return the index, in a class's method resolution order, of the first class that defines `name`.
 
     0 is the class itself. If none defines it, the result is the number of classes in this order.
@@ -164,31 +164,31 @@ def require_declarations(law: Law) -> None:
     for variable, shape in law.internal.items():
         allowed = f"allowed: {', '.join(map(str, VARIABLE_SIZES))}"
         require(shape in VARIABLE_SIZES, f"{name}: shape of the internal variable {variable!r}", shape, allowed)
-    _require_used(law)
+    _require_used_methods(law)
 
 
-def _require_used(law: Law) -> None:
+def _require_used_methods(law: Law) -> None:
     """Raise InputError if the class of a law has methods or attributes that would never be used."""
     cls, name = type(law), type(law).__name__
-    defining = min(_place(cls, attribute) for attribute in ("source", "ignored"))
+    defining_index = min(_mro_index(cls, attribute) for attribute in ("source", "ignored"))
     for method in cls.ignored:
-        if _is_own(cls, method) and _place(cls, method) < defining:
-            source = f"the source, sublayers or the traction of {cls.__mro__[defining].__name__}"
-            raise InputError(f"{name} has a method {method} that is never called: change {source}, or write a BulkLaw")
-    advancing = [method for method in UPDATE_METHODS if _is_own(cls, method)]
-    if advancing and not law.internal:
-        raise InputError(f"{name} has a method {advancing[0]} but no internal variables: internal = {{name: shape}}")
-    if (_is_own(cls, "dissipation") or _is_own(cls, "dissipated")) and not law.traits.has_energy:
+        if _is_custom(cls, method) and _mro_index(cls, method) < defining_index:
+            remedy = f"the source, sublayers or the traction of {cls.__mro__[defining_index].__name__}"
+            raise InputError(f"{name} has a method {method} that is never called: change {remedy}, or write a BulkLaw")
+    updates = [method for method in UPDATE_METHODS if _is_custom(cls, method)]
+    if updates and not law.internal:
+        raise InputError(f"{name} has a method {updates[0]} but no internal variables: internal = {{name: shape}}")
+    if (_is_custom(cls, "dissipation") or _is_custom(cls, "dissipated")) and not law.traits.has_energy:
         raise InputError(f"{name} declares a dissipation but no energy; write a method energy(step) too")
-    if _is_own(cls, "at") and (not _is_own(cls, "varies") or inspect.getattr_static(cls, "varies") is False):
+    if _is_custom(cls, "at") and (not _is_custom(cls, "varies") or inspect.getattr_static(cls, "varies") is False):
         raise InputError(f"{name} has a method at, but no parameters vary; write varies = True in the class")
 
 
-def _is_own(cls: type, name: str) -> bool:
+def _is_custom(cls: type, name: str) -> bool:
     """Return whether a class has an attribute, its own or inherited, that is not the default of all laws."""
-    defining = next((base for base in cls.__mro__ if name in vars(base)), None)
-    written = getattr(vars(defining)[name], "__module__", None) if defining else None  # also where `_reset` restored it
-    return defining is not None and not {defining.__module__, written} & {*DEFAULT_MODULES}
+    definer = next((base for base in cls.__mro__ if name in vars(base)), None)
+    module = getattr(vars(definer)[name], "__module__", None) if definer else None  # also where `_reset` restored it
+    return definer is not None and not {definer.__module__, module} & {*DEFAULT_MODULES}
 
 
 def trait_field(fold: Callable[[Iterable[bool]], bool], default: bool = False) -> bool:
@@ -270,24 +270,24 @@ class Traits:
         return self.symmetric and not (self.softens or self.linear or self.rate or self.bounded or self.switches)
 
     @classmethod
-    def of(cls, law: object, **of_methods: bool) -> Traits:
+    def of_law(cls, law: object, **method_traits: bool) -> Traits:
         """Return the traits of a law: those that its class declares, and those that follow from its methods.
 
         Args:
             law: the law.
-            of_methods: values, by name, of the traits that follow from its methods.
+            method_traits: values, by name, of the traits that follow from its methods.
 
         Raises:
             InputError: a declaration that is neither True nor False.
         """
-        declared = {f.name: getattr(law, f.name, f.default) for f in fields(cls) if f.name not in of_methods}
+        declared = {f.name: getattr(law, f.name, f.default) for f in fields(cls) if f.name not in method_traits}
         for name, value in declared.items():
             subject = f"{type(law).__name__}: {name}"
             require(isinstance(value, bool | np.bool_), subject, value, "a trait is True or False")
-        return cls(**{name: bool(value) for name, value in (declared | of_methods).items()})
+        return cls(**{name: bool(value) for name, value in (declared | method_traits).items()})
 
     @classmethod
     def of_series(cls, sublayers: Iterable[Traits]) -> Traits:
         """Return the traits of a Stack, given the traits of each of its sublayers."""
-        stack = list(sublayers)
-        return cls(**{f.name: f.metadata["fold"](getattr(traits, f.name) for traits in stack) for f in fields(cls)})
+        members = list(sublayers)
+        return cls(**{f.name: f.metadata["fold"](getattr(traits, f.name) for traits in members) for f in fields(cls)})

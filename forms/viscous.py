@@ -14,10 +14,10 @@ from forms.law import Step, require_nonnegative, require_positive
 from forms.tensors import Expr
 
 # largest tangent of a power-law dashpot in a step, over the modulus of its spring; stiffer dashpots are made linear
-MAX_DASHPOT_STIFFNESS = 1e6
+MAX_STIFFNESS_RATIO = 1e6
 CREEP_NEWTON_STEPS = 6  # Newton steps for the stress of a creep step; relative error 1e-14 for n = 20, 1e-10 for n = 50
 RELATIVE_RATE_TOLERANCE = 1e-12  # relaxation rate of the mean stress, over the deviator's, that counts as zero
-REST_STRAIN = 1e-12  # strain increment of a step below which the dashpot may be linear
+REST_STRAIN_INCREMENT = 1e-12  # strain increment of a step below which the dashpot may be linear
 
 
 def isotropic_energy(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
@@ -31,17 +31,17 @@ class ParallelDashpot(IsotropicLaw):
     rate = True
     quadratic = True
 
-    def _viscous(self, step: Step) -> Expr:
+    def _viscous_stress(self, step: Step) -> Expr:
         raise NotImplementedError
 
     def stress(self, step: Step) -> Expr:
-        return lame_stress(self.lmbda, self.mu, step.mid) + self._viscous(step)
+        return lame_stress(self.lmbda, self.mu, step.mid) + self._viscous_stress(step)
 
     def energy(self, step: Step) -> Expr:
         return isotropic_energy(self.lmbda, self.mu, step.e)
 
     def dissipation(self, step: Step) -> Expr:
-        return ufl.inner(self._viscous(step), step.rate)
+        return ufl.inner(self._viscous_stress(step), step.rate)
 
 
 @dataclass(frozen=True)
@@ -69,16 +69,16 @@ class KelvinVoigt(ParallelDashpot):
     def check(self) -> None:
         super().check()
         require_positive(self, "theta_mu")
-        bulk = self.lmbda * self.theta_lmbda + 2 / 3 * self.mu * self.theta_mu
-        self.require(0 <= bulk < math.inf, "theta_lmbda", "lmbda theta_lmbda + 2 mu theta_mu/3 >= 0")
+        bulk_viscosity = self.lmbda * self.theta_lmbda + 2 / 3 * self.mu * self.theta_mu
+        self.require(0 <= bulk_viscosity < math.inf, "theta_lmbda", "lmbda theta_lmbda + 2 mu theta_mu/3 >= 0")
 
     @property
-    def own_times(self) -> tuple[float, ...]:
+    def relaxation_times(self) -> tuple[float, ...]:
         """Retardation time of the deviator and, if changes of volume are viscous, that of the mean strain."""
-        bulk = self.lmbda * self.theta_lmbda + 2 * self.mu * self.theta_mu / 3
-        return self.theta_mu, *((bulk / (self.lmbda + 2 * self.mu / 3),) if bulk > 0 else ())
+        bulk_viscosity = self.lmbda * self.theta_lmbda + 2 * self.mu * self.theta_mu / 3
+        return self.theta_mu, *((bulk_viscosity / (self.lmbda + 2 * self.mu / 3),) if bulk_viscosity > 0 else ())
 
-    def _viscous(self, step: Step) -> Expr:
+    def _viscous_stress(self, step: Step) -> Expr:
         return lame_stress(self.lmbda * self.theta_lmbda, self.mu * self.theta_mu, step.rate)
 
 
@@ -89,22 +89,22 @@ class SeriesDashpot(IsotropicLaw):
     quadratic = True
 
     @property
-    def _bulk(self) -> Expr:
+    def _bulk_modulus(self) -> Expr:
         return self.lmbda + 2 * self.mu / 3
 
-    def _rates(self, step: Step) -> tuple[Expr, Expr]:
+    def _relaxation_rates(self, step: Step) -> tuple[Expr, Expr]:
         """Return the relaxation rates, 1/time, UFL, of the deviator and of the mean of the stress at t + theta dt."""
         raise NotImplementedError
 
     def advance(self, step: Step) -> dict[str, Expr]:
         old, increment = step.q["stress"], step.e - step.e_old
-        shear, volumetric = self._rates(step)
-        deviator = self._relaxed(step, ufl.dev(old), 2 * self.mu * ufl.dev(increment), shear)
-        mean = self._relaxed(step, ufl.tr(old) / 3, self._bulk * ufl.tr(increment), volumetric)
-        return {"stress": deviator + mean * ufl.Identity(3)}
+        shear_rate, volumetric_rate = self._relaxation_rates(step)
+        deviator = self._relaxed(step, ufl.dev(old), 2 * self.mu * ufl.dev(increment), shear_rate)
+        mean_stress = self._relaxed(step, ufl.tr(old) / 3, self._bulk_modulus * ufl.tr(increment), volumetric_rate)
+        return {"stress": deviator + mean_stress * ufl.Identity(3)}
 
     @staticmethod
-    def _relaxed(step: Step, old: Expr, elastic: Expr, rate: Expr) -> Expr:
+    def _relaxed(step: Step, old: Expr, elastic_increment: Expr, rate: Expr) -> Expr:
         """Return the value, at the end of a step, of a part x of the stress that relaxes: its deviator or its mean.
 
         The value x_new solves x_new - x_old = elastic - dt rate x(t + theta dt).
@@ -112,26 +112,26 @@ class SeriesDashpot(IsotropicLaw):
         Args:
             step: the step, from t to t + dt.
             old: value x_old at its beginning.
-            elastic: increment of x without relaxation.
+            elastic_increment: increment of x without relaxation.
             rate: relaxation rate, 1/time.
         """
         x = step.dt * rate
-        return ((1 - (1 - step.theta) * x) * old + elastic) / (1 + step.theta * x)
+        return ((1 - (1 - step.theta) * x) * old + elastic_increment) / (1 + step.theta * x)
 
     def stress(self, step: Step) -> Expr:
         return step.between(step.q["stress"], self.advance(step)["stress"])
 
-    def _complementary(self, stress: Expr) -> tuple[Expr, Expr]:
+    def _elastic_energies(self, stress: Expr) -> tuple[Expr, Expr]:
         """Return the elastic energies per volume, UFL, of the deviator and of the mean part of a stress (3, 3)."""
-        s, mean = ufl.dev(stress), ufl.tr(stress) / 3
-        return ufl.inner(s, s) / (4 * self.mu), mean**2 / (2 * self._bulk)
+        s, mean_stress = ufl.dev(stress), ufl.tr(stress) / 3
+        return ufl.inner(s, s) / (4 * self.mu), mean_stress**2 / (2 * self._bulk_modulus)
 
     def energy(self, step: Step) -> Expr:
-        return sum(self._complementary(step.q["stress"]))
+        return sum(self._elastic_energies(step.q["stress"]))
 
     def dissipation(self, step: Step) -> Expr:
-        energies = self._complementary(self.stress(step))
-        return sum(2 * energy * rate for energy, rate in zip(energies, self._rates(step), strict=True))
+        energies = self._elastic_energies(self.stress(step))
+        return sum(2 * energy * rate for energy, rate in zip(energies, self._relaxation_rates(step), strict=True))
 
 
 @dataclass(frozen=True)
@@ -178,9 +178,9 @@ class Maxwell(SeriesDashpot):
         super().check()
         require_positive(self, "t1")
         nu = self.lmbda / (2 * (self.lmbda + self.mu))
-        bound = 3 * nu * self.t1 / (1 + nu)
-        in_range = self.t2 is not None and bound <= self.t2 < math.inf and self.t2 > 0
-        self.require(in_range, "t2", f"> 0 and >= 3 nu t1/(1 + nu) = {bound:g}")
+        min_t2 = 3 * nu * self.t1 / (1 + nu)
+        in_range = self.t2 is not None and min_t2 <= self.t2 < math.inf and self.t2 > 0
+        self.require(in_range, "t2", f"> 0 and >= 3 nu t1/(1 + nu) = {min_t2:g}")
 
     @property
     def _volumetric_rate(self) -> Expr:
@@ -189,12 +189,12 @@ class Maxwell(SeriesDashpot):
         return ((3 * self.lmbda + 2 * self.mu) / self.t1 - 3 * self.lmbda / t2) / (2 * self.mu)
 
     @property
-    def own_times(self) -> tuple[float, ...]:
+    def relaxation_times(self) -> tuple[float, ...]:
         """Relaxation time of the deviator and, if the mean stress relaxes, that of the mean stress."""
         rate = self._volumetric_rate
         return self.t1, *((1 / rate,) if rate > RELATIVE_RATE_TOLERANCE / self.t1 else ())
 
-    def _rates(self, step: Step) -> tuple[Expr, Expr]:
+    def _relaxation_rates(self, step: Step) -> tuple[Expr, Expr]:
         return 1 / self.t1, self._volumetric_rate
 
 
@@ -241,11 +241,11 @@ class Norton(ParallelDashpot):
         require_nonnegative(self, "rest")
         self.require(1 < self.p < math.inf, "p", "> 1")
 
-    def _viscous(self, step: Step) -> Expr:
+    def _viscous_stress(self, step: Step) -> Expr:
         dt: Expr = step.dt
         # for p < 2, the strain rate at which the dashpot has the largest stiffness
-        stiffest_rate = (self.eta / (MAX_DASHPOT_STIFFNESS * self.mu * dt)) ** (1 / (2 - self.p))
-        min_rate = ufl.conditional(ufl.lt(self.p, 2), ufl.min_value(stiffest_rate, REST_STRAIN / dt), 0)
+        stiffest_rate = (self.eta / (MAX_STIFFNESS_RATIO * self.mu * dt)) ** (1 / (2 - self.p))
+        min_rate = ufl.conditional(ufl.lt(self.p, 2), ufl.min_value(stiffest_rate, REST_STRAIN_INCREMENT / dt), 0)
         q = ufl.inner(step.rate, step.rate) + self.rest**2 + min_rate**2 + 1e-300  # powers have no derivative at 0
         return self.eta * q ** (self.p / 2 - 1) * step.rate
 
@@ -279,7 +279,7 @@ class NortonCreep(SeriesDashpot):
         require_positive(self, "A")
         self.require(1 <= self.n < math.inf, "n", ">= 1")
 
-    def _rates(self, step: Step) -> tuple[Expr, Expr]:
+    def _relaxation_rates(self, step: Step) -> tuple[Expr, Expr]:
         """Return the relaxation rates, 1/time, UFL, of the deviator and of the mean of the stress at t + theta dt.
 
         The latter is zero. The former follows from x, the equivalent stress divided by its value without creep in the
@@ -287,8 +287,8 @@ class NortonCreep(SeriesDashpot):
         stress without creep.
         """
         n: Expr = self.n
-        trial = ufl.dev(step.q["stress"]) + 2 * step.theta * self.mu * ufl.dev(step.e - step.e_old)
-        q = ufl.sqrt(1.5 * ufl.inner(trial, trial) + 1e-300)  # roots have no derivative at 0
+        trial_deviator = ufl.dev(step.q["stress"]) + 2 * step.theta * self.mu * ufl.dev(step.e - step.e_old)
+        q = ufl.sqrt(1.5 * ufl.inner(trial_deviator, trial_deviator) + 1e-300)  # roots have no derivative at 0
         rate = 3 * self.mu * self.A * q ** (n - 1)
         c = step.theta * step.dt * rate
         x: Expr = (1 + c) ** (-1 / n)  # not less than the root, so that Newton's iterates decrease to it

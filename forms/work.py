@@ -21,7 +21,7 @@ from forms.stations import AnyStation, Faces
 from forms.tensors import Expr, jump_strain, three_dimensional
 
 
-def constant_law(law: BulkLaw) -> BulkLaw:
+def require_constant_law(law: BulkLaw) -> BulkLaw:
     """Return the given law, after a check that its parameters do not depend on the place through numpy functions.
 
     Raises:
@@ -75,7 +75,7 @@ class Interface:
             lies on the facets.
         upper, lower: sides of S; each restricts a function on the mesh to its side.
         kinematics: kinematics at places on S.
-        area: area of S divided by that of the facets.
+        area_ratio: area of S divided by that of the facets.
         law_on_surface: function that returns a law with UFL expressions on S as parameters, even if these were
             functions of the place. The strains of laws of order 1 need it.
     """
@@ -87,8 +87,8 @@ class Interface:
     upper: InterfaceSide
     lower: InterfaceSide
     kinematics: Kinematics = PLANE_STRAIN
-    area: Expr = 1
-    law_on_surface: Callable[[BulkLaw], BulkLaw] = constant_law
+    area_ratio: Expr = 1
+    law_on_surface: Callable[[BulkLaw], BulkLaw] = require_constant_law
 
     @classmethod
     def between_bodies(cls, dS: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, to_s: Expr | None = None) -> Self:
@@ -103,7 +103,7 @@ class Interface:
         if to_s is None:
             x, n = upper(ufl.SpatialCoordinate(mesh)), ufl.FacetNormal(mesh)("-")
             return cls(dS, x, n, n, upper, lower, kinematics)
-        return cls._apart(dS, kinematics, to_s, upper, InterfaceSide(lower.restrict, _inverse_gradient(to_s)("-")))
+        return cls._off_facets(dS, kinematics, to_s, upper, InterfaceSide(lower.restrict, _inverse_gradient(to_s)("-")))
 
     @classmethod
     def on_rigid_base(cls, ds: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, to_s: Expr | None = None) -> Self:
@@ -118,10 +118,10 @@ class Interface:
         if to_s is None:
             n = -ufl.FacetNormal(mesh)
             return cls(ds, ufl.SpatialCoordinate(mesh), n, n, upper, lower, kinematics)
-        return cls._apart(ds, kinematics, to_s, upper, lower)
+        return cls._off_facets(ds, kinematics, to_s, upper, lower)
 
     @classmethod
-    def _apart(
+    def _off_facets(
         cls, measure: ufl.Measure, kinematics: Kinematics, to_s: Expr, upper: InterfaceSide, lower: InterfaceSide
     ) -> Self:
         """Return the interface S for facets of the mesh that are away from S.
@@ -138,33 +138,33 @@ class Interface:
         """
         mesh, inverse_map = measure.ufl_domain(), upper(_inverse_gradient(to_s))
         N = -ufl.dot(upper(ufl.FacetNormal(mesh)), inverse_map)
-        length = ufl.sqrt(ufl.dot(N, N))
-        n, x = N / length, upper(ufl.SpatialCoordinate(mesh) + to_s)
+        norm_of_N = ufl.sqrt(ufl.dot(N, N))
+        n, x = N / norm_of_N, upper(ufl.SpatialCoordinate(mesh) + to_s)
         fibre = upper(to_s) / ufl.dot(upper(to_s), n)
-        area = length / abs(ufl.det(inverse_map))
+        area = norm_of_N / abs(ufl.det(inverse_map))
         return cls(measure, x, n, fibre, InterfaceSide(upper.restrict, inverse_map), lower, kinematics.at(x), area)
 
     @property
     def factor(self) -> Expr:
-        """Factor of the facets' measure in integrals over S, UFL: `area` times the factor of the kinematics."""
-        return self.kinematics.factor * self.area
+        """Factor of the facets' measure in integrals over S, UFL: `area_ratio` times the factor of the kinematics."""
+        return self.kinematics.factor * self.area_ratio
 
     def jump(self, v: Expr) -> Expr:
         """Return the jump [v] of a function `v` on the mesh: its upper value minus its lower value on S."""
         return self.upper(v) - self.lower(v)
 
-    def faces(self, u: Expr, eps: Expr, slope: Expr | None = None) -> Faces:
+    def faces(self, u: Expr, eps: Expr, grad_eps: Expr | None = None) -> Faces:
         """Return the displacements of the faces of a layer on S.
 
         Args:
             u: displacement, UFL on the mesh.
             eps: thickness of the layer.
-            slope: gradient (d,) of the thickness along S; None: it is uniform.
+            grad_eps: gradient (d,) of the thickness along S; None: it is uniform.
         """
         projector = ufl.Identity(len(self.n)) - ufl.outer(self.director, self.n)
-        upper, lower = (ufl.dot(side.gradient(u), projector) for side in (self.upper, self.lower))
-        mean = self.kinematics.along((upper + lower) / 2, (self.upper(u) + self.lower(u)) / 2)
-        return Faces(self.n, eps, self.jump(u), upper - lower, mean, self.kinematics.along, slope)
+        grad_upper, grad_lower = (ufl.dot(side.gradient(u), projector) for side in (self.upper, self.lower))
+        mean = self.kinematics.strain_along((grad_upper + grad_lower) / 2, (self.upper(u) + self.lower(u)) / 2)
+        return Faces(self.n, eps, self.jump(u), grad_upper - grad_lower, mean, self.kinematics.strain_along, grad_eps)
 
 
 def _inverse_gradient(to_s: Expr) -> Expr:
@@ -186,12 +186,12 @@ class Term:
         key: name under which internal variables and stored data are kept, if several layers have names. "": the name is
             made of "body" or "layer" and, if there are several terms, a number.
         kinematics: kinematics of the strain.
-        volume: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell (B-bar).
-            It applies to compiled laws over cells. None: no projection.
+        trace_degree: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell
+            (B-bar). It applies to compiled laws over cells. None: no projection.
         traction: on S, function that returns, for a stress (3, 3), the traction (d,) that does the stress's virtual
             work on [u]. None: stress times n.
-        flow: flux along S per gradient of the pressure, eps^3/(12 mu), for laws of order 1 with a pressure on S; 0 for
-            others.
+        mobility: flux along S per gradient of the pressure, eps^3/(12 mu), for laws of order 1 with a pressure on S; 0
+            for others.
     """
 
     law: BulkLaw
@@ -202,8 +202,8 @@ class Term:
     prescribed_strain: Expr | None = None
     key: str = ""
     kinematics: Kinematics = PLANE_STRAIN
-    volume: int | None = None
-    flow: Expr = 0
+    trace_degree: int | None = None
+    mobility: Expr = 0
     traction: Callable[[Expr], Expr] | None = None
 
     def step(self, u: Expr) -> Step:
@@ -212,7 +212,7 @@ class Term:
         return Step(e if self.prescribed_strain is None else self.prescribed_strain + e, self.n)
 
     @property
-    def proportional(self) -> bool:
+    def is_proportional(self) -> bool:
         """Whether the stress is proportional to the strain, so that the virtual work is a bilinear form.
 
         It is not if the law has internal variables, a rate, or a stress at zero strain.
@@ -220,26 +220,26 @@ class Term:
         traits = self.law.traits
         if not traits.linear or traits.remembers or traits.rate:
             return False
-        laws = [law.in_space for _, law in self.law.sublayers]
+        laws = [law.law_3d for _, law in self.law.sublayers]
         numeric_laws = [law.with_parameters(dict.fromkeys(law.fields, 1.0)) for law in laws]
         n = three_dimensional(self.n) if self.n is not None and traits.compiled else self.n
         return all(isinstance(checked_stress(law, Step(ufl.zero(3, 3), n)), Zero) for law in numeric_laws)
 
 
-def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, volume: int | None = None) -> Term:
+def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, degree: int | None = None) -> Term:
     """Return the term of a law in a body.
 
     Args:
         law: the law for these kinematics (`Kinematics.law`).
         measure: dx of the body.
         kinematics: kinematics of the mesh.
-        volume: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell (B-bar);
+        degree: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell (B-bar);
             None: no projection.
     """
-    return Term(law, kinematics.strain, kinematics.factor, measure, kinematics=kinematics, volume=volume)
+    return Term(law, kinematics.strain, kinematics.factor, measure, kinematics=kinematics, trace_degree=degree)
 
 
-def band(law: BulkLaw, measure: ufl.Measure, n: Expr, kinematics: Kinematics = PLANE_STRAIN) -> Term:
+def layer_term(law: BulkLaw, measure: ufl.Measure, n: Expr, kinematics: Kinematics = PLANE_STRAIN) -> Term:
     """Return the term of a layer's law in the cells of the meshed layer, or of one of its sublayers.
 
     Args:
@@ -262,13 +262,13 @@ def jump_term(law: BulkLaw, sides: Interface) -> Term:
     return Term(law, lambda u: jump_strain(sides.jump(u), n), sides.factor, sides.measure, n, kinematics=kinematics)
 
 
-def surface(
+def s_terms(
     law: BulkLaw,
     sides: Interface,
     eps: Expr,
     order: int = 0,
     prescribed_strain: Expr | None = None,
-    slope: Expr | None = None,
+    grad_eps: Expr | None = None,
     ends: EndWeights | None = None,
 ) -> list[Term]:
     """Return the terms on S of the interface law that replaces a layer.
@@ -288,7 +288,7 @@ def surface(
         order: order of the interface law in eps, 0 or 1.
         prescribed_strain: strain (3, 3), uniform through the layer, that is added to that of the displacements; None:
             zero.
-        slope: gradient (d,) of the thickness along S; None: it is uniform.
+        grad_eps: gradient (d,) of the thickness along S; None: it is uniform.
         ends: reductions of the stiffness near free ends, for laws with `end_strips`; None: no reductions.
 
     Raises:
@@ -298,22 +298,23 @@ def surface(
     term = partial(Term, measure=sides.measure, n=n, kinematics=sides.kinematics)
     if order == 0:
         return [term(law, lambda u: jump_strain(sides.jump(u), n) / eps, weight, prescribed_strain=prescribed_strain)]
-    fixed_faces = Faces(n, eps, ufl.zero(d), ufl.zero(d, d), prescribed_strain, sides.kinematics.along)
+    fixed_displacements = Faces(n, eps, ufl.zero(d), ufl.zero(d, d), prescribed_strain, sides.kinematics.strain_along)
 
-    def unit_opening(i: int) -> Faces:
-        unit = ufl.as_vector([float(i == j) for j in range(d)])
-        return Faces(n, eps, unit, ufl.zero(d, d), ufl.zero(3, 3), lambda gradient, u: ufl.zero(3, 3), slope)
+    def unit_jump(i: int) -> Faces:
+        unit_vector = ufl.as_vector([float(i == j) for j in range(d)])
+        return Faces(n, eps, unit_vector, ufl.zero(d, d), ufl.zero(3, 3), lambda gradient, u: ufl.zero(3, 3), grad_eps)
 
     def at(station: AnyStation) -> Term:
-        surface_law, share = sides.law_on_surface(station.law), station.share
-        strain = partial(station.strain, surface_law)
+        surface_law, station_weight = sides.law_on_surface(station.law), station.station_weight
+        strain_of = partial(station.strain, surface_law)
 
         def traction(stress: Expr) -> Expr:
-            return ufl.as_vector([eps * share * ufl.inner(stress, strain(unit_opening(i))) for i in range(d)])
+            return ufl.as_vector([eps * station_weight * ufl.inner(stress, strain_of(unit_jump(i))) for i in range(d)])
 
-        fixed = None if prescribed_strain is None else strain(fixed_faces)
-        at_station = partial(term, prescribed_strain=fixed, flow=eps**3 * station.flow(surface_law), traction=traction)
-        return at_station(station.law, lambda u: strain(sides.faces(u, eps, slope)), weight * share)
+        prescribed = None if prescribed_strain is None else strain_of(fixed_displacements)
+        mobility = eps**3 * station.mobility(surface_law)
+        at_station = partial(term, prescribed_strain=prescribed, mobility=mobility, traction=traction)
+        return at_station(station.law, lambda u: strain_of(sides.faces(u, eps, grad_eps)), weight * station_weight)
 
     return [at(station) for station in (law.stations() if ends is None else law.stations_at_ends(ends))]
 
@@ -334,7 +335,7 @@ def stress(term: Term, u: Expr) -> Expr:
 
     Components that the term's kinematics exclude, such as out-of-plane stresses in plane stress, are zero.
     """
-    return term.kinematics.restricted(checked_stress(term.law, term.step(u)))
+    return term.kinematics.admissible_part(checked_stress(term.law, term.step(u)))
 
 
 def work(terms: Iterable[Term], u: Expr, v: Expr) -> Expr:

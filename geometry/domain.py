@@ -30,10 +30,10 @@ from geometry.topology import FloatArray, Indices, IntArray, Scalar, geometry_de
 
 MESHES_PER_COLLECTION = 100  # number of meshes after which Python's garbage collector frees meshes in reference cycles
 _MESH_COUNT = count(1)
-NAMES_PER_CODE = 30  # number of names after which combinations are renumbered, so that codes fit into int64
+SETS_PER_CODE = 30  # number of names after which combinations are renumbered, so that codes fit into int64
 
 
-def first_accepted(*calls: Callable[[], ResultType]) -> ResultType:
+def call_first_accepted(*calls: Callable[[], ResultType]) -> ResultType:
     """Call functions in turn until one does not raise TypeError, and return its result.
 
     Each function does the same task with the arguments of another release of DOLFINx. A release rejects unknown
@@ -66,12 +66,12 @@ def create_mesh(
     element, x = basix.ufl.element("Lagrange", cell_type, degree, shape=(dim,)), np.ascontiguousarray(points)
     arguments = dict(comm=comm, cells=cells, x=x, partitioner=partitioner)
 
-    def by_keywords() -> dolfinx.mesh.Mesh:
+    def create_by_keywords() -> dolfinx.mesh.Mesh:
         """Create the mesh with all arguments named; otherwise DOLFINx first tries to convert `cells`, which is slow."""
-        map_of_cells = dolfinx.fem.coordinate_element(element.basix_element)._cpp_object
-        return dolfinx.mesh.Mesh(dolfinx.cpp.mesh.create_mesh(**arguments, element=map_of_cells), ufl.Mesh(element))
+        cmap = dolfinx.fem.coordinate_element(element.basix_element)._cpp_object
+        return dolfinx.mesh.Mesh(dolfinx.cpp.mesh.create_mesh(**arguments, element=cmap), ufl.Mesh(element))
 
-    return first_accepted(by_keywords, lambda: dolfinx.mesh.create_mesh(**arguments, e=element))
+    return call_first_accepted(create_by_keywords, lambda: dolfinx.mesh.create_mesh(**arguments, e=element))
 
 
 def cell_nodes(mesh: dolfinx.mesh.Mesh) -> Indices:
@@ -92,14 +92,14 @@ def with_cell_points(mesh: dolfinx.mesh.Mesh, x: FloatArray) -> dolfinx.mesh.Mes
         x: (n, k, d) coordinates in d dimensions of the k nodes of each of this rank's n cells, lengths. Ghosts are
             included, and nodes have the order of `cell_nodes`.
     """
-    cells, k = mesh.topology.index_map(mesh.topology.dim), x.shape[1]
-    ghosts = np.asarray(cells.ghosts, np.int64)[:, None] * k + np.arange(k)
-    nodes = index_map(mesh.comm, cells.size_local * k, ghosts.ravel(), np.repeat(cells.owners, k))
+    cell_map, k = mesh.topology.index_map(mesh.topology.dim), x.shape[1]
+    ghosts = np.asarray(cell_map.ghosts, np.int64)[:, None] * k + np.arange(k)
+    node_map = index_map(mesh.comm, cell_map.size_local * k, ghosts.ravel(), np.repeat(cell_map.owners, k))
     old = mesh._cpp_object.geometry
     dofmap = np.arange(x.shape[0] * k, dtype=np.int32).reshape(-1, k)
     input_indices = np.asarray(mesh.geometry.input_global_indices, np.int64)[cell_nodes(mesh)].ravel()
     element = old.cmap if callable(old.cmaps) else old.cmaps[0]
-    geometry = type(old)(nodes, dofmap, element, np.ascontiguousarray(x.reshape(-1, x.shape[2])), input_indices)
+    geometry = type(old)(node_map, dofmap, element, np.ascontiguousarray(x.reshape(-1, x.shape[2])), input_indices)
     cpp_mesh = type(mesh._cpp_object)(mesh.comm, mesh._cpp_object.topology, geometry)
     return dolfinx.mesh.Mesh(cpp_mesh, ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()))
 
@@ -115,7 +115,7 @@ def index_map(comm: MPI.Intracomm, n: int, ghosts: IntArray, owners: Indices) ->
     """
     arguments = (comm, n, np.asarray(ghosts, np.int64), np.asarray(owners, np.int32))
     create = dolfinx.cpp.common.IndexMap
-    return first_accepted(lambda: create(*arguments), lambda: create(*arguments, 1801))
+    return call_first_accepted(lambda: create(*arguments), lambda: create(*arguments, 1801))
 
 
 def create_connectivity(mesh: dolfinx.mesh.Mesh, dim: int) -> None:
@@ -178,7 +178,7 @@ class Domain:
         mesh: the DOLFINx mesh; ghosts are the neighbours across facets.
         cell_tags: tag of each local cell: the number of its region, counted from 1 in the order of `joint.regions`.
         facet_tags: tags of the facets that have names. Facets in exactly the same sets have the same tag.
-        facet_values: name of a facet set -> all values in `facet_tags` whose facets belong to this set.
+        set_tags: name of a facet set -> all values in `facet_tags` whose facets belong to this set.
         original_cells: (n_cells,) for each local cell, ghosts included, its row in `joint.cells`.
         comm: communicator for all messages of this package; `mesh.comm` serves only DOLFINx's own. With mpi4py 4.0,
             pickled messages on `mesh.comm` can cause a deadlock: Python's garbage collector may free the mesh during a
@@ -189,7 +189,7 @@ class Domain:
     mesh: dolfinx.mesh.Mesh
     cell_tags: dolfinx.mesh.MeshTags
     facet_tags: dolfinx.mesh.MeshTags
-    facet_values: Mapping[str, tuple[int, ...]]
+    set_tags: Mapping[str, tuple[int, ...]]
     original_cells: IntArray
     comm: MPI.Intracomm
 
@@ -207,15 +207,15 @@ class Domain:
         points = rows_of_rank(joint.points, comm.rank, comm.size)
         cells = rows_of_rank(joint.cells, comm.rank, comm.size)
         mesh = create_mesh(comm, points, cells, joint.cell_type, partitioner(joint, comm))
-        original = np.asarray(mesh.topology.original_cell_index, np.int64)
+        originals = np.asarray(mesh.topology.original_cell_index, np.int64)
         if joint.parted is not None:
-            mesh = with_cell_points(mesh, joint.parted[original])
-        local_cells = np.arange(len(original), dtype=np.int32)
-        cell_tags = dolfinx.mesh.meshtags(mesh, joint.dim, local_cells, (joint.region[original] + 1).astype(np.int32))
-        rows, combination, values = on_root(comm, lambda: _name_combinations(joint))
-        facets, row_index = _local_facets(joint, mesh, original, rows)
+            mesh = with_cell_points(mesh, joint.parted[originals])
+        local_cells = np.arange(len(originals), dtype=np.int32)
+        cell_tags = dolfinx.mesh.meshtags(mesh, joint.dim, local_cells, (joint.region[originals] + 1).astype(np.int32))
+        rows, combination, facet_set_tags = on_root(comm, lambda: _set_combinations(joint))
+        facets, row_index = _local_facets(joint, mesh, originals, rows)
         facet_tags = dolfinx.mesh.meshtags(mesh, joint.dim - 1, facets, combination[row_index])
-        return cls(joint, mesh, cell_tags, facet_tags, values, original, comm)
+        return cls(joint, mesh, cell_tags, facet_tags, facet_set_tags, originals, comm)
 
     @property
     def original_points(self) -> IntArray:
@@ -248,7 +248,7 @@ class Domain:
         """
         return values[self.original_cells]
 
-    def cell_values(self, *regions: str) -> tuple[int, ...]:
+    def region_tags(self, *regions: str) -> tuple[int, ...]:
         """Return the tags in `cell_tags` of the named `regions`, in the same order.
 
         Raises:
@@ -269,9 +269,9 @@ class Domain:
         Raises:
             InputError: unknown name.
         """
-        require_known("facet set", name, self.facet_values)
-        values = self.facet_values[name]
-        return values + self.facet_values.get(str(FacetName(name, LAYER)), ()) if layer_sides else values
+        require_known("facet set", name, self.set_tags)
+        values = self.set_tags[name]
+        return values + self.set_tags.get(str(FacetName(name, LAYER)), ()) if layer_sides else values
 
     def is_outer(self, name: str) -> bool:
         """Return whether all facets of the set `name` are on the outer boundary.
@@ -280,7 +280,7 @@ class Domain:
         does not have.
         """
         joint = self.joint
-        matches = [candidate for candidate in (name, FacetName.parse(name).whole) if candidate in joint.facets]
+        matches = [candidate for candidate in (name, FacetName.parse(name).set_name) if candidate in joint.facets]
         return not matches or bool((joint.table.cells[joint.table.index(joint.facets[matches[0]]), 1] < 0).all())
 
     def facets(self, name: str, *, layer_sides: bool = False) -> Indices:
@@ -296,17 +296,17 @@ class Domain:
         """
         return self.facet_tags.indices[np.isin(self.facet_tags.values, self.values(name, layer_sides=layer_sides))]
 
-    def vertices(self, original: int) -> Indices:
+    def vertices(self, drawn_vertex: int) -> Indices:
         """Return the numbers of this rank's vertices that come from one vertex of the joint as drawn.
 
         Where S is opened, several vertices come from a vertex on S: a copy on each body, and between them those of the
         meshed layer. Vertices that a periodic cell identifies with any of these are included.
 
         Args:
-            original: number in `joint.points` of one of these vertices.
+            drawn_vertex: number in `joint.points` of one of these vertices.
         """
         joint, topology = self.joint, self.mesh.topology
-        copies = np.flatnonzero(np.all(joint.reference == joint.reference[original], axis=1))
+        copies = np.flatnonzero(np.all(joint.reference == joint.reference[drawn_vertex], axis=1))
         if joint.periods:
             copies = np.flatnonzero(np.isin(joint.masters, joint.masters[copies]))
         topology.create_connectivity(0, joint.dim)
@@ -316,7 +316,7 @@ class Domain:
 
 
 def _local_facets(
-    joint: Joint, mesh: dolfinx.mesh.Mesh, original: IntArray, rows: IntArray
+    joint: Joint, mesh: dolfinx.mesh.Mesh, originals: IntArray, rows: IntArray
 ) -> tuple[Indices, IntArray]:
     """Return which of the given facets of the joint this rank has, ghosts included, and their local numbers.
 
@@ -325,14 +325,14 @@ def _local_facets(
     Args:
         joint: the joint.
         mesh: the distributed mesh of the joint.
-        original: number in the joint of each local cell.
+        originals: number in the joint of each local cell.
         rows: row numbers in `joint.table` of the given facets.
 
     Returns:
         (n,) local numbers of the n facets that this rank has, ascending, and (n,) the position of each in `rows`.
     """
     create_connectivity(mesh, joint.dim - 1)
-    cells, local = positions(original, len(joint.cells))[joint.table.cells[rows]], joint.table.local[rows]
+    cells, local = positions(originals, len(joint.cells))[joint.table.cells[rows]], joint.table.local[rows]
     is_local = (cells >= 0) & (local >= 0)
     local_rows = np.flatnonzero(is_local.any(axis=1))
     side = is_local[local_rows].argmax(axis=1)
@@ -353,17 +353,17 @@ def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
     for name, facets in joint.facets.items():
         rows = joint.table.index(facets)
         yield name, rows
-        if FacetName.parse(name).region or name in (*seams, BASE) or (joint.table.cells[rows, 1] >= 0).any():
+        if FacetName.parse(name).part_name or name in (*seams, BASE) or (joint.table.cells[rows, 1] >= 0).any():
             continue
         cells = joint.table.cells[rows, 0]
-        for number, region in enumerate(joint.regions):
+        for region_no, region in enumerate(joint.regions):
             if not joint.band or region not in joint.band.regions:
-                yield str(FacetName(name, region)), rows[joint.region[cells] == number]
+                yield str(FacetName(name, region)), rows[joint.region[cells] == region_no]
         if joint.band is None and np.isin(facets, s_vertices).any() and len(continued_ridges(joint, facets)):
             yield str(FacetName(name, LAYER)), rows[:0]
 
 
-def _name_combinations(joint: Joint) -> tuple[IntArray, Indices, dict[str, tuple[int, ...]]]:
+def _set_combinations(joint: Joint) -> tuple[IntArray, Indices, dict[str, tuple[int, ...]]]:
     """Return one integer tag for each facet of the joint, which stands for all facet sets that contain the facet.
 
     Returns:
@@ -372,12 +372,12 @@ def _name_combinations(joint: Joint) -> tuple[IntArray, Indices, dict[str, tuple
     """
     rows_by_name = dict(_named_sets(joint))
     tagged_rows = np.unique(np.concatenate([*rows_by_name.values()]))
-    indices = {name: np.searchsorted(tagged_rows, rows) for name, rows in rows_by_name.items()}
+    indices_by_name = {name: np.searchsorted(tagged_rows, rows) for name, rows in rows_by_name.items()}
     combination: IntArray = np.zeros(len(tagged_rows), np.int64)
-    for k, index in enumerate(indices.values(), 1):
+    for k, index in enumerate(indices_by_name.values(), 1):
         combination *= 2
         combination[index] += 1
-        if k % NAMES_PER_CODE == 0 or k == len(rows_by_name):
+        if k % SETS_PER_CODE == 0 or k == len(rows_by_name):
             combination = np.unique(combination, return_inverse=True)[1]
-    values = {name: tuple(map(int, np.unique(combination[index]) + 1)) for name, index in indices.items()}
-    return tagged_rows, (combination + 1).astype(np.int32), values
+    tags_by_name = {name: tuple(map(int, np.unique(combination[index]) + 1)) for name, index in indices_by_name.items()}
+    return tagged_rows, (combination + 1).astype(np.int32), tags_by_name

@@ -8,7 +8,7 @@ import basix
 import numpy as np
 
 from geometry.refusals import refuse
-from geometry.topology import BoolArray, FloatArray, IntArray, connected, ridge_keys
+from geometry.topology import BoolArray, FloatArray, IntArray, components, ridge_keys
 
 DISTANCE_TOLERANCE = 1e-6  # largest distance of two places that count as the same, over the size of the joint
 CUT_ADVICE = "the cells on its two sides are no neighbours in the mesh; cut the periodic cell through bodies instead"
@@ -20,15 +20,15 @@ class Periods:
 
     Attributes:
         sides: for each pair, the names of the facet sets of its first and of its second side.
-        pairs: for each pair of sides an array (n, 2). A row has the numbers of a node on the first side and of the node
-            on the second side onto which the translation maps it.
+        node_pairs: for each pair of sides an array (n, 2). A row has the numbers of a node on the first side and of the
+            node on the second side onto which the translation maps it.
     """
 
     sides: tuple[tuple[str, str], ...]
-    pairs: tuple[IntArray, ...] = field(repr=False)
+    node_pairs: tuple[IntArray, ...] = field(repr=False)
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def side_names(self) -> tuple[str, ...]:
         """Names of the facet sets of all sides."""
         return tuple(name for pair in self.sides for name in pair)
 
@@ -38,12 +38,12 @@ class Periods:
         Args:
             points: (n, d) coordinates of the nodes of the mesh in d dimensions, lengths.
         """
-        return np.array([points[pair[0, 1]] - points[pair[0, 0]] for pair in self.pairs])
+        return np.array([points[pair[0, 1]] - points[pair[0, 0]] for pair in self.node_pairs])
 
     def masters(self, n: int) -> IntArray:
         """Return (n,): for each of `n` nodes the lowest number among the nodes identified with it, itself included."""
-        first, second = np.concatenate(self.pairs).T
-        component = connected(first, second, n)
+        first, second = np.concatenate(self.node_pairs).T
+        component = components(first, second, n)
         master = np.full(n, n)
         np.minimum.at(master, component, np.arange(n))
         return master[component]
@@ -57,7 +57,7 @@ class Periods:
             cell_type: type of the cells.
             seams: (n, m) numbers of the m vertices of each facet on the outer boundary that is in a seam.
         """
-        for (first, second), pair, vector in zip(self.sides, self.pairs, self.vectors(points), strict=True):
+        for (first, second), pair, vector in zip(self.sides, self.node_pairs, self.vectors(points), strict=True):
             mismatch = np.abs(points[pair[:, 1]] - points[pair[:, 0]] - vector).max(axis=1)
             message = f"the sides {first!r} and {second!r} do not match any more at {{at}}"
             refuse(mismatch > DISTANCE_TOLERANCE * np.ptp(points, axis=0).max(), points[pair[:, 0]], message)
@@ -66,8 +66,8 @@ class Periods:
         refuse(tied[seams].all(axis=1), points[seams], f"a seam lies on the periodic boundary, at {{at}}: {CUT_ADVICE}")
         edges = corners[:, np.array(basix.topology(basix.CellType[cell_type])[1])].reshape(-1, 2)
         names = " and ".join(f"{first!r} and {second!r}" for first, second in self.sides)
-        narrow = f"a periodic cell needs three cells or more between its sides ({names}); use a finer mesh near {{at}}"
-        refuse(_folded_edges(points, edges, master), points[edges], narrow)
+        advice = f"a periodic cell needs three cells or more between its sides ({names}); use a finer mesh near {{at}}"
+        refuse(_folded_edges(points, edges, master), points[edges], advice)
 
 
 def _folded_edges(points: FloatArray, edges: IntArray, master: IntArray) -> BoolArray:
@@ -81,7 +81,7 @@ def _folded_edges(points: FloatArray, edges: IntArray, master: IntArray) -> Bool
         master: (n_points,) for each node the lowest number among the nodes identified with it, itself included.
     """
     ends = master[edges]
-    edge = (points[edges[:, 1]] - points[edges[:, 0]]) * np.where(ends[:, 0] > ends[:, 1], -1.0, 1.0)[:, None]
+    edge_vectors = (points[edges[:, 1]] - points[edges[:, 0]]) * np.where(ends[:, 0] > ends[:, 1], -1.0, 1.0)[:, None]
     _, row, code = np.unique(ridge_keys(ends), return_index=True, return_inverse=True)
-    difference = np.abs(edge - edge[row[code.ravel()]]).max(axis=1)
+    difference = np.abs(edge_vectors - edge_vectors[row[code.ravel()]]).max(axis=1)
     return np.asarray((ends[:, 0] == ends[:, 1]) | (difference > DISTANCE_TOLERANCE * np.ptp(points, axis=0).max()))

@@ -24,11 +24,11 @@ from geometry.topology import (
     Splitting,
     corner_count,
     facet_normals,
+    facet_ridge_keys,
     geometry_degree,
-    keys_of_ridges,
+    mid_node_weights,
     ridge_keys,
     ridges,
-    weights_between,
 )
 
 Profile = Callable[[FloatArray], FloatArray]
@@ -55,15 +55,15 @@ class InflatedBand:
         bodies: how the bodies made room: "kept" (they moved apart and kept their shape) or "extended" (the layers were
             cut out of them).
         regions: names of all cell regions of the layers; regions of junctions come last.
-        of_seam: name of a seam -> regions of its sublayers, from the lower to the upper face. Seams without cells
-            (gaps) are left out.
+        regions_of_seam: name of a seam -> regions of its sublayers, from the lower to the upper face. Seams without
+            cells (gaps) are left out.
         junctions: name of a region of junctions -> name of the seam that its cells belong to.
-        aligned: names of those regions of junctions in which all layers that meet at a junction have one normal. An
-            example is a bed joint of mortar that passes empty head joints.
+        aligned_junctions: names of those regions of junctions in which all layers that meet at a junction have one
+            normal. An example is a bed joint of mortar that passes empty head joints.
         faces: names of the facet sets between bodies and layers.
-        base: the joint as drawn, before it was inflated.
-        reference: (n_points, d) place of each point in `base`, in d dimensions. For points of the layers it is the
-            place on S below or above them.
+        drawn_joint: the joint as drawn, before it was inflated.
+        reference: (n_points, d) place of each point in `drawn_joint`, in d dimensions. For points of the layers it is
+            the place on S below or above them.
         director: (n_band_cells, n_corners, d) unit normal of S at each vertex of the layers' cells, from the lower to
             the upper body. In junctions of layers with different normals it is the unit vector along y.
     """
@@ -71,11 +71,11 @@ class InflatedBand:
     eps: Mapping[str, float]
     bodies: str
     regions: tuple[str, ...]
-    of_seam: Mapping[str, tuple[str, ...]]
+    regions_of_seam: Mapping[str, tuple[str, ...]]
     junctions: Mapping[str, str]
-    aligned: tuple[str, ...]
+    aligned_junctions: tuple[str, ...]
     faces: tuple[str, ...]
-    base: Joint = field(repr=False)
+    drawn_joint: Joint = field(repr=False)
     reference: FloatArray = field(repr=False)
     director: FloatArray = field(repr=False)
 
@@ -134,11 +134,11 @@ class Joint:
             self._check_seams()
             rows = {name: self.table.index(facets) for name, facets in self.facets.items()}
             is_kept = {name: np.isin(of, self.surface_rows, invert=name not in self.seams) for name, of in rows.items()}
-            sets = {name: facets[is_kept[name]] for name, facets in self.facets.items() if is_kept[name].any()}
-            object.__setattr__(self, "facets", sets)
+            kept_facets = {name: facets[is_kept[name]] for name, facets in self.facets.items() if is_kept[name].any()}
+            object.__setattr__(self, "facets", kept_facets)
         if self.periods:
-            outer = self.surface_rows[self.surface_cells[:, 0] < 0] if self.band is None else np.empty(0, np.int64)
-            self.periods.check(self.points, self.corners, self.cell_type, self.table.vertices[outer])
+            base_rows = self.surface_rows[self.surface_cells[:, 0] < 0] if self.band is None else np.empty(0, np.int64)
+            self.periods.check(self.points, self.corners, self.cell_type, self.table.vertices[base_rows])
 
     def __getstate__(self) -> dict[str, object]:
         """Return the attributes for pickling, among them `split_mesh.pieces`, so that other ranks have it already."""
@@ -164,8 +164,8 @@ class Joint:
         rows, counts = np.unique(np.concatenate([*map(self.rows_of, self.seams)]), return_counts=True)
         if (counts > 1).any():
             first, second, *_ = (name for name in self.seams if rows[counts > 1][0] in self.rows_of(name))
-            shared_text = f"{{bad}} facets are in two seams, {first!r} and {second!r}, the first at {{at}}"
-            refuse(counts > 1, self.points[self.table.vertices[rows]], f"{shared_text}; a facet has one layer")
+            overlap_text = f"{{bad}} facets are in two seams, {first!r} and {second!r}, the first at {{at}}"
+            refuse(counts > 1, self.points[self.table.vertices[rows]], f"{overlap_text}; a facet has one layer")
         _ = self.surface_cells
 
     @cached_property
@@ -251,24 +251,24 @@ class Joint:
         Raises:
             InputError: a seam lies partly on the outer boundary, or does not determine its upper side.
         """
-        pair = self.table.cells[self.surface_rows][:, ::-1].copy()
+        cell_pairs = self.table.cells[self.surface_rows][:, ::-1].copy()
         for number, (name, seam) in enumerate(self.seams.items()):
-            mine = np.flatnonzero(self.seam_numbers == number)
-            outer, nodes = pair[mine, 0] < 0, self.surface[mine]
-            if seam.lower or not outer.all():
+            in_seam = np.flatnonzero(self.seam_numbers == number)
+            is_outer, nodes = cell_pairs[in_seam, 0] < 0, self.surface[in_seam]
+            if seam.lower or not is_outer.all():
                 bodies = f"between {'+'.join(seam.lower)} and {'+'.join(seam.upper)} " if seam.lower else ""
                 text = f"{{bad}} of {{all}} facets of {name!r} lie on the outer boundary, as at {{at}}; {bodies}each"
-                refuse(outer, self.points[nodes], f"{text} needs cells on both sides, or all stand on a rigid base")
-            if not outer.any():
+                refuse(is_outer, self.points[nodes], f"{text} needs cells on both sides, or all stand on a rigid base")
+            if not is_outer.any():
                 x = self.points[nodes].mean(axis=1)
                 if seam.direction is None:
-                    is_upwards = seam.between_regions(name, x, self.region[pair[mine]], self.regions)
+                    is_upwards = seam.is_upper_by_regions(name, x, self.region[cell_pairs[in_seam]], self.regions)
                 else:
                     normals = facet_normals(self.points, nodes, self.cell_type).mean(axis=1)
-                    to_second = self.points[self.corners[pair[mine, 1]]].mean(axis=1) - x
-                    is_upwards = seam.along_direction(name, x, normals, to_second)
-                pair[mine[~is_upwards]] = pair[mine[~is_upwards]][:, ::-1]
-        return pair
+                    to_second = self.points[self.corners[cell_pairs[in_seam, 1]]].mean(axis=1) - x
+                    is_upwards = seam.is_upper_by_direction(name, x, normals, to_second)
+                cell_pairs[in_seam[~is_upwards]] = cell_pairs[in_seam[~is_upwards]][:, ::-1]
+        return cell_pairs
 
     @property
     def rigid_base(self) -> bool:
@@ -278,7 +278,7 @@ class Joint:
     @property
     def base_seams(self) -> tuple[str, ...]:
         """Names of the seams on a rigid base, without a lower body; with meshed layers, in the joint as drawn."""
-        joint = self.band.base if self.band else self
+        joint = self.band.drawn_joint if self.band else self
         on_base = joint.surface_cells[:, 0] < 0
         return tuple(name for k, name in enumerate(joint.seams) if on_base[joint.seam_numbers == k].all())
 
@@ -294,7 +294,7 @@ class Joint:
         These are (n,) row numbers of the facets in `table`, and (n, m) keys of the m ridges of each facet, as from
         `ridge_keys`. The key is -1 for ridges that are not in S.
         """
-        keys = keys_of_ridges(self.table.vertices[self.outer_rows], self.dim - 1)
+        keys = facet_ridge_keys(self.table.vertices[self.outer_rows], self.dim - 1)
         keys[~np.isin(keys, ridge_keys(ridges(self.surface, self.cell_type)[0]))] = -1
         is_beside = (keys >= 0).any(axis=1)
         return self.outer_rows[is_beside], keys[is_beside]
@@ -319,8 +319,8 @@ class Joint:
             (n, k) number of the component, from 0 at each node; -1 where there is no cell.
         """
         position = (self.cells[cells][:, None, :] == nodes[:, :, None]).argmax(axis=2)
-        of_nodes = (cut or self.split_mesh).of_nodes[cells]
-        return np.where(cells[:, None] < 0, -1, np.take_along_axis(of_nodes, position, axis=1))
+        node_components = (cut or self.split_mesh).at_nodes[cells]
+        return np.where(cells[:, None] < 0, -1, np.take_along_axis(node_components, position, axis=1))
 
     @cached_property
     def pairs(self) -> IntArray:
@@ -396,8 +396,8 @@ class Joint:
         ridge_vertices, counts = ridges(self.masters[self.surface], self.cell_type)
         vertices = self.masters[self.table.vertices[self.surface_rows]]
         keys = np.unique(vertices * len(self.seams) + self.seam_numbers[:, None])
-        shared, seams = np.unique(keys // len(self.seams), return_counts=True)
-        return np.union1d(ridge_vertices[counts > 2], shared[seams > 1])
+        shared, n_seams = np.unique(keys // len(self.seams), return_counts=True)
+        return np.union1d(ridge_vertices[counts > 2], shared[n_seams > 1])
 
     @property
     def seams_meet(self) -> bool:
@@ -462,7 +462,7 @@ class Joint:
         if self.degree == 2:
             facet_type = FACET_TYPES[self.cell_type]
             surface, k = self.surface[np.searchsorted(self.surface_rows, rows)], corner_count(facet_type)
-            values[surface[:, k:]] = values[surface[:, :k]] @ weights_between(facet_type).T
+            values[surface[:, k:]] = values[surface[:, :k]] @ mid_node_weights(facet_type).T
         return values
 
     def rotated(self, angle: float) -> Joint:

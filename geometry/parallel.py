@@ -58,7 +58,7 @@ def on_root(comm: Comm, build: Callable[[], ResultType]) -> ResultType:
             result = error
     received = result
     if comm.size > 1:
-        received = _broadcast(comm, _sendable(result) if isinstance(result, Exception) else result)
+        received = _broadcast(comm, _picklable(result) if isinstance(result, Exception) else result)
     if isinstance(received, Exception):
         failure = result if isinstance(result, Exception) else received
         vars(failure)["on_all_ranks"] = True
@@ -70,15 +70,15 @@ def _broadcast(comm: MPI.Intracomm, result: ResultType) -> ResultType:
     """Return the `result` of rank 0 on every rank; ranks of one machine share its large arrays. Collective."""
     large_buffers: list[memoryview] = []
 
-    def is_small(buffer: pickle.PickleBuffer) -> bool:
+    def store_large(buffer: pickle.PickleBuffer) -> bool:
         raw = buffer.raw()
         if raw.nbytes >= SHARED_MEMORY_BYTES:
             large_buffers.append(raw)
         return raw.nbytes < SHARED_MEMORY_BYTES
 
-    content = pickle.dumps(result, 5, buffer_callback=is_small) if comm.rank == 0 else b""
-    content, sizes = comm.bcast((content, [raw.nbytes for raw in large_buffers]))
-    received: ResultType = pickle.loads(content, buffers=_shared_copies(comm, large_buffers, sizes) if sizes else ())
+    pickled = pickle.dumps(result, 5, buffer_callback=store_large) if comm.rank == 0 else b""
+    pickled, sizes = comm.bcast((pickled, [raw.nbytes for raw in large_buffers]))
+    received: ResultType = pickle.loads(pickled, buffers=_shared_copies(comm, large_buffers, sizes) if sizes else ())
     return received
 
 
@@ -94,31 +94,31 @@ def _shared_copies(comm: MPI.Intracomm, sources: list[memoryview], sizes: list[i
         sizes: sizes of the buffers in bytes, on every rank.
     """
     *starts, total = accumulate((size + -size % ALIGNMENT_BYTES for size in sizes), initial=0)
-    node, file = comm.Split_type(MPI.COMM_TYPE_SHARED), os.memfd_create("thinlayer")
-    path, inode = node.bcast((f"/proc/{os.getpid()}/fd/{file}", os.fstat(file).st_ino))
-    reached = os.access(path, os.R_OK) and os.stat(path).st_ino == inode
-    is_owner = not comm.allreduce(reached, MPI.LAND) or node.rank == 0  # if a machine hides it, each rank has its own
+    host, memory_file = comm.Split_type(MPI.COMM_TYPE_SHARED), os.memfd_create("thinlayer")
+    path, inode = host.bcast((f"/proc/{os.getpid()}/fd/{memory_file}", os.fstat(memory_file).st_ino))
+    can_read = os.access(path, os.R_OK) and os.stat(path).st_ino == inode
+    is_owner = not comm.allreduce(can_read, MPI.LAND) or host.rank == 0  # if a machine hides it, each rank has its own
     if is_owner:
-        os.ftruncate(file, total)
-    node.Barrier()
-    descriptor = file if is_owner else os.open(path, os.O_RDONLY)
+        os.ftruncate(memory_file, total)
+    host.Barrier()
+    descriptor = memory_file if is_owner else os.open(path, os.O_RDONLY)
     memory = memoryview(mmap(descriptor, total, prot=PROT_READ | (PROT_WRITE if is_owner else 0)))
     buffers = [memory[start : start + size] for start, size in zip(starts, sizes, strict=True)]
-    owners = comm.Split(int(not is_owner), comm.rank)
+    owner_comm = comm.Split(int(not is_owner), comm.rank)
     for k, buffer in enumerate(buffers if is_owner else ()):
         if comm.rank == 0:
             buffer[:] = sources[k]
         for begin in range(0, len(buffer), MAX_MESSAGE_BYTES):
-            owners.Bcast(buffer[begin : begin + MAX_MESSAGE_BYTES])
-    node.Barrier()
-    for descriptor_ in {file, descriptor}:
+            owner_comm.Bcast(buffer[begin : begin + MAX_MESSAGE_BYTES])
+    host.Barrier()
+    for descriptor_ in {memory_file, descriptor}:
         os.close(descriptor_)
-    for group in (node, owners):
-        group.Free()
+    for subcomm in (host, owner_comm):
+        subcomm.Free()
     return [buffer.toreadonly() for buffer in buffers]
 
 
-def _sendable(error: Exception) -> Exception:
+def _picklable(error: Exception) -> Exception:
     """Return the error, or a RuntimeError with its message if pickle cannot restore it on other ranks."""
     try:
         pickle.loads(pickle.dumps(error))

@@ -16,28 +16,28 @@ from geometry.topology import FloatArray, Indices, IntArray, Scalar, positions
 Partitioner = Callable[..., dolfinx.cpp.graph.AdjacencyList_int32]
 
 
-def bisected(x: FloatArray, parts: int) -> Indices:
+def bisect(x: FloatArray, n_groups: int) -> Indices:
     """Divide places into groups of nearly equal size by repeated cuts across their longest extent.
 
     Args:
         x: (n, d) coordinates of n places in d dimensions, in any unit.
-        parts: number of groups, which are numbered from 0.
+        n_groups: number of groups, which are numbered from 0.
 
     Returns:
         (n,) number of the group of each place.
     """
-    part = np.zeros(len(x), np.int32)
-    pending: list[tuple[IntArray, int, int]] = [(np.arange(len(x)), 0, parts)]
+    group = np.zeros(len(x), np.int32)
+    pending: list[tuple[IntArray, int, int]] = [(np.arange(len(x)), 0, n_groups)]
     while pending:
-        rows, start, count = pending.pop()
-        part[rows] = start
-        if count > 1 and len(rows):
-            low = count // 2
-            here = x[rows]
-            order = np.argsort(here[:, np.ptp(here, axis=0).argmax()], kind="stable")
-            at = len(rows) * low // count
-            pending += [(rows[order[:at]], start, low), (rows[order[at:]], start + low, count - low)]
-    return part
+        members, first_group, n_left = pending.pop()
+        group[members] = first_group
+        if n_left > 1 and len(members):
+            low = n_left // 2
+            x_members = x[members]
+            order = np.argsort(x_members[:, np.ptp(x_members, axis=0).argmax()], kind="stable")
+            at = len(members) * low // n_left
+            pending += [(members[order[:at]], first_group, low), (members[order[at:]], first_group + low, n_left - low)]
+    return group
 
 
 def column_numbers(joint: Joint) -> tuple[IntArray, FloatArray]:
@@ -54,48 +54,48 @@ def column_numbers(joint: Joint) -> tuple[IntArray, FloatArray]:
     if joint.band is None:
         rows = joint.surface_rows
         return positions(rows, len(joint.table.vertices)), joint.points[joint.table.vertices[rows]].mean(axis=1)
-    layer = np.flatnonzero(np.isin(joint.region, [joint.regions.index(name) for name in joint.band.regions]))
+    layer_cells = np.flatnonzero(np.isin(joint.region, [joint.regions.index(name) for name in joint.band.regions]))
     places, place = np.unique(joint.reference, axis=0, return_inverse=True)
-    below = np.sort(place.ravel()[joint.corners[layer]], axis=1)  # the facet's vertices, some of them twice
-    below[:, 1:][below[:, 1:] == below[:, :-1]] = -1
-    facets, column = np.unique(np.sort(below, axis=1), axis=0, return_inverse=True)
+    s_vertices = np.sort(place.ravel()[joint.corners[layer_cells]], axis=1)  # the facet's vertices, some of them twice
+    s_vertices[:, 1:][s_vertices[:, 1:] == s_vertices[:, :-1]] = -1
+    facets, column = np.unique(np.sort(s_vertices, axis=1), axis=0, return_inverse=True)
     numbers = np.full(len(joint.cells), -1, np.int64)
-    numbers[layer] = column.ravel()
-    vertices = (facets >= 0)[:, :, None]
-    return numbers, (places[facets] * vertices).sum(axis=1) / vertices.sum(axis=1)
+    numbers[layer_cells] = column.ravel()
+    is_vertex = (facets >= 0)[:, :, None]
+    return numbers, (places[facets] * is_vertex).sum(axis=1) / is_vertex.sum(axis=1)
 
 
-def destinations(joint: Joint, parts: int) -> tuple[IntArray, Indices]:
+def destinations(joint: Joint, n_ranks: int) -> tuple[IntArray, Indices]:
     """Return the ranks that get each of the n cells of a joint: its owner, and the ranks that have it as a ghost.
 
     Args:
         joint: the joint.
-        parts: number of ranks.
+        n_ranks: number of ranks.
 
     Returns:
         (n + 1,) position in the second array where the ranks of each cell begin; and these ranks for all cells, for
         each cell the owner first.
     """
-    owner = bisected(sum(joint.points[corner] for corner in joint.corners.T), parts)  # faster than means of short rows
+    owner = bisect(sum(joint.points[corner] for corner in joint.corners.T), n_ranks)  # faster than means of short rows
     if joint.band is not None:  # columns of cells of layers stay whole, as laws may need their means
-        layer = np.flatnonzero((column := column_numbers(joint)[0]) >= 0)
-        owner[layer] = owner[layer[np.unique(column[layer], return_index=True)[1]]][column[layer]]
+        cells = np.flatnonzero((column := column_numbers(joint)[0]) >= 0)
+        owner[cells] = owner[cells[np.unique(column[cells], return_index=True)[1]]][column[cells]]
     first, second = joint.table.cells.T
     pairs = joint.table.cells[(owner[first] != owner[second]) & (second >= 0)]
-    seen = np.unique(np.concatenate([np.column_stack([a, owner[b]]) for a, b in (pairs.T, pairs.T[::-1])]), axis=0)
-    counts = 1 + np.bincount(seen[:, 0], minlength=len(owner))
-    return np.append(0, counts.cumsum()), np.insert(owner, seen[:, 0] + 1, seen[:, 1])
+    ghosts = np.unique(np.concatenate([np.column_stack([a, owner[b]]) for a, b in (pairs.T, pairs.T[::-1])]), axis=0)
+    n_copies = 1 + np.bincount(ghosts[:, 0], minlength=len(owner))
+    return np.append(0, n_copies.cumsum()), np.insert(owner, ghosts[:, 0] + 1, ghosts[:, 1])
 
 
-def rows_of_rank(rows: npt.NDArray[Scalar], rank: int, ranks: int) -> npt.NDArray[Scalar]:
+def rows_of_rank(rows: npt.NDArray[Scalar], rank: int, n_ranks: int) -> npt.NDArray[Scalar]:
     """Return the consecutive rows of an array that one of several ranks passes to DOLFINx.
 
     Args:
         rows: array with one row for each point, or for each cell.
         rank: number of the rank.
-        ranks: number of ranks; each gets nearly the same number of rows.
+        n_ranks: number of ranks; each gets nearly the same number of rows.
     """
-    return rows[len(rows) * rank // ranks : len(rows) * (rank + 1) // ranks]
+    return rows[len(rows) * rank // n_ranks : len(rows) * (rank + 1) // n_ranks]
 
 
 def partitioner(joint: Joint, comm: MPI.Intracomm) -> Partitioner | None:
@@ -112,5 +112,5 @@ def partitioner(joint: Joint, comm: MPI.Intracomm) -> Partitioner | None:
     starts, ranks = on_root(comm, lambda: destinations(joint, comm.size))
     own_cells = rows_of_rank(np.arange(len(joint.cells)), comm.rank, comm.size)
     indptr = starts[own_cells[0] : own_cells[-1] + 2] if len(own_cells) else starts[:1]
-    lists = dolfinx.cpp.graph.AdjacencyList_int32(ranks[indptr[0] : indptr[-1]], (indptr - indptr[0]).astype(np.int32))
-    return lambda *_: lists
+    graph = dolfinx.cpp.graph.AdjacencyList_int32(ranks[indptr[0] : indptr[-1]], (indptr - indptr[0]).astype(np.int32))
+    return lambda *_: graph

@@ -39,11 +39,11 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
     if joint.band is not None:
         raise InputError("the joint's layer is meshed; in a periodic joint it is a surface with an interface model")
     old_periods = joint.periods or Periods((), ())
-    names = [*old_periods.names, *chain(*sides)]
+    names = [*old_periods.side_names, *chain(*sides)]
     for name in (name for name in names if names.count(name) > 1):
         raise InputError(f"{name!r} is in two pairs of periodic sides; a side belongs to one pair")
-    pairs = tuple(_matching_nodes(joint, *pair) for pair in sides)
-    return replace(joint, periods=Periods(old_periods.sides + sides, old_periods.pairs + pairs))
+    pairs = tuple(_match_nodes(joint, *pair) for pair in sides)
+    return replace(joint, periods=Periods(old_periods.sides + sides, old_periods.node_pairs + pairs))
 
 
 def with_periods_of(inflated: Joint, periods: Periods) -> Joint:
@@ -53,11 +53,11 @@ def with_periods_of(inflated: Joint, periods: Periods) -> Joint:
         inflated: the joint with meshed layers; its periodic sides must not have moved.
         periods: pairs of identified sides of the joint as drawn.
     """
-    pairs = tuple(_matching_nodes(inflated, *names) for names in periods.sides)
+    pairs = tuple(_match_nodes(inflated, *names) for names in periods.sides)
     return replace(inflated, periods=Periods(periods.sides, pairs))
 
 
-def _matching_nodes(joint: Joint, first: str, second: str) -> IntArray:
+def _match_nodes(joint: Joint, first: str, second: str) -> IntArray:
     """Return the pairs of nodes on two sides that a translation of one side onto the other brings together.
 
     Args:
@@ -70,8 +70,8 @@ def _matching_nodes(joint: Joint, first: str, second: str) -> IntArray:
     Raises:
         InputError: nodes or facets of the two sides do not match.
     """
-    rows = [_outer_rows(joint, name) for name in (first, second)]
-    nodes = [np.unique(joint.table.nodes(row, joint.cells, joint.cell_type)) for row in rows]
+    side_rows = [_outer_rows(joint, name) for name in (first, second)]
+    nodes = [np.unique(joint.table.nodes(row, joint.cells, joint.cell_type)) for row in side_rows]
     x = [joint.points[node] for node in nodes]
     vector, size = x[1].min(axis=0) - x[0].min(axis=0), joint.size
     mismatch, remedy = f"the sides {first!r} and {second!r} do not match", "mesh both alike"
@@ -81,15 +81,15 @@ def _matching_nodes(joint: Joint, first: str, second: str) -> IntArray:
         distance, at = scipy.spatial.cKDTree(others).query(places + move)
         partners.append(at)
         if distance.max() > DISTANCE_TOLERANCE * size:
-            lost = places[distance.argmax()]
-            both = f"{name!r} has a node at {place_text(lost)}, and {other!r} has none at {place_text(lost + move)}"
-            raise InputError(f"{mismatch}: {both}; {remedy}")
-    image = np.full(len(joint.points), -1)
-    image[nodes[0]] = nodes[1][partners[0]]
-    facets = joint.table.vertices[rows[0]]
-    is_wrong = ~np.isin(joint.table.index(image[facets]), rows[1]) | (len(rows[0]) != len(rows[1]))
+            alone = places[distance.argmax()]
+            text = f"{name!r} has a node at {place_text(alone)}, and {other!r} has none at {place_text(alone + move)}"
+            raise InputError(f"{mismatch}: {text}; {remedy}")
+    partner = np.full(len(joint.points), -1)
+    partner[nodes[0]] = nodes[1][partners[0]]
+    facets = joint.table.vertices[side_rows[0]]
+    is_wrong = ~np.isin(joint.table.index(partner[facets]), side_rows[1]) | (len(side_rows[0]) != len(side_rows[1]))
     refuse(is_wrong, joint.points[facets], f"{mismatch}: their nodes do, but not their facets, as at {{at}}; {remedy}")
-    return np.column_stack([nodes[0], image[nodes[0]]])
+    return np.column_stack([nodes[0], partner[nodes[0]]])
 
 
 def _outer_rows(joint: Joint, name: str) -> IntArray:

@@ -27,13 +27,13 @@ class FacetName(NamedTuple):
     Domains, supports and loads refer to facet sets by this text.
 
     Attributes:
-        whole: name that users or builders gave to the set, or name of a seam.
-        region: the part: name of the cell region to whose cells the part belongs; or "LAYER" for those outer facets of
-            the meshed layer that continue the set; or, for a seam, "LOWER_FACE" or "UPPER_FACE". "": the whole set.
+        set_name: name that users or builders gave to the set, or name of a seam.
+        part_name: the part: name of the cell region to whose cells the part belongs; or "LAYER" for those outer facets
+            of the meshed layer that continue the set; or, for a seam, "LOWER_FACE" or "UPPER_FACE". "": the whole set.
     """
 
-    whole: str
-    region: str = ""
+    set_name: str
+    part_name: str = ""
 
     @classmethod
     def parse(cls, text: str) -> FacetName:
@@ -41,12 +41,12 @@ class FacetName(NamedTuple):
         return cls(*text.split("/", 1))
 
     def __str__(self) -> str:
-        return f"{self.whole}/{self.region}" if self.region else self.whole
+        return f"{self.set_name}/{self.part_name}" if self.part_name else self.set_name
 
     @property
-    def continued(self) -> str:
+    def continued_set(self) -> str:
         """NAME if this is "NAME/LAYER", the facets of a layer that continue the set NAME; else this name, as text."""
-        return self.whole if self.region == LAYER else str(self)
+        return self.set_name if self.part_name == LAYER else str(self)
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class Seam:
             if finite_values(self.direction, (dim,)) is None or not np.any(self.direction):
                 raise InputError(f"direction is {self.direction}; it needs {dim} components, not all zero")
 
-    def along_direction(self, name: str, x: FloatArray, normals: FloatArray, to_second: FloatArray) -> BoolArray:
+    def is_upper_by_direction(self, name: str, x: FloatArray, normals: FloatArray, to_second: FloatArray) -> BoolArray:
         """Return (n,) whether the second of the two cells at each facet is on the upper side, judged by `direction`.
 
         Args:
@@ -120,7 +120,7 @@ class Seam:
         refuse(np.abs(cosine) < MIN_COSINE, x, f"direction {self.direction} of {name!r} lies in the facet near {{at}}")
         return np.asarray((to_second * normals).sum(axis=1) * cosine > 0)
 
-    def between_regions(self, name: str, x: FloatArray, region: IntArray, regions: Sequence[str]) -> BoolArray:
+    def is_upper_by_regions(self, name: str, x: FloatArray, region: IntArray, regions: Sequence[str]) -> BoolArray:
         """Return (n,) whether the second of the two cells at each facet is on the upper side, judged by their regions.
 
         Args:

@@ -16,16 +16,16 @@ from geometry.topology import (
     BoolArray,
     FloatArray,
     IntArray,
-    connected,
-    keys_of_ridges,
+    components,
+    facet_ridge_keys,
     ridge_keys,
     ridges,
 )
 
 QUADRILATERAL_TRIANGLES = ((0, 1, 2), (1, 3, 2))  # corners of the two triangles of a quadrilateral
-CLOSED_NORMAL_LENGTH = 0.1  # length of the mean unit normal below which S counts as closed
+MIN_MEAN_NORMAL_LENGTH = 0.1  # length of the mean unit normal below which S counts as closed
 # cosine of the least angle between straight ends that meet; at smaller angles the end counts as curved
-CORNER_COSINE = 0.7
+CORNER_ANGLE_COSINE = 0.7
 
 
 def vectors_from_segments(x: FloatArray, first: FloatArray, last: FloatArray) -> FloatArray:
@@ -64,13 +64,13 @@ class Rim:
     def __getitem__(self, which: BoolArray) -> Rim:
         return Rim(*(getattr(self, f.name)[which] for f in fields(self)))
 
-    def on(self, facets: IntArray) -> BoolArray:
+    def lies_on(self, facets: IntArray) -> BoolArray:
         """Return (n,) whether each ridge is a part of any of the given facets.
 
         Args:
             facets: (m, k) numbers of the k vertices of each of m facets.
         """
-        return np.asarray(np.isin(ridge_keys(self.vertices), keys_of_ridges(facets, self.vertices.shape[1])))
+        return np.asarray(np.isin(ridge_keys(self.vertices), facet_ridge_keys(facets, self.vertices.shape[1])))
 
     def distance(self, points: FloatArray, x: FloatArray) -> FloatArray:
         """Return (n,) the distance of each of n places from the nearest ridge, a length; inf if there are no ridges.
@@ -144,7 +144,7 @@ class Sheet:
         normals = self.joint.interface_normals[self.facets]
         mean = normals.mean(axis=0)
         length = np.linalg.norm(mean)
-        return np.asarray(mean / length if length > CLOSED_NORMAL_LENGTH else normals[0])
+        return np.asarray(mean / length if length > MIN_MEAN_NORMAL_LENGTH else normals[0])
 
     @property
     def planar(self) -> bool:
@@ -164,33 +164,33 @@ class Sheet:
         The second axis is the vertex of the simplex to which the shape function belongs. The third axis is the
         component of the gradient, in d dimensions.
         """
-        others = np.swapaxes(np.linalg.pinv(self._edges), 1, 2)
-        return np.concatenate([-others.sum(axis=1, keepdims=True), others], axis=1)
+        vertex_gradients = np.swapaxes(np.linalg.pinv(self._edges), 1, 2)
+        return np.concatenate([-vertex_gradients.sum(axis=1, keepdims=True), vertex_gradients], axis=1)
 
     @cached_property
     def areas(self) -> FloatArray:
         """(n,) area of each triangle in 3D, length of each segment in 2D."""
-        gram = np.linalg.det(self._edges @ np.swapaxes(self._edges, 1, 2))
-        return np.asarray(np.sqrt(gram) / math.factorial(self.joint.dim - 1))
+        gram_determinant = np.linalg.det(self._edges @ np.swapaxes(self._edges, 1, 2))
+        return np.asarray(np.sqrt(gram_determinant) / math.factorial(self.joint.dim - 1))
 
     @cached_property
     def rim(self) -> Rim:
         """Ridges where the seam ends on the outer boundary; ridges inside bodies or on periodic sides are left out."""
         joint, n_simplices = self.joint, len(self.vertices)
         ridges = np.concatenate([np.delete(self.vertices, k, axis=1) for k in range(joint.dim)])
-        _, rows, counts = np.unique(ridge_keys(ridges), return_index=True, return_counts=True)
-        rows = rows[counts == 1]
-        opposite, simplex = np.divmod(rows, n_simplices)
+        _, free_ridges, counts = np.unique(ridge_keys(ridges), return_index=True, return_counts=True)
+        free_ridges = free_ridges[counts == 1]
+        opposite, simplex = np.divmod(free_ridges, n_simplices)
         outward = -self.gradients[simplex, opposite]
         gradient_size = np.linalg.norm(outward, axis=1)
-        x = joint.points[ridges[rows]]
-        length = np.linalg.norm(x[:, -1] - x[:, 0], axis=1) if joint.dim == 3 else np.ones(len(rows))
-        rim = Rim(ridges[rows], simplex, outward / gradient_size[:, None], 1 / gradient_size, length)
-        outer = joint.outer_rows
+        x = joint.points[ridges[free_ridges]]
+        length = np.linalg.norm(x[:, -1] - x[:, 0], axis=1) if joint.dim == 3 else np.ones(len(free_ridges))
+        rim = Rim(ridges[free_ridges], simplex, outward / gradient_size[:, None], 1 / gradient_size, length)
+        outer_rows = joint.outer_rows
         if joint.periods:
-            sides = np.concatenate([joint.facets[name] for name in joint.periods.names])
-            outer = np.setdiff1d(outer, joint.table.index(sides))
-        return rim[rim.on(joint.table.vertices[outer])]
+            periodic_facets = np.concatenate([joint.facets[name] for name in joint.periods.side_names])
+            outer_rows = np.setdiff1d(outer_rows, joint.table.index(periodic_facets))
+        return rim[rim.lies_on(joint.table.vertices[outer_rows])]
 
     @cached_property
     def tip(self) -> FloatArray | None:
@@ -204,17 +204,17 @@ class Sheet:
         return joint.points[tip_ridges[0]].mean(axis=0) if len(tip_ridges) else None
 
     @cached_property
-    def junction(self) -> FloatArray | None:
+    def junction_point(self) -> FloatArray | None:
         """(d,) coordinates of one place where the seam branches or meets another seam; None: no such place."""
         joint = self.joint
         surface = joint.masters[joint.surface]
         (s_ridges, counts), (subset, here) = (ridges(rows, joint.cell_type) for rows in (surface, surface[self.facets]))
         total_counts = counts[np.searchsorted(ridge_keys(s_ridges), ridge_keys(subset))]
-        meeting = subset[(here > 2) | (total_counts > here)]
-        return joint.points[meeting[0]].mean(axis=0) if len(meeting) else None
+        junctions = subset[(here > 2) | (total_counts > here)]
+        return joint.points[junctions[0]].mean(axis=0) if len(junctions) else None
 
     @cached_property
-    def heights(self) -> tuple[float, ...]:
+    def body_heights(self) -> tuple[float, ...]:
         """Heights of the bodies below and above the seam: volume of each body over area of the seam, lengths.
 
         On a rigid base there is no lower height. If both sides are one body, there is one height. As
@@ -223,13 +223,13 @@ class Sheet:
         """
         joint = self.joint
         pieces, cells = joint.split_mesh.pieces, joint.surface_cells[self.facets]
-        sides = [np.unique(pieces[side[side >= 0]]) for side in cells.T]
-        sides = [np.union1d(*sides)] if len(np.intersect1d(*sides)) else [side for side in sides if len(side)]
+        bodies = [np.unique(pieces[side[side >= 0]]) for side in cells.T]
+        bodies = [np.union1d(*bodies)] if len(np.intersect1d(*bodies)) else [side for side in bodies if len(side)]
         distance, heights = np.abs((joint.points - joint.points[self.vertices[0, 0]]) @ self.mean_normal), []
-        for side in sides:
+        for side in bodies:
             is_inside = np.isin(pieces, side)
-            away = distance[joint.corners[is_inside]].max()
-            heights.append(min(volume_of(joint, is_inside) / self.areas.sum(), away if self.planar else math.inf))
+            reach = distance[joint.corners[is_inside]].max()
+            heights.append(min(volume_of(joint, is_inside) / self.areas.sum(), reach if self.planar else math.inf))
         return tuple(map(float, heights))
 
 
@@ -246,11 +246,11 @@ def volume_of(joint: Joint, inside: BoolArray) -> float:
     cells = np.concatenate([joint.table.cells[joint.outer_rows, 0], *joint.surface_cells.T])
     is_kept = (cells >= 0) & inside[cells]
     nodes = joint.table.nodes(facet_rows[is_kept], joint.corners, joint.cell_type)
-    middle = joint.points[joint.corners[cells[is_kept]]].mean(axis=1)[:, None]
+    centres = joint.points[joint.corners[cells[is_kept]]].mean(axis=1)[:, None]
     volume = 0.0
     for corners in QUADRILATERAL_TRIANGLES if joint.cell_type == "hexahedron" else (tuple(range(joint.dim)),):
         x = joint.points[nodes[:, corners]]
-        cones, side = (np.linalg.det(x - tip) for tip in (x[0, 0], middle))  # from one place, and the cell's middle
+        cones, side = (np.linalg.det(x - tip) for tip in (x[0, 0], centres))  # from one place, and the cell's middle
         volume += float((cones * np.sign(side)).sum()) / math.factorial(joint.dim)
     return volume
 
@@ -262,20 +262,20 @@ class StraightEnd(NamedTuple):
 
     Attributes:
         n: unit normal of S.
-        level: least and largest n . x of places x that count as being in the plane of the end, lengths.
+        levels: least and largest n . x of places x that count as being in the plane of the end, lengths.
         m: unit vector in the plane of S that is normal to the end and points away from S.
         offset: value of m . x at the end, a length.
         along: unit vector along the end; zero in 2D.
-        reach: least and largest value of along . x at points of the end, lengths.
+        along_range: least and largest value of along . x at points of the end, lengths.
         length: length of the end; 1 in 2D.
     """
 
     n: FloatArray
-    level: tuple[float, float]
+    levels: tuple[float, float]
     m: FloatArray
     offset: float
     along: FloatArray
-    reach: tuple[float, float]
+    along_range: tuple[float, float]
     length: float = 1.0
 
     @property
@@ -297,7 +297,7 @@ class StraightEnd(NamedTuple):
         Args:
             x: (n, d) coordinates of the places in d dimensions, lengths.
         """
-        return np.asarray((np.abs(self.distance(x)) <= (self.level[1] - self.level[0]) / 2) & self._is_beside(x))
+        return np.asarray((np.abs(self.distance(x)) <= (self.levels[1] - self.levels[0]) / 2) & self._is_beside(x))
 
     def adjoins(self, x: FloatArray) -> BoolArray:
         """Return (n,) whether each of n places of S lies on the end, or in the strip that leads from the end into S.
@@ -320,12 +320,12 @@ class StraightEnd(NamedTuple):
         return np.asarray((self.distance(x) > 0) & self._is_beside(x))
 
     def _is_beside(self, x: FloatArray) -> BoolArray:
-        """Return (n,) whether each of n places is in the plane of the end, and along . x there is in the range `reach`.
+        """Return (n,) whether each of n places is in the plane of the end, with along . x in the range `along_range`.
 
         Args:
             x: (n, d) coordinates of the places in d dimensions, lengths.
         """
-        at, (low, high), (bottom, top), level = x @ self.along, self.reach, self.level, x @ self.n
+        at, (low, high), (bottom, top), level = x @ self.along, self.along_range, self.levels, x @ self.n
         return np.asarray((at >= low) & (at <= high) & (level >= bottom) & (level <= top))
 
 
@@ -343,42 +343,43 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
     """
     joint, n, size = sheet.joint, sheet.mean_normal, sheet.joint.size
     x = joint.points[rim.vertices]  # (n, d - 1, d)
-    todo, ends = np.arange(len(x)), []
+    remaining, ends = np.arange(len(x)), []
     offsets = np.einsum("nd,nd->n", x[:, 0], rim.outward)
-    while len(todo):
-        m, offset = rim.outward[todo[0]], offsets[todo[0]]
+    while len(remaining):
+        m, offset = rim.outward[remaining[0]], offsets[remaining[0]]
         cosine = rim.outward @ m
         on_line = (cosine > 1 - PLANAR_TOLERANCE) & (np.abs(offsets - offset) <= PLANAR_TOLERANCE * size)
         at, n_rim = np.flatnonzero(on_line), len(x)  # ridges are connected by their vertices
         links = at.repeat(rim.vertices.shape[1]), n_rim + rim.vertices[at].ravel()
-        component = connected(*links, n_rim + int(rim.vertices.max()) + 1)[:n_rim]
-        same = on_line & (component == component[todo[0]])
-        end_rim, others = rim[same], rim[(cosine > CORNER_COSINE) & (cosine <= 1 - PLANAR_TOLERANCE)]
+        component = components(*links, n_rim + int(rim.vertices.max()) + 1)[:n_rim]
+        in_end = on_line & (component == component[remaining[0]])
+        end_rim, others = rim[in_end], rim[(cosine > CORNER_ANGLE_COSINE) & (cosine <= 1 - PLANAR_TOLERANCE)]
         complaint = "ends of S must be straight, or meet at angles of 45 degrees or more: one is curved at {at}"
         refuse(np.isin(others.vertices, end_rim.vertices).any(axis=1), joint.points[others.vertices[:, 0]], complaint)
-        along = x[todo[0], -1] - x[todo[0], 0]
+        along = x[remaining[0], -1] - x[remaining[0], 0]
         length = np.linalg.norm(along)
         along = along / length if length else along
-        at = x[same].reshape(-1, x.shape[2]) @ along
-        height, tolerance = float(x[todo[0], 0] @ n), PLANAR_TOLERANCE * size
-        reach, whole = (float(at.min()), float(at.max())), float(rim.length[same].sum())
-        ends.append(StraightEnd(n, (height - tolerance, height + tolerance), m, float(offset), along, reach, whole))
-        todo = todo[~same[todo]]
+        at = x[in_end].reshape(-1, x.shape[2]) @ along
+        height, tolerance = float(x[remaining[0], 0] @ n), PLANAR_TOLERANCE * size
+        reach, total = (float(at.min()), float(at.max())), float(rim.length[in_end].sum())
+        ends.append(StraightEnd(n, (height - tolerance, height + tolerance), m, float(offset), along, reach, total))
+        remaining = remaining[~in_end[remaining]]
     return ends
 
 
-def share_within(d: FloatArray, length: float) -> FloatArray:
-    """Return (n,) the fraction of each segment's length, or triangle's area, in which a linear function is < `length`.
+def fraction_below(values: FloatArray, bound: float) -> FloatArray:
+    """Return (n,) the fraction of each segment's length, or triangle's area, in which a linear function is < `bound`.
 
     Args:
-        d: (n, 2) or (n, 3) values of the function, such as a distance, at the vertices of each segment or triangle.
-        length: bound of the function, in its unit.
+        values: (n, 2) or (n, 3) values of the function, such as a distance, at the vertices of each segment or
+            triangle.
+        bound: bound of the function, in its unit.
     """
-    low, *middle, high = np.sort(d, axis=1).T
+    low, *middle, high = np.sort(values, axis=1).T
     if not middle:
-        return np.asarray(np.clip((length - low) / (high - low), 0.0, 1.0)) if len(d) else low
+        return np.asarray(np.clip((bound - low) / (high - low), 0.0, 1.0)) if len(values) else low
     (mid,) = middle
     with np.errstate(divide="ignore", invalid="ignore"):
-        below = (length - low) ** 2 / ((mid - low) * (high - low))
-        above = 1 - (high - length) ** 2 / ((high - low) * (high - mid))
-    return np.select([length <= low, length >= high, length <= mid], [0.0, 1.0, below], above)
+        below = (bound - low) ** 2 / ((mid - low) * (high - low))
+        above = 1 - (high - bound) ** 2 / ((high - low) * (high - mid))
+    return np.select([bound <= low, bound >= high, bound <= mid], [0.0, 1.0, below], above)

@@ -27,7 +27,7 @@ BoolArray = npt.NDArray[np.bool_]
 Scalar = TypeVar("Scalar", bound=np.generic)  # type of the values of an array
 Indices = npt.NDArray[np.int32]  # of entities and degrees of freedom on a rank, as in dolfinx
 
-KEY_BITS = 31  # bits for a vertex number in a key
+VERTEX_KEY_BITS = 31  # bits for a vertex number in a key
 CELL_TYPES = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 FACET_TYPES = dict(zip(CELL_TYPES, ("interval", "interval", "triangle", "quadrilateral"), strict=True))
 
@@ -67,10 +67,10 @@ def geometry_degree(cell_type: str, n_nodes: int) -> int:
     Raises:
         InputError: no degree has this number of nodes.
     """
-    allowed = {int(lagrange(cell_type, degree).dim): degree for degree in (1, 2)}
-    if n_nodes not in allowed:
-        raise InputError(f"a {cell_type} has {n_nodes} nodes; allowed: {', '.join(map(str, allowed))} (degree 1 or 2)")
-    return allowed[n_nodes]
+    degrees = {int(lagrange(cell_type, degree).dim): degree for degree in (1, 2)}
+    if n_nodes not in degrees:
+        raise InputError(f"a {cell_type} has {n_nodes} nodes; allowed: {', '.join(map(str, degrees))} (degree 1 or 2)")
+    return degrees[n_nodes]
 
 
 def local_facets(cell_type: str, degree: int = 1) -> IntArray:
@@ -114,7 +114,7 @@ def is_tensor(cell_type: str) -> bool:
 
 
 @cache
-def weights_between(cell_type: str) -> FloatArray:
+def mid_node_weights(cell_type: str) -> FloatArray:
     """Return (m, k) values of a cell's k linear shape functions at those nodes of degree 2 that are not vertices.
 
     Args:
@@ -150,26 +150,26 @@ class FacetTable:
             InputError: more than two cells share a facet.
         """
         corners_32 = corners.T.astype(np.int32)  # half the memory, and faster
-        facets = zip(*(corners_32[f] for f in local_facets(cell_type)), strict=True)
-        columns = sorted_columns([np.concatenate(column) for column in facets])
+        vertex_columns = zip(*(corners_32[f] for f in local_facets(cell_type)), strict=True)
+        columns = sort_each_row([np.concatenate(column) for column in vertex_columns])
         order = np.lexsort(columns[::-1])
-        first_places = np.flatnonzero(_is_new_row(columns, order))
-        counts = np.diff(first_places, append=len(order))
+        first_index = np.flatnonzero(_is_new_row(columns, order))
+        counts = np.diff(first_index, append=len(order))
         if counts.max(initial=0) > 2:
             raise InputError(f"{(counts > 2).sum()} facets belong to more than two cells: the mesh is not conforming")
         has_two_cells = counts == 2
-        pairs = np.full((len(first_places), 2), -1, np.int64)  # positions among all cells' facets
-        pairs[:, 0] = order[first_places]
-        pairs[has_two_cells, 1] = order[first_places[has_two_cells] + 1]
-        vertices = np.stack([column[pairs[:, 0]] for column in columns], axis=1, dtype=np.int64)
-        del columns, order, first_places, counts  # they are large
-        local, cells = np.divmod(pairs, max(len(corners), 1))
+        facet_pairs = np.full((len(first_index), 2), -1, np.int64)  # positions among all cells' facets
+        facet_pairs[:, 0] = order[first_index]
+        facet_pairs[has_two_cells, 1] = order[first_index[has_two_cells] + 1]
+        vertices = np.stack([column[facet_pairs[:, 0]] for column in columns], axis=1, dtype=np.int64)
+        del columns, order, first_index, counts  # they are large
+        local, cells = np.divmod(facet_pairs, max(len(corners), 1))
         cells[~has_two_cells, 1] = -1
         return cls(vertices, cells, local.astype(np.int8))
 
     @cached_property
     def _keys(self) -> npt.NDArray[np.void]:
-        return _keys(self.vertices)
+        return _row_keys(self.vertices)
 
     def index(self, facets: IntArray) -> IntArray:
         """Return (n,) row numbers in this table of n facets; -1 where the mesh has no such facet.
@@ -177,7 +177,7 @@ class FacetTable:
         Args:
             facets: (n, k) numbers of the k vertices of each facet, in any order.
         """
-        wanted_keys = _keys(np.sort(facets, axis=1))
+        wanted_keys = _row_keys(np.sort(facets, axis=1))
         at = np.searchsorted(self._keys, wanted_keys).clip(max=len(self._keys) - 1)
         return np.where(self._keys[at] == wanted_keys, at, -1)
 
@@ -193,7 +193,7 @@ class FacetTable:
         return np.take_along_axis(cells[self.cells[rows, 0]], local, axis=1)
 
 
-def sorted_columns(columns: Sequence[IntArray]) -> list[IntArray]:
+def sort_each_row(columns: Sequence[IntArray]) -> list[IntArray]:
     """Return a table with each row sorted in ascending order; for few columns this is faster than `np.sort`.
 
     Args:
@@ -218,12 +218,12 @@ def _is_new_row(columns: Sequence[IntArray], order: IntArray) -> BoolArray:
         columns: the columns of the table.
         order: (n,) row numbers in this order.
     """
-    changed = np.ones(len(order), bool)
-    changed[1:] = reduce(np.logical_or, (np.diff(column[order]) != 0 for column in columns))
-    return changed
+    is_new = np.ones(len(order), bool)
+    is_new[1:] = reduce(np.logical_or, (np.diff(column[order]) != 0 for column in columns))
+    return is_new
 
 
-def _keys(rows: IntArray) -> npt.NDArray[np.void]:
+def _row_keys(rows: IntArray) -> npt.NDArray[np.void]:
     """Return (n,) a string of bytes for each row of integers; bytes sort in the lexicographic order of the rows.
 
     Args:
@@ -246,16 +246,16 @@ def ridges(facets: IntArray, cell_type: str) -> tuple[IntArray, IntArray]:
     return np.unique(np.sort(rows, axis=1), axis=0, return_counts=True)
 
 
-def ridge_keys(rows: IntArray) -> IntArray:
+def ridge_keys(vertices: IntArray) -> IntArray:
     """Return (n,) an integer key for each ridge; keys are equal only for ridges with the same vertices.
 
     Args:
-        rows: (n, 1) vertex in 2D, or (n, 2) vertices in 3D, in any order, of each ridge.
+        vertices: (n, 1) vertex in 2D, or (n, 2) vertices in 3D, in any order, of each ridge.
     """
-    return np.asarray((rows.min(axis=1) << KEY_BITS) + rows.max(axis=1))
+    return np.asarray((vertices.min(axis=1) << VERTEX_KEY_BITS) + vertices.max(axis=1))
 
 
-def keys_of_ridges(facets: IntArray, k: int) -> IntArray:
+def facet_ridge_keys(facets: IntArray, k: int) -> IntArray:
     """Return (n, m) integer keys, as from `ridge_keys`, of the ridges of n facets.
 
     A key is returned for each of the m sets of `k` vertices of a facet. For quadrilateral facets these include the two
@@ -282,8 +282,8 @@ def node_jacobians(points: FloatArray, cells: IntArray, cell_type: str) -> Float
     element = lagrange(cell_type, geometry_degree(cell_type, cells.shape[1]))
     if element.degree == 1 and not is_tensor(cell_type):
         first, *others = (points.T[:, nodes] for nodes in cells.T)  # one coordinate at a time is faster
-        e_1, *more = (other - first for other in others)
-        normal = np.cross(more[0], more[1], axis=0) if more[1:] else np.stack([more[0][1], -more[0][0]])
+        e_1, *edges = (other - first for other in others)
+        normal = np.cross(edges[0], edges[1], axis=0) if edges[1:] else np.stack([edges[0][1], -edges[0][0]])
         return np.asarray((e_1 * normal).sum(axis=0)[:, None])
     gradients = element.tabulate(1, element.points)[1:, :, :, 0]
     return np.linalg.det(np.einsum("tqn,cnd->cqtd", gradients, points[cells]))
@@ -316,13 +316,13 @@ class Splitting:
         cells: (n_cells, k) numbers of the k nodes of each cell, vertices first.
         cell_type: type of the cells.
         table: facets of the cells.
-        cut: (m,) row numbers in `table` of the facets that are cut.
+        cut_rows: (m,) row numbers in `table` of the facets that are cut.
     """
 
     cells: IntArray
     cell_type: str
     table: FacetTable
-    cut: IntArray
+    cut_rows: IntArray
 
     @cached_property
     def _topology(self) -> list[IntArray]:
@@ -332,7 +332,7 @@ class Splitting:
     def _corners(self) -> IntArray:
         return self.cells[:, : len(self._topology[0])]
 
-    def entities(self, dim: int, corners: IntArray) -> IntArray:
+    def number_entities(self, dim: int, corners: IntArray) -> IntArray:
         """Return (n, m) a number for each of the m entities of one dimension of each of n cells.
 
         An entity that several cells share has one number.
@@ -343,24 +343,24 @@ class Splitting:
         """
         if dim == 0:
             return corners
-        of_cells = self._topology[dim]
-        columns = sorted_columns([corners[:, column].ravel() for column in of_cells.T])
+        entity_vertices = self._topology[dim]
+        columns = sort_each_row([corners[:, column].ravel() for column in entity_vertices.T])
         order = np.lexsort(columns[::-1])
         number = np.empty(len(order), np.int64)
         number[order] = _is_new_row(columns, order).cumsum() - 1
-        return number.reshape(len(corners), len(of_cells))
+        return number.reshape(len(corners), len(entity_vertices))
 
     @cached_property
-    def keys(self) -> list[IntArray]:
+    def entity_keys(self) -> list[IntArray]:
         """For each dimension from 0 an array (n_cells, m): numbers of the m entities of each cell in the cut mesh.
 
         An entity that the cut divides has a different number in each component. No number occurs in two dimensions.
         """
         out, start = [], 0
         for dim in range(len(self._topology)):
-            numbers, split = self.entities(dim, self._corners), self.components(dim)
-            count = int(split.max(initial=0)) + 1
-            out.append(start + numbers * count + split)
+            numbers, component = self.number_entities(dim, self._corners), self.components(dim)
+            count = int(component.max(initial=0)) + 1
+            out.append(start + numbers * count + component)
             start += (int(numbers.max(initial=-1)) + 1) * count
         return out
 
@@ -376,34 +376,34 @@ class Splitting:
         """
         local = self._topology[dim]
         component = np.zeros((len(self.cells), len(local)), np.int32)
-        if dim == len(self._topology) - 1 or not len(self.cut):
+        if dim == len(self._topology) - 1 or not len(self.cut_rows):
             return component
-        on_cut = np.zeros(int(self.cells.max()) + 1, bool)
-        on_cut[self.table.vertices[self.cut]] = True
-        at_cut = on_cut[self._corners]
-        cells = np.flatnonzero(at_cut.any(axis=1))  # other cells have no split entities
-        pairs = positions(cells, len(self.cells))[self.table.cells]
-        linked = (self.table.cells[:, 1] >= 0) & (pairs >= 0).all(axis=1)
-        linked[self.cut] = False
-        keys = self.entities(dim, self._corners[cells])
+        is_on_cut = np.zeros(int(self.cells.max()) + 1, bool)
+        is_on_cut[self.table.vertices[self.cut_rows]] = True
+        is_at_cut = is_on_cut[self._corners]
+        cells = np.flatnonzero(is_at_cut.any(axis=1))  # other cells have no split entities
+        cell_pairs = positions(cells, len(self.cells))[self.table.cells]
+        is_linked = (self.table.cells[:, 1] >= 0) & (cell_pairs >= 0).all(axis=1)
+        is_linked[self.cut_rows] = False
+        keys = self.number_entities(dim, self._corners[cells])
         inside = np.array([[i for i, row in enumerate(local) if set(row) <= set(each)] for each in self._topology[-2]])
         links: list[IntArray] = []
-        for cell, facet in zip(pairs[linked].T, self.table.local[linked].T, strict=True):
-            entity = inside[facet]
-            order = np.argsort(np.take_along_axis(keys[cell], entity, axis=1), axis=1)
-            links.append((cell[:, None] * len(local) + np.take_along_axis(entity, order, axis=1)).ravel())
-        part = connected(links[0], links[1], keys.size)
+        for cell, facet in zip(cell_pairs[is_linked].T, self.table.local[is_linked].T, strict=True):
+            local_entities = inside[facet]
+            order = np.argsort(np.take_along_axis(keys[cell], local_entities, axis=1), axis=1)
+            links.append((cell[:, None] * len(local) + np.take_along_axis(local_entities, order, axis=1)).ravel())
+        group = components(links[0], links[1], keys.size)
 
-        _, first_place = np.unique(part, return_index=True)  # of each component; places are in the order of cells
-        order = np.lexsort((first_place, keys.ravel()[first_place]))
-        start = np.flatnonzero(np.diff(keys.ravel()[first_place][order], prepend=-1))
+        _, first_index = np.unique(group, return_index=True)  # of each component; places are in the order of cells
+        order = np.lexsort((first_index, keys.ravel()[first_index]))
+        start = np.flatnonzero(np.diff(keys.ravel()[first_index][order], prepend=-1))
         number = np.empty(len(order), np.int64)
         number[order] = np.arange(len(order)) - np.repeat(start, np.diff(start, append=len(order)))
-        component[cells] = np.where(at_cut[cells][:, local].any(axis=2), number[part].reshape(keys.shape), 0)
+        component[cells] = np.where(is_at_cut[cells][:, local].any(axis=2), number[group].reshape(keys.shape), 0)
         return component
 
     @cached_property
-    def of_nodes(self) -> Indices:
+    def at_nodes(self) -> Indices:
         """(n_cells, k) number of the component, around each of a cell's k nodes, that contains the cell.
 
         A component is a group of cells around the node that uncut facets there connect. Components of each node are
@@ -411,21 +411,21 @@ class Splitting:
         """
         dofs = lagrange(self.cell_type, geometry_degree(self.cell_type, self.cells.shape[1])).entity_dofs
         components = np.zeros(self.cells.shape, np.int32)
-        for dim, of_dim in enumerate(dofs[:-1]):
-            if any(map(len, of_dim)):
+        for dim, dim_dofs in enumerate(dofs[:-1]):
+            if any(map(len, dim_dofs)):
                 numbers = self.components(dim)
-                for entity, nodes in enumerate(of_dim):
+                for entity, nodes in enumerate(dim_dofs):
                     components[:, nodes] = numbers[:, [entity]]
         return components
 
     @property
-    def of_vertices(self) -> Indices:
+    def at_vertices(self) -> Indices:
         """(n_cells, k) number of the component, around each of a cell's k vertices, that contains the cell.
 
         A component is a group of cells around the vertex that uncut facets there connect. Components of each vertex are
         numbered from 0.
         """
-        return self.of_nodes[:, : self._corners.shape[1]]
+        return self.at_nodes[:, : self._corners.shape[1]]
 
     @cached_property
     def pieces(self) -> IntArray:
@@ -433,24 +433,24 @@ class Splitting:
 
         Pieces are numbered from 0, in the order of the lowest cell number in each.
         """
-        corners, split = self._corners.astype(np.int32), self.of_vertices
-        where = np.nonzero(split)  # copies of vertices follow after the last one
-        number = np.unique(np.column_stack([corners[where], split[where]]), axis=0, return_inverse=True)[1]
-        corners[where] = int(corners.max(initial=-1)) + 1 + number.ravel()
+        corners, part_no = self._corners.astype(np.int32), self.at_vertices
+        is_copy = np.nonzero(part_no)  # copies of vertices follow after the last one
+        number = np.unique(np.column_stack([corners[is_copy], part_no[is_copy]]), axis=0, return_inverse=True)[1]
+        corners[is_copy] = int(corners.max(initial=-1)) + 1 + number.ravel()
         first = corners[:, :1].repeat(corners.shape[1] - 1, axis=1)
-        component = connected(first.ravel(), corners[:, 1:].ravel(), int(corners.max(initial=-1)) + 1)[corners[:, 0]]
-        start = np.full(int(component.max(initial=-1)) + 1, len(component))
-        start[component[::-1]] = np.arange(len(component))[::-1]  # the first cell of each, which is written last
-        return np.argsort(np.argsort(start))[component]
+        component = components(first.ravel(), corners[:, 1:].ravel(), int(corners.max(initial=-1)) + 1)[corners[:, 0]]
+        first_cells = np.full(int(component.max(initial=-1)) + 1, len(component))
+        first_cells[component[::-1]] = np.arange(len(component))[::-1]  # the first cell of each, which is written last
+        return np.argsort(np.argsort(first_cells))[component]
 
     @cached_property
-    def valence(self) -> IntArray:
+    def component_counts(self) -> IntArray:
         """(n_points,) number of components into which the cut divides the cells around each vertex.
 
         It is 1 at vertices away from the cut, and 0 at nodes that are not vertices.
         """
         out = np.zeros(int(self.cells.max(initial=-1)) + 1, np.int64)
-        np.maximum.at(out, self._corners.ravel(), self.of_vertices.ravel() + 1)
+        np.maximum.at(out, self._corners.ravel(), self.at_vertices.ravel() + 1)
         return out
 
 
@@ -467,7 +467,7 @@ def unique_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
     return unique, number.ravel()
 
 
-def connected(first: IntArray | Indices, second: IntArray | Indices, n: int) -> IntArray:
+def components(first: IntArray | Indices, second: IntArray | Indices, n: int) -> IntArray:
     """Return (n,) number of the connected component that each of n nodes of a graph is in.
 
     Args:
@@ -478,38 +478,38 @@ def connected(first: IntArray | Indices, second: IntArray | Indices, n: int) -> 
     return np.asarray(connected_components(graph, directed=False)[1], np.int64)
 
 
-DISTANCE_TOLERANCE = 1e-9  # distance, over the size of the whole, below which two places count as the same
+PLACE_TOLERANCE = 1e-9  # distance, over the size of the whole, below which two places count as the same
 
 
-def by_place(x: FloatArray, size: float) -> IntArray:
+def place_order(x: FloatArray, size: float) -> IntArray:
     """Return (n,) the numbers of n places, sorted by their first coordinate; where it is equal, by the next, and so on.
 
     Args:
         x: (n, d) coordinates of the places in d dimensions, lengths.
         size: extent of all places, a length; coordinates that differ by less than about 1e-9 of it count as equal.
     """
-    return np.lexsort(np.rint(x[:, ::-1] / (DISTANCE_TOLERANCE * size)).T)
+    return np.lexsort(np.rint(x[:, ::-1] / (PLACE_TOLERANCE * size)).T)
 
 
-def along(x: FloatArray, pairs: IntArray, size: float) -> IntArray:
+def curve_order(x: FloatArray, links: IntArray, size: float) -> IntArray:
     """Return (n,) the numbers of n places in their order along the curves that links between neighbouring places form.
 
-    Curves follow one another. An open curve starts at the end that comes first in the order of `by_place`. A closed
+    Curves follow one another. An open curve starts at the end that comes first in the order of `place_order`. A closed
     curve starts at the place that comes first, and continues to that neighbour which comes first. If another curve
     begins where one ends, it comes next; an example is the layers of mortar under the bricks of one course.
 
     Args:
         x: (n, 2) coordinates of the places, lengths.
-        pairs: (m, 2) numbers of the two places of each link.
+        links: (m, 2) numbers of the two places of each link.
         size: extent of all places, a length; coordinates that differ by less than about 1e-9 of it count as equal.
     """
-    order = by_place(x, size)
+    order = place_order(x, size)
     rank = np.argsort(order)
     neighbours: list[list[int]] = [[] for _ in x]
-    for a, b in np.concatenate([pairs, pairs[:, ::-1]]):
+    for a, b in np.concatenate([links, links[:, ::-1]]):
         neighbours[int(a)].append(int(b))
     todo, order_along = set(range(len(x))), list[int]()
-    places = [*map(tuple, np.rint(x / (DISTANCE_TOLERANCE * size)).astype(np.int64).tolist())]
+    places = [*map(tuple, np.rint(x / (PLACE_TOLERANCE * size)).astype(np.int64).tolist())]
     ends: dict[tuple[int, ...], list[int]] = {}
     for k, place in enumerate(places):
         if len(neighbours[k]) < 2:

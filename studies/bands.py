@@ -10,7 +10,7 @@ import numpy as np
 from forms import HolonomicCoulomb, IncrementalCoulomb, MohrCoulombMonodirectional
 from forms.base import Array
 from studies.problems import LoadPath, Problem, pressed
-from studies.sweeping import Tables, last
+from studies.sweeping import Tables, end_state
 from thinlayer import Surface
 from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
@@ -21,8 +21,8 @@ FRICTION_ANGLE = 25.0
 FRICTION = math.tan(math.radians(FRICTION_ANGLE))
 # One cell through the band needs no elastic fraction: its nodes belong to the bodies, which support it where it is
 # open. Inner nodes need an elastic fraction; the error is proportional to it and does not vanish with eps.
-BAND = MohrCoulombMonodirectional(*MODULI, cohesion=0.0, friction_angle=FRICTION_ANGLE, unilateral=True)
-MESHED_BAND = replace(BAND, elastic_fraction=1e-5)
+BAND_LAW = MohrCoulombMonodirectional(*MODULI, cohesion=0.0, friction_angle=FRICTION_ANGLE, unilateral=True)
+REGULARIZED_LAW = replace(BAND_LAW, elastic_fraction=1e-5)
 HOLONOMIC = HolonomicCoulomb.of_layer(*MODULI, friction=FRICTION)
 INCREMENTAL = IncrementalCoulomb.of_layer(*MODULI, friction=FRICTION)
 SINE_LAW = replace(HOLONOMIC, friction=math.sin(math.radians(FRICTION_ANGLE)))  # a wrong law
@@ -48,7 +48,7 @@ def blocks(h: float, path: LoadPath) -> Problem:
     return joint, setup | {"element": "Q1"}
 
 
-def along_s(state: State, surface: Surface) -> dict[str, Array]:
+def tractions_along(state: State, surface: Surface) -> dict[str, Array]:
     """Return the tractions of a state at the nodes of S, as columns for a table and a picture.
 
     Args:
@@ -62,7 +62,7 @@ def along_s(state: State, surface: Surface) -> dict[str, Array]:
     return {"x": x[:, 0], "pressure": -t[:, 1], "shear traction over E/100": t[:, 0]}
 
 
-def zones(full: Solution, limit: Solution) -> dict[str, float]:
+def zone_lengths(full: Solution, limit: Solution) -> dict[str, float]:
     """Measure the length of S that is separated and the length that slides, in both models, from nodal tractions.
 
     Args:
@@ -72,9 +72,9 @@ def zones(full: Solution, limit: Solution) -> dict[str, float]:
     Returns:
         "separated_band", "sliding_band", "separated_contact", "sliding_contact" -> length; S is 2 long.
     """
-    surface, row = Surface(last(limit).model), dict[str, float]()
+    surface, row = Surface(end_state(limit).model), dict[str, float]()
     for name, solution in (("band", full), ("contact", limit)):
-        x, p, shear = along_s(last(solution), surface).values()
+        x, p, shear = tractions_along(end_state(solution), surface).values()
         lengths = np.diff(np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]]))
         is_separated = p <= ZERO_PRESSURE_SHARE * p.max()
         is_sliding = ~is_separated & (abs(shear) >= (1 - SLIDING_TOLERANCE) * FRICTION * p)
@@ -82,26 +82,26 @@ def zones(full: Solution, limit: Solution) -> dict[str, float]:
     return row
 
 
-def same_zones(record: Record, tables: Tables) -> None:
+def check_zones(record: Record, tables: Tables) -> None:
     """Check that S has a sticking, a sliding and a separated zone, nearly as long in the layer as under contact.
 
     The lengths are those of the thinnest layer. They may differ from those of contact by two cells and the thickness.
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
+        tables: name of a `Sweep` of the study `rates` -> its table, with a line for each thickness.
     """
     for name in ("friction", "friction history"):
         table, h = tables[name], record.parameters[name]["h"]
-        sizes = {zone: table[f"{zone}_contact"][-1] for zone in ("separated", "sliding")}
-        for zone, size in {**sizes, "stick": 2.0 - sum(sizes.values())}.items():
-            record.check(f"length of S, {name}: {zone}", size, low=0.2)
-        for zone, size in sizes.items():
-            difference, allowed = abs(table[f"{zone}_band"][-1] - size), 2 * h + table["eps"][-1]
+        lengths = {zone: table[f"{zone}_contact"][-1] for zone in ("separated", "sliding")}
+        for zone, length in {**lengths, "stick": 2.0 - sum(lengths.values())}.items():
+            record.check(f"length of S, {name}: {zone}", length, low=0.2)
+        for zone, length in lengths.items():
+            difference, allowed = abs(table[f"{zone}_band"][-1] - length), 2 * h + table["eps"][-1]
             record.check(f"{zone} zone, {name}: thinnest band and contact differ by", difference, high=allowed)
 
 
-def sine_leaves_an_error(record: Record, tables: Tables) -> None:
+def check_sine_error(record: Record, tables: Tables) -> None:
     """Check that contact with the friction coefficient sin(Omega) errs at least twice as much as with tan(Omega).
 
     The error is that of the jump for the thinnest layer, whose friction angle is Omega. This layer slips only along S.
@@ -109,7 +109,7 @@ def sine_leaves_an_error(record: Record, tables: Tables) -> None:
 
     Args:
         record: record of the run, which receives the check.
-        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
+        tables: name of a `Sweep` of the study `rates` -> its table, with a line for each thickness.
     """
     sine, tangent = (tables[name]["error_jump"][-1] for name in ("friction sine", "friction"))
     record.check("friction sin(Omega) on S: last error of the jump over that with tan(Omega)", sine / tangent, low=2)

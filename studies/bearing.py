@@ -15,12 +15,12 @@ from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
 
 RADIUS, PLATE = 30.0, 10.0  # mm: of the disc; height of a plate
-PLATES = LinearElastic.young(E=1e7, nu=0.3)  # MPa
+PLATE_LAW = LinearElastic.young(E=1e7, nu=0.3)  # MPa
 MU = 1.2  # MPa: shear modulus of the rubber
 SHAPE_FACTORS = (2.5, 5.0, 10.0)  # shape factors: loaded over free area, radius/(2 eps)
 POISSON_RATIOS = (0.3, 0.4, 0.45, 0.48, 0.49, 0.495, 0.499, 0.4995, 0.4999, 0.5)  # Poisson's ratios
 LIFT = 0.01  # mm, displacement of the upper plate
-MODELS = {"meshed": "meshed layer", "rubber": "law Rubber, order 1", "order_0": "LinearElastic, order 0"}
+MODEL_LABELS = {"meshed": "meshed layer", "rubber": "law Rubber, order 1", "order_0": "LinearElastic, order 0"}
 
 
 def run(record: Record, *, nu: Sequence[float] = POISSON_RATIOS, quick: bool = False) -> None:
@@ -33,53 +33,53 @@ def run(record: Record, *, nu: Sequence[float] = POISSON_RATIOS, quick: bool = F
         nu: Poisson's ratios of the rubber, in (0, 1/2].
         quick: every other ratio, fewer cells, and two of the three shape factors.
     """
-    shapes, ratios = (SHAPE_FACTORS[:2], sorted({*nu[::2], *nu[-2:]})) if quick else (SHAPE_FACTORS, nu)
-    structures = {shape: _structure(shape, quick=quick) for shape in shapes}
+    shape_factors, ratios = (SHAPE_FACTORS[:2], sorted({*nu[::2], *nu[-2:]})) if quick else (SHAPE_FACTORS, nu)
+    structures = {shape: _structure(shape, quick=quick) for shape in shape_factors}
     cases = [(structure, shape, ratio) for shape, structure in structures.items() for ratio in ratios]
-    table = record.rows("table.csv", cases, partial(_row, record), "shape factor {0[1]:g}, nu = {0[2]:g}")
+    table = record.rows("table.csv", cases, partial(_stiffness_row, record), "shape factor {0[1]:g}, nu = {0[2]:g}")
     exact, is_wide = table["closed"], table["shape"] >= 5
     errors = {name: np.abs(table[name] / exact - 1) for name in ("meshed", "rubber")}
     record.check("largest error of the law with a pressure", errors["rubber"].max(), high=2e-3)
-    of = "largest distance of meshed layers from the closed form"
-    record.check(f"{of}, shape factors from 5 on", errors["meshed"][is_wide].max(), high=0.013)
-    record.check(f"{of}, all shape factors", errors["meshed"].max(), high=0.03)
+    check_name = "largest distance of meshed layers from the closed form"
+    record.check(f"{check_name}, shape factors from 5 on", errors["meshed"][is_wide].max(), high=0.013)
+    record.check(f"{check_name}, all shape factors", errors["meshed"].max(), high=0.03)
     record.check("least excess of the law of order 0", (table["order_0"] / exact).min() - 1, low=0.01)
-    finite = table["nu"] < 0.5
-    eps, lmbda = RADIUS / (2 * table["shape"][finite]), np.array([_modulus(nu) for nu in table["nu"][finite]])
-    pressures = lmbda / (exact[finite] * eps - 2 * MU)  # pressure of order 0 over pressure in closed form
-    distance = np.abs(table["too_stiff"][finite] / pressures - 1).max()
-    record.check("largest distance of what is told of order 0 from closed forms", distance, high=0.01)
+    is_finite = table["nu"] < 0.5
+    eps, lmbda = RADIUS / (2 * table["shape"][is_finite]), np.array([_lmbda(nu) for nu in table["nu"][is_finite]])
+    pressure_ratios = lmbda / (exact[is_finite] * eps - 2 * MU)  # pressure of order 0 over pressure in closed form
+    max_error = np.abs(table["too_stiff"][is_finite] / pressure_ratios - 1).max()
+    record.check("largest distance of what is told of order 0 from closed forms", max_error, high=0.01)
 
 
-def _row(record: Record, structure: Structure, shape: float, nu: float) -> dict[str, float]:
-    eps = RADIUS / (2 * shape)
-    row = {"shape": shape, "nu": nu, "closed": formulas.rubber_disc(_modulus(nu), MU, eps, RADIUS)}
-    for name in MODELS:
+def _stiffness_row(record: Record, structure: Structure, shape_factor: float, nu: float) -> dict[str, float]:
+    eps = RADIUS / (2 * shape_factor)
+    row = {"shape": shape_factor, "nu": nu, "closed": formulas.disc_stiffness(_lmbda(nu), MU, eps, RADIUS)}
+    for name in MODEL_LABELS:
         if nu == 0.5 and name == "order_0":
             row |= {name: math.inf, "too_stiff": math.inf}  # the plates cannot separate
             continue
-        state = record.solved(solve(_model(structure, name, eps, nu)))
+        state = record.add_report(solve(_model(structure, name, eps, nu)))
         row[name] = state.reaction("TOP").force[1] / (math.pi * RADIUS**2 * LIFT)
         if name == "order_0":
             row["too_stiff"] = Surface(state.model).table(state)["too_stiff"].max()
     return row
 
 
-def _modulus(nu: float) -> float:
+def _lmbda(nu: float) -> float:
     return math.inf if nu == 0.5 else LinearElastic.shear(MU, nu).lmbda
 
 
-def _structure(shape: float, *, quick: bool) -> Structure:
-    cells, eps = 30 if quick else 60, RADIUS / (2 * shape)
+def _structure(shape_factor: float, *, quick: bool) -> Structure:
+    cells, eps = 30 if quick else 60, RADIUS / (2 * shape_factor)
     joint = sandwich(RADIUS, PLATE, PLATE, RADIUS / 8, h_S=RADIUS / cells, h_ends=eps / 15, cell="quadrilateral")
     supports = {"BOTTOM": {"x": 0.0, "y": 0.0}, "TOP": {"x": 0.0, "y": LIFT}}
-    return Structure(joint, body=PLATES, supports=supports, plane="axisymmetric")
+    return Structure(joint, body=PLATE_LAW, supports=supports, plane="axisymmetric")
 
 
 def _model(structure: Structure, name: str, eps: float, nu: float) -> Model:
     if name == "order_0":
-        return structure.interface(ThinLayer(LinearElastic(_modulus(nu), MU), eps))
-    law = Incompressible(MU) if nu == 0.5 else Rubber(_modulus(nu), MU)
+        return structure.interface(ThinLayer(LinearElastic(_lmbda(nu), MU), eps))
+    law = Incompressible(MU) if nu == 0.5 else Rubber(_lmbda(nu), MU)
     if name == "rubber":  # the closed form has zero pressure at the ends and no correction there
         return structure.interface(ThinLayer(law, eps, order=1, edges="plain"))
     return structure.full(ThinLayer(law, eps), cells_through=6)
@@ -90,11 +90,11 @@ def draw(record: Record) -> None:
 
     The stiffnesses are read from table.csv in the folder of `record`; the picture is stiffness.svg.
     """
-    parts = {}
+    panels = {}
     for shape, part in record.load("table.csv").split("shape").items():
-        at = part["nu"] < 0.5
-        x = 2 * part["nu"][at] / (1 - 2 * part["nu"][at])
-        stiffnesses = {label: (x, (part[name] / part["closed"])[at]) for name, label in MODELS.items()}
-        parts[f"rubber disc, radius {2 * shape:g} eps"] = stiffnesses
-    style = {"styles": ("o", "-", "^--"), "log": "x", "ylim": (0.95, 1.3), "save": record.path("stiffness.svg")}
-    plotting.curves(parts, "lambda/mu (5000: nu = 0.4999)", "stiffness over closed form", **style)
+        is_finite = part["nu"] < 0.5
+        x = 2 * part["nu"][is_finite] / (1 - 2 * part["nu"][is_finite])
+        stiffnesses = {label: (x, (part[name] / part["closed"])[is_finite]) for name, label in MODEL_LABELS.items()}
+        panels[f"rubber disc, radius {2 * shape:g} eps"] = stiffnesses
+    options = {"styles": ("o", "-", "^--"), "log": "x", "ylim": (0.95, 1.3), "save": record.path("stiffness.svg")}
+    plotting.curves(panels, "lambda/mu (5000: nu = 0.4999)", "stiffness over closed form", **options)

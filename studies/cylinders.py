@@ -13,7 +13,7 @@ from forms import LinearElastic
 from forms.base import Array
 from geometry import fibre, sandwich
 from studies.problems import Problem, StructureArguments
-from studies.sweeping import Tables, last, layer_of
+from studies.sweeping import Tables, end_state, layer_of
 from thinlayer import Surface
 from thinlayer.discretisation.supports import Support
 from thinlayer.running.record import Record
@@ -59,10 +59,10 @@ class Cylinders:
         """
         a, b = stretch
         rim = {0: ((a + b) / 2, 0.0), 2: ((a - b) / 2, (b - a) / 2)}
-        coefficients = {mode: _solved(mode, laws, radii, springs, radii[-1] * np.array(rim[mode])) for mode in MODES}
+        coefficients = {mode: _coeffs(mode, laws, radii, springs, radii[-1] * np.array(rim[mode])) for mode in MODES}
         return cls(tuple(laws), tuple(radii), coefficients)
 
-    def fields(self, mode: int, k: int, r: float) -> Array:
+    def amplitudes(self, mode: int, k: int, r: float) -> Array:
         """Return the amplitudes (4,) of u_r, u_theta, s_rr and s_rtheta at the radius `r`, for one Fourier mode.
 
         `mode` is the number of the mode in theta, 0 or 2; `k` is the number of the cylinder, 0 for the innermost one.
@@ -74,7 +74,7 @@ class Cylinders:
 
         `k` is the number of the cylinder, 0 for the innermost one.
         """
-        mode_0, mode_2 = (self.fields(mode, k, r)[:2] for mode in MODES)
+        mode_0, mode_2 = (self.amplitudes(mode, k, r)[:2] for mode in MODES)
         return mode_0 + mode_2 * [np.cos(2 * theta), np.sin(2 * theta)]
 
     def jumps(self, k: int) -> Array:
@@ -84,13 +84,13 @@ class Cylinders:
         u_theta.
         """
         r = self.radii[k]
-        return np.array([(self.fields(mode, k + 1, r) - self.fields(mode, k, r))[:2] for mode in MODES])
+        return np.array([(self.amplitudes(mode, k + 1, r) - self.amplitudes(mode, k, r))[:2] for mode in MODES])
 
     @property
     def energy(self) -> float:
         """Elastic energy of all cylinders, per unit of their length."""
         last, R = len(self.laws) - 1, self.radii[-1]
-        mode_0, mode_2 = (self.fields(mode, last, R) for mode in MODES)
+        mode_0, mode_2 = (self.amplitudes(mode, last, R) for mode in MODES)
         return float(pi * R * mode_0[:2] @ mode_0[2:] + pi * R / 2 * mode_2[:2] @ mode_2[2:])
 
 
@@ -109,7 +109,7 @@ def _solutions(mode: int, law: LinearElastic, r: float) -> Array:
     return np.concatenate([np.array(u) / (2 * mu), s])
 
 
-def _between(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs) -> Array:
+def _coupling(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs) -> Array:
     """Return the matrix of the conditions at interfaces between cylinders, for one Fourier mode.
 
     The matrix multiplies the coefficients of the cylinders' independent solutions (`_solutions`). The conditions say
@@ -133,7 +133,7 @@ def _between(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], s
     return conditions
 
 
-def _solved(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs, rim: Array) -> Array:
+def _coeffs(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs, rim: Array) -> Array:
     """Solve for the coefficients of one Fourier mode in cylinders, the innermost of which is solid.
 
     Args:
@@ -146,14 +146,14 @@ def _solved(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], sp
     Returns:
         (cylinders, n) coefficients of the n independent solutions in each cylinder.
     """
-    conditions = _between(mode, laws, radii[:-1], springs)
-    n, size = conditions.shape[3], conditions[0, 0].size
-    at_rim = np.zeros((2, size))
-    at_rim[:, -n:] = _solutions(mode, laws[-1], radii[-1])[:2]
-    matrix = np.concatenate([conditions.reshape(-1, size), at_rim])
-    unknown = np.setdiff1d(np.arange(size), np.arange(n // 2, n))
-    coefficients = np.zeros(size)
-    coefficients[unknown] = np.linalg.lstsq(matrix[:, unknown], np.pad(rim, (len(matrix) - 2, 0)), rcond=None)[0]
+    conditions = _coupling(mode, laws, radii[:-1], springs)
+    n, n_columns = conditions.shape[3], conditions[0, 0].size
+    rim_rows = np.zeros((2, n_columns))
+    rim_rows[:, -n:] = _solutions(mode, laws[-1], radii[-1])[:2]
+    matrix = np.concatenate([conditions.reshape(-1, n_columns), rim_rows])
+    unknowns = np.setdiff1d(np.arange(n_columns), np.arange(n // 2, n))
+    coefficients = np.zeros(n_columns)
+    coefficients[unknowns] = np.linalg.lstsq(matrix[:, unknowns], np.pad(rim, (len(matrix) - 2, 0)), rcond=None)[0]
     return coefficients.reshape(len(laws), n)
 
 
@@ -187,10 +187,10 @@ def lame(radii: Sequence[float], laws: Sequence[LinearElastic], springs: Sequenc
         springs: normal stiffness of each interface, stress per length; None: bonded.
         p: pressure in the bore.
     """
-    between = _between(0, laws, radii[1:-1], [None if k is None else (k, k) for k in springs])[:, ::2]  # radial rows
+    coupling = _coupling(0, laws, radii[1:-1], [None if k is None else (k, k) for k in springs])[:, ::2]  # radial rows
     end_rows = np.zeros((2, 2 * len(laws)))
     end_rows[0, :2], end_rows[1, -2:] = (_solutions(0, laws[k], radii[k])[2] for k in (0, -1))
-    A, b = np.concatenate([between.reshape(-1, end_rows.shape[1]), end_rows]), np.zeros(end_rows.shape[1])
+    A, b = np.concatenate([coupling.reshape(-1, end_rows.shape[1]), end_rows]), np.zeros(end_rows.shape[1])
     b[-2] = -p
     return Lame(tuple(laws), np.asarray(np.linalg.solve(A, b).reshape(-1, 2), float))
 
@@ -215,7 +215,7 @@ def coated_fibre(h: float) -> Problem:
     return joint, {"body": {"FIBRE": GLASS, "MATRIX": RESIN}, "supports": {"OUTSIDE": rim}}
 
 
-def against_cylinders(full: Solution, limit: Solution) -> dict[str, float]:
+def fibre_errors(full: Solution, limit: Solution) -> dict[str, float]:
     """Compare the coated fibre with closed forms at one thickness of its coating.
 
     Args:
@@ -228,29 +228,29 @@ def against_cylinders(full: Solution, limit: Solution) -> dict[str, float]:
     """
     eps = float(layer_of(full).eps)
     springs = (COATING.lmbda + 2 * COATING.mu, COATING.mu)
-    jumps = Cylinders.stretched((GLASS, RESIN), (RADIUS, RIM), [springs], (STRETCH, 0.0)).jumps(0)
+    spring_jumps = Cylinders.stretched((GLASS, RESIN), (RADIUS, RIM), [springs], (STRETCH, 0.0)).jumps(0)
     radii, laws = (RADIUS - eps / 2, RADIUS + eps / 2, RIM), (GLASS, COATING.scaled(eps), RESIN)
-    layer = Cylinders.stretched(laws, radii, [None, None], (STRETCH, 0.0))
+    coated = Cylinders.stretched(laws, radii, [None, None], (STRETCH, 0.0))
     faces = (0, radii[0]), (2, radii[1])
-    inner, outer = (np.array([layer.fields(mode, k, r)[:2] for mode in MODES]) for k, r in faces)
-    weights = np.array([[2.0], [1.0]])  # of the squares of both modes in integrals over the circle
-    error = (weights * (outer - inner - jumps) ** 2).sum() / (weights * jumps**2).sum()
-    energies = last(full).energies()
-    energy = abs((energies["bodies"] + energies["layer"]) / layer.energy - 1)
-    return {"closed_form": float(np.sqrt(error)), "energy": float(energy)}
+    inner, outer = (np.array([coated.amplitudes(mode, k, r)[:2] for mode in MODES]) for k, r in faces)
+    mode_weights = np.array([[2.0], [1.0]])  # of the squares of both modes in integrals over the circle
+    squared_error = (mode_weights * (outer - inner - spring_jumps) ** 2).sum() / (mode_weights * spring_jumps**2).sum()
+    energies = end_state(full).energies()
+    energy_error = abs((energies["bodies"] + energies["layer"]) / coated.energy - 1)
+    return {"closed_form": float(np.sqrt(squared_error)), "energy": float(energy_error)}
 
 
-def as_cylinders(record: Record, tables: Tables) -> None:
+def check_fibre(record: Record, tables: Tables) -> None:
     """Check the error of the interface law's jump, and the energy of the full model, against closed forms.
 
     The jumps of both models must differ as much as those of the closed forms with springs and with a coating.
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
+        tables: name of a `Sweep` of the study `rates` -> its table, with a line for each thickness.
     """
-    ratio = tables["fibre"]["error_jump"] / tables["fibre"]["closed_form"]
-    record.check("error of the jump over that of the closed forms, less 1", abs(ratio - 1).max(), high=2e-3)
+    error_ratio = tables["fibre"]["error_jump"] / tables["fibre"]["closed_form"]
+    record.check("error of the jump over that of the closed forms, less 1", abs(error_ratio - 1).max(), high=2e-3)
     record.check("energy of the meshed model, relative error", max(tables["fibre"]["energy"]), high=5e-5)
 
 
@@ -258,11 +258,11 @@ def as_cylinders(record: Record, tables: Tables) -> None:
 SHAFT, HUB = young(E=210e3, nu=0.3), young(E=70e3, nu=0.34)  # MPa: steel and aluminium
 GLUE, GLUE_EPS = young(E=2e3, nu=0.3), 0.2  # 2 GPa where the layer is 0.2 mm thick
 RADII = (6.0, 12.0, 18.0)  # mm: bore, S, rim
-HEIGHT = 8.0  # mm
+TUBE_LENGTH = 8.0  # mm
 PRESSURE, PUSH_STRESS = 50.0, 40.0  # MPa: in the bore; on the end of the shaft
-LAME_ERROR = 5e-5  # relative error of displacements and tractions with Q2 cells of 1 mm; with 2 mm 16 times as large
-PLATES: dict[str, Support] = {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
-PRESSURE_LOADS: StructureArguments = {"supports": PLATES, "tractions": {"BOTTOM": (PRESSURE, 0.0)}}
+LAME_RTOL = 5e-5  # relative error of displacements and tractions with Q2 cells of 1 mm; with 2 mm 16 times as large
+PLATE_SUPPORTS: dict[str, Support] = {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
+PRESSURE_LOADS: StructureArguments = {"supports": PLATE_SUPPORTS, "tractions": {"BOTTOM": (PRESSURE, 0.0)}}
 PUSH_LOADS: StructureArguments = {"supports": {"RIGHT/UPPER": 0.0}, "tractions": {"LEFT/LOWER": (0.0, -PUSH_STRESS)}}
 
 
@@ -279,12 +279,12 @@ def tubes(h: float, loads: StructureArguments) -> Problem:
         The joint, and the arguments of its `Structure`.
     """
     bore, on_S, rim = RADII
-    section = sandwich(HEIGHT, on_S - bore, rim - on_S, h, cell="quadrilateral", structured=True)
+    section = sandwich(TUBE_LENGTH, on_S - bore, rim - on_S, h, cell="quadrilateral", structured=True)
     bodies: StructureArguments = {"body": {"LOWER": SHAFT, "UPPER": HUB}, "plane": "axisymmetric"}
     return section.rotated(-np.pi / 2).moved((on_S, 0.0)), bodies | loads
 
 
-def against_lame(full: Solution, limit: Solution) -> dict[str, float]:
+def tube_errors(full: Solution, limit: Solution) -> dict[str, float]:
     """Measure the relative errors of both models of the tubes against their closed forms.
 
     Args:
@@ -297,27 +297,27 @@ def against_lame(full: Solution, limit: Solution) -> dict[str, float]:
     """
     eps, (bore, on_S, rim) = float(layer_of(limit).eps), RADII
     radii, laws = (bore, on_S - eps / 2, on_S + eps / 2, rim), (SHAFT, GLUE.scaled(eps / GLUE_EPS), HUB)
-    layer = lame(radii, laws, (None, None), PRESSURE)
-    springs = lame(RADII, (SHAFT, HUB), ((GLUE.lmbda + 2 * GLUE.mu) / GLUE_EPS,), PRESSURE)
-    surface, row = Surface(last(limit).model), {}
-    work = 2 * np.pi * bore * HEIGHT * PRESSURE
-    for name, state, exact, width in (("law", last(limit), springs, 0.0), ("meshed", last(full), layer, eps)):
-        row[f"{name}_bore"] = abs(state.energies()["loads"] / (work * exact.displacement(0, bore)) - 1)
-        force = surface.integral(surface.frame(surface.traction(state))[1]) / (2 * np.pi * HEIGHT)
+    glued = lame(radii, laws, (None, None), PRESSURE)
+    sprung = lame(RADII, (SHAFT, HUB), ((GLUE.lmbda + 2 * GLUE.mu) / GLUE_EPS,), PRESSURE)
+    surface, row = Surface(end_state(limit).model), {}
+    bore_force = 2 * np.pi * bore * TUBE_LENGTH * PRESSURE
+    for name, state, exact, width in (("law", end_state(limit), sprung, 0.0), ("meshed", end_state(full), glued, eps)):
+        row[f"{name}_bore"] = abs(state.energies()["loads"] / (bore_force * exact.displacement(0, bore)) - 1)
+        force = surface.integral(surface.frame(surface.traction(state))[1]) / (2 * np.pi * TUBE_LENGTH)
         forces = [exact.stress(1, r) * r for r in (on_S - width / 2, on_S, on_S + width / 2)]
         mean_force = float(np.dot((1, 4, 1), forces)) / 6  # the mean through a meshed layer, over the area of S
         row[f"{name}_traction"] = abs(force / mean_force - 1)
     return row
 
 
-def as_lame(record: Record, tables: Tables) -> None:
+def check_tubes(record: Record, tables: Tables) -> None:
     """Check both models of the tubes under inner pressure against their closed forms.
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
+        tables: name of a `Sweep` of the study `rates` -> its table, with a line for each thickness.
     """
-    high = 16 * LAME_ERROR if record.options.get("quick") else LAME_ERROR
+    allowed_error = 16 * LAME_RTOL if record.options.get("quick") else LAME_RTOL
     for name in ("meshed", "law"):
         max_error = max(max(tables["tubes"][f"{name}_{what}"]) for what in ("bore", "traction"))
-        record.check(f"relative difference from Lame, {name}", max_error, high=high)
+        record.check(f"relative difference from Lame, {name}", max_error, high=allowed_error)

@@ -23,7 +23,7 @@ from geometry import block
 from geometry.joint import Joint
 from studies.problems import STEEL, StructureArguments
 from thinlayer import Structure, Surface, Table, ThinLayer, march, plotting, solve
-from thinlayer.discretisation.coefficient import Load
+from thinlayer.discretisation.coefficient import LoadInput
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
@@ -37,8 +37,8 @@ ELASTIC_FRACTION = 0.02  # elastic fraction of both models where the meshed laye
 R_X, U_T_50 = 0.7760, 2.9706e-5  # N/mm and mm: loads R1 in one step, by an independent code
 R_X_REFINED = 0.792  # N/mm: by the same code with the pressure first, then the shear in many steps
 STEP_COUNTS = (1, 5, 20, 80)
-ALL_YIELDS = "0.164 MPa along S, 0.0164 MPa onto it:\nyields all along S"
-END_YIELDS = "0.0164 MPa along S, 0.164 MPa onto it: yields at the left\n(free ends of the meshed layer: off the axes)"
+R1_LABEL = "0.164 MPa along S, 0.0164 MPa onto it:\nyields all along S"
+R4M_LABEL = "0.0164 MPa along S, 0.164 MPa onto it: yields at the left\n(free ends of the meshed layer: off the axes)"
 
 
 @dataclass(frozen=True)
@@ -49,18 +49,18 @@ class Loads:
         pressure: side of the bar that is pressed, and the traction there (MPa).
         shear: side of the bar at which the load along S acts, and the traction there (MPa).
         supports: side of the bar -> component -> prescribed displacement, mm.
-        expected: where the layer should yield, as text in the picture.
-        scale: factor of the displacements in the picture of the layer's left end.
-        shown: smallest and largest t_T/u_T on the axis of the picture, 10^3 N/mm^3; ratios at the free ends of the
+        yield_text: where the layer should yield, as text in the picture.
+        picture_scale: factor of the displacements in the picture of the layer's left end.
+        ratio_range: smallest and largest t_T/u_T on the axis of the picture, 10^3 N/mm^3; ratios at the free ends of the
             meshed layer lie outside.
     """
 
     pressure: tuple[str, tuple[float, float]]
     shear: tuple[str, tuple[float, float]]
     supports: dict[str, dict[str, float]]
-    expected: str
-    scale: float
-    shown: tuple[float, float]
+    yield_text: str
+    picture_scale: float
+    ratio_range: tuple[float, float]
 
     @property
     def setup(self) -> StructureArguments:
@@ -69,9 +69,9 @@ class Loads:
         return {"body": STEEL, "supports": self.supports, "tractions": tractions, "element": "S2"}
 
 
-READINGS = {
-    "R1": Loads(("TOP", (0.0, -0.0164)), ("LEFT", (0.164, 0.0)), {"RIGHT": {"x": 0.0}}, ALL_YIELDS, 1e4, (0.0, 12.5)),
-    "R4m": Loads(("TOP", (0.0, -0.164)), ("RIGHT", (-0.0164, 0.0)), {}, END_YIELDS, 3e4, (10.4, 12.0)),
+LOAD_READINGS = {
+    "R1": Loads(("TOP", (0.0, -0.0164)), ("LEFT", (0.164, 0.0)), {"RIGHT": {"x": 0.0}}, R1_LABEL, 1e4, (0.0, 12.5)),
+    "R4m": Loads(("TOP", (0.0, -0.164)), ("RIGHT", (-0.0164, 0.0)), {}, R4M_LABEL, 3e4, (10.4, 12.0)),
 }
 
 
@@ -88,29 +88,29 @@ def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: 
         quick: coarser meshes.
     """
     fine, coarse, coarsest = (4.0, 2.0, 0.05), (6.0, 3.0, 0.1), (8.0, 4.0, 0.4)
-    readings = READINGS if loads == "both" else {loads: READINGS[loads]}
-    table = record.table("table.csv")
+    readings = LOAD_READINGS if loads == "both" else {loads: LOAD_READINGS[loads]}
+    table = record.new_table("table.csv")
     for name, reading in readings.items():
         bar = YieldingBar(record, name, reading, coarse if quick else fine)
         states = {f"interface law, h = {h:g}": bar.solved(Structure.interface, h) for h in (0.0, ELASTIC_FRACTION)}
         states[f"meshed layer, h = {ELASTIC_FRACTION:g}"] = bar.solved(Structure.full, ELASTIC_FRACTION)
         for label, state in states.items():
-            table.extend({"loads": name, "model": label} | row for row in bar.profile(state))
+            table.extend({"loads": name, "model": label} | row for row in bar.profile_table(state))
         bar.check(states)
         title, picture = f"left end of a Mohr-Coulomb layer, loads {name}", record.path(f"layer_end_{name}.png")
-        view = plotting.View(scale=reading.scale, unit="mm", zoom=(-2.0, 6.0, -1.6, 4.0))
+        view = plotting.View(scale=reading.picture_scale, unit="mm", zoom=(-2.0, 6.0, -1.6, 4.0))
         plotting.deformed(dict([*states.items()][1:]), view, save=picture, title=title)
     if "R1" in readings:
-        bar = YieldingBar(record, "R1", READINGS["R1"], coarsest if quick else coarse)
-        refine(record, bar, STEP_COUNTS[: 3 if quick else None])
+        bar = YieldingBar(record, "R1", LOAD_READINGS["R1"], coarsest if quick else coarse)
+        check_step_refinement(record, bar, STEP_COUNTS[: 3 if quick else None])
 
 
-def glue(h: float) -> MohrCoulomb:
+def glue_law(h: float) -> MohrCoulomb:
     """Return the Mohr-Coulomb law of the glue of Fig. 2; `h` is its elastic fraction."""
     return MohrCoulomb(GLUE.lmbda, GLUE.mu, cohesion=0.0, friction_angle=FRICTION_ANGLE, elastic_fraction=h)
 
 
-def meshed(sizes: tuple[float, float, float]) -> Joint:
+def bar_joint(sizes: tuple[float, float, float]) -> Joint:
     """Return the joint of the bar of Fig. 2, a square on a rigid base.
 
     `sizes` are the sizes of cells inside the bar, at S and at the ends of S, mm.
@@ -130,7 +130,7 @@ class YieldingBar:
 
     def __init__(self, record: Record, name: str, loads: Loads, sizes: tuple[float, float, float]) -> None:
         self.record, self.name, self.loads = record, name, loads
-        self.joint = meshed(sizes)
+        self.joint = bar_joint(sizes)
         self.surface = Surface(self.model(Structure.interface, 0.0))
 
     def model(self, make_model: Callable[..., Model], h: float, **changed: Unpack[StructureArguments]) -> Model:
@@ -141,26 +141,26 @@ class YieldingBar:
             h: elastic fraction of the layer.
             changed: arguments of `Structure` that replace those of `Loads.setup`.
         """
-        return make_model(Structure(self.joint, **self.loads.setup | changed), ThinLayer(glue(h), EPS))
+        return make_model(Structure(self.joint, **self.loads.setup | changed), ThinLayer(glue_law(h), EPS))
 
     def solved(self, make_model: Callable[..., Model], h: float) -> State:
         """Solve the interface or the full model under all loads in one step.
 
         `make_model` is `Structure.interface` or `Structure.full`, `h` the elastic fraction of the layer.
         """
-        return self.record.solved(solve(self.model(make_model, h)))
+        return self.record.add_report(solve(self.model(make_model, h)))
 
-    def sheared(self, steps: int) -> State:
+    def step_shear(self, steps: int) -> State:
         """Solve the interface model for a constant pressure and a shear that grows in equal steps.
 
         `steps` is the number of steps. The law has no elastic fraction. The state at the end is returned.
         """
         side, (x_part, y_part) = self.loads.shear
-        tractions: dict[str, Load] = {**dict([self.loads.pressure]), side: lambda x, t: (t * x_part, t * y_part)}
+        tractions: dict[str, LoadInput] = {**dict([self.loads.pressure]), side: lambda x, t: (t * x_part, t * y_part)}
         times = [float(t) for t in np.linspace(0, 1, steps + 1)[1:]]
         return march(self.model(Structure.interface, 0.0, tractions=tractions), times, keep="last").last
 
-    def profile(self, state: State) -> Table:
+    def profile_table(self, state: State) -> Table:
         """Return a table of jump, traction and their tangential ratio at the nodes along S in `state`.
 
         Its columns are "h" (the elastic fraction), "x_mm", "u_T_mm", "u_N_mm", "t_T_MPa", "t_N_MPa" and "ratio",
@@ -190,7 +190,7 @@ class YieldingBar:
         record, mu, limit = self.record, GLUE.mu / EPS, next(iter(states.values()))
         record.results[f"{self.name}: shear force on S, N/mm"] = {k: self.shear_force(s) for k, s in states.items()}
         record.check(f"{self.name}: Newton steps of the interface law, one load step", limit.report.iterations, high=7)
-        profile = self.profile(limit)
+        profile = self.profile_table(limit)
         x, u, ratio = (profile[name] for name in ("x_mm", "u_T_mm", "ratio"))
         if self.name == "R1":
             error = self.shear_force(limit) / R_X - 1
@@ -205,7 +205,7 @@ class YieldingBar:
         record.check("R4m: smallest t_T/u_T over mu", np.nanmin(ratio) / mu, high=0.99)
 
 
-def refine(record: Record, bar: YieldingBar, counts: Sequence[int]) -> None:
+def check_step_refinement(record: Record, bar: YieldingBar, counts: Sequence[int]) -> None:
     """Compute the shear force on S for a constant pressure and a shear that grows in more and more steps.
 
     The numbers of steps and the forces are written to steps.csv, and the last force is checked. The force depends on
@@ -216,12 +216,12 @@ def refine(record: Record, bar: YieldingBar, counts: Sequence[int]) -> None:
         bar: the bar under the reading R1 of the loads.
         counts: increasing numbers of steps.
     """
-    forces = {steps: bar.shear_force(bar.sheared(steps)) for steps in track(counts, "fig3_mohr_coulomb", "{} steps")}
-    last = forces[counts[-1]]
-    errors = [{"size": 1 / steps, "error": abs(forces[steps] - last)} for steps in counts[:-1]]
+    forces = {steps: bar.shear_force(bar.step_shear(steps)) for steps in track(counts, "fig3_mohr_coulomb", "{} steps")}
+    last_force = forces[counts[-1]]
+    errors = [{"size": 1 / steps, "error": abs(forces[steps] - last_force)} for steps in counts[:-1]]
     orders = [*Table(errors).orders("error", of="size"), None]
     record.write("steps.csv", Table.of({"steps": counts, "shear_force": [*forces.values()], "order": orders}))
-    record.check("R1: shear force on S in many steps", last, low=R_X_REFINED - 1e-3, high=R_X_REFINED + 1e-3)
+    record.check("R1: shear force on S in many steps", last_force, low=R_X_REFINED - 1e-3, high=R_X_REFINED + 1e-3)
 
 
 def draw(record: Record) -> None:
@@ -230,11 +230,11 @@ def draw(record: Record) -> None:
     The values are read from table.csv in the folder of `record`.
     """
     panels, ranges = {}, {}
-    for name, of_loads in record.load("table.csv").split("loads").items():
-        title = f"{name}: {READINGS[name].expected}"
-        lines = {model: (part["x_mm"], part["ratio"] / 1e3) for model, part in of_loads.split("model").items()}
+    for name, loads_table in record.load("table.csv").split("loads").items():
+        title = f"{name}: {LOAD_READINGS[name].yield_text}"
+        lines = {model: (part["x_mm"], part["ratio"] / 1e3) for model, part in loads_table.split("model").items()}
         lines[f"elastic, mu/eps = {GLUE.mu / EPS / 1e3:.2f}"] = (np.array([0.0, SIDE]), np.full(2, GLUE.mu / EPS / 1e3))
-        panels[title], ranges[title] = lines, READINGS[name].shown
+        panels[title], ranges[title] = lines, LOAD_READINGS[name].ratio_range
     title = "Mohr-Coulomb layer, eps = 1 mm, C = 0, Omega = 30°, elastic fraction h: two readings of the loads"
-    style = {"title": title, "ylim": ranges, "save": record.path("ratio.svg")}
-    plotting.curves(panels, "x (mm); gaps: |u_T| below a tenth of its largest", "t_T / u_T (10^3 N/mm³)", **style)
+    options = {"title": title, "ylim": ranges, "save": record.path("ratio.svg")}
+    plotting.curves(panels, "x (mm); gaps: |u_T| below a tenth of its largest", "t_T / u_T (10^3 N/mm³)", **options)

@@ -8,7 +8,7 @@ import numpy as np
 
 from forms import LinearElastic, Stack
 from geometry import block
-from studies.problems import BAR
+from studies.problems import BAR_LAW
 from thinlayer import Structure, Surface, Table, ThinLayer, plotting, solve
 from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
@@ -34,16 +34,16 @@ def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: 
         quick: coarser mesh.
     """
     bar = StratifiedBar(record, *((4.0, 0.5, 0.1) if quick else (2.0, 0.2, 0.02)))
-    x, ratio_interface = bar.stiffness(bar.limit)
-    full = bar.full(ThinLayer(GLUE, EPS))
-    _, ratio_band = bar.stiffness(full)
+    x, ratio_interface = bar.stiffness_profile(bar.limit)
+    full = bar.solve_full(ThinLayer(GLUE, EPS))
+    _, ratio_band = bar.stiffness_profile(full)
     record.write("table.csv", Table.of({"x_mm": x, "ratio_band": ratio_band, "ratio_interface": ratio_interface}))
     states, title = {f"meshed layer, eps = {EPS:g} mm": full, "interface law": bar.limit}, "bar on a stratified layer"
     plotting.deformed(states, plotting.View(unit="mm"), save=record.path("deformed.png"), title=title)
     end_view = plotting.View(unit="mm", scale=100, zoom=(-0.15, 0.65, -0.15, 0.45))
     plotting.deformed(states, end_view, save=record.path("layer_end.png"), title=f"{title}: its free end")
 
-    deviation = _deviation(record, bar, sorted(eps, reverse=True))
+    deviation = _deviation_table(record, bar, sorted(eps, reverse=True))
     is_inner = (x >= INNER_RANGE[0]) & (x <= INNER_RANGE[1])
     for model, ratio, tolerance in (("meshed layer", ratio_band, 1e-3), ("interface law", ratio_interface, 1e-6)):
         max_error = np.abs(ratio[is_inner] / K_T - 1).max()
@@ -71,15 +71,15 @@ class StratifiedBar:
     def __init__(self, record: Record, h: float, h_S: float, h_ends: float) -> None:
         self.record, self.joint = record, block(WIDTH, HEIGHT, h, h_S=h_S, h_ends=h_ends)
         loads = {"LEFT": (50.0, 0.0), "TOP": (0.0, -25.0)}
-        self.bar = Structure(self.joint, body=BAR, supports={"RIGHT": {"x": 0.0}}, tractions=loads)
+        self.bar = Structure(self.joint, body=BAR_LAW, supports={"RIGHT": {"x": 0.0}}, tractions=loads)
         model = self.bar.interface(ThinLayer(GLUE, EPS))
-        self.limit, self.surface = record.solved(solve(model)), Surface(model)
+        self.limit, self.surface = record.add_report(solve(model)), Surface(model)
 
-    def full(self, layer: ThinLayer) -> State:
+    def solve_full(self, layer: ThinLayer) -> State:
         """Solve the bar on `layer`, which is meshed."""
-        return self.record.solved(solve(self.bar.full(layer)))
+        return self.record.add_report(solve(self.bar.full(layer)))
 
-    def stiffness(self, state: State) -> tuple[np.ndarray, np.ndarray]:
+    def stiffness_profile(self, state: State) -> tuple[np.ndarray, np.ndarray]:
         """Return x (n,), mm, and tangential traction over tangential jump (n,), N/mm^3, at vertices of S in `state`.
 
         Both fields are projected to functions linear on each facet. The last mm of S, where both are zero, is left out.
@@ -90,16 +90,16 @@ class StratifiedBar:
         is_free = x[:, 0] < WIDTH - 1.0
         return x[is_free, 0], t[is_free, 0] / u[is_free, 0]
 
-    def deviation(self, layer: ThinLayer, k_t: float) -> float:
+    def stiffness_deviation(self, layer: ThinLayer, k_t: float) -> float:
         """Solve the bar on the meshed `layer`, and return (t_T/u_T)/`k_t` - 1 at x = 10 mm.
 
         t_T is the tangential traction, u_T the tangential jump, and `k_t` a stiffness, N/mm^3.
         """
-        x, ratio = self.stiffness(self.full(layer))
+        x, ratio = self.stiffness_profile(self.solve_full(layer))
         return float(np.interp(POINT_X, x, ratio) / k_t - 1)
 
 
-def _deviation(record: Record, bar: StratifiedBar, eps: Sequence[float]) -> Table:
+def _deviation_table(record: Record, bar: StratifiedBar, eps: Sequence[float]) -> Table:
     """Tabulate the deviation of t_T/u_T from K_T for the thicknesses `eps`, with observed rates of convergence.
 
     t_T is the tangential traction, u_T the tangential jump, and K_T the tangential stiffness of the interface law.
@@ -108,8 +108,8 @@ def _deviation(record: Record, bar: StratifiedBar, eps: Sequence[float]) -> Tabl
     """
     table = Table()
     for e in track(eps, "fig6_stratified", "eps = {:g} mm"):
-        row = {"eps_mm": e, "deviation_ratios_held": bar.deviation(ThinLayer(GLUE, e, at=EPS), K_T)}
-        table.append(row | {"deviation_moduli_held": bar.deviation(ThinLayer(GLUE, e), K_T * EPS / e)})
+        row = {"eps_mm": e, "deviation_ratios_held": bar.stiffness_deviation(ThinLayer(GLUE, e, at=EPS), K_T)}
+        table.append(row | {"deviation_moduli_held": bar.stiffness_deviation(ThinLayer(GLUE, e), K_T * EPS / e)})
     orders = {f"order_{way}": table.orders(f"deviation_{way}", of="eps_mm") for way in ("ratios_held", "moduli_held")}
     table = Table.of({name: table[name] for name in table.columns} | orders)
     record.write("deviation.csv", table)
@@ -124,5 +124,5 @@ def draw(record: Record) -> None:
     lines[f"harmonic mean, {K_T / 1e3:.2f}"] = x, 0 * x + K_T / 1e3
     lines["arithmetic mean, 87.50"] = x, 0 * x + (7.5 + 10) / 2 / EPS
     title, x_label = "two sublayers: their stiffness is the harmonic mean", "x (mm), from the free end to the held one"
-    style = {"title": title, "styles": ("-", "o", "--", ":"), "ylim": (82, 90), "save": record.path("ratio.svg")}
-    plotting.curves(lines, x_label, "t_T / u_T (10^3 N/mm³)", **style)
+    options = {"title": title, "styles": ("-", "o", "--", ":"), "ylim": (82, 90), "save": record.path("ratio.svg")}
+    plotting.curves(lines, x_label, "t_T / u_T (10^3 N/mm³)", **options)

@@ -18,13 +18,13 @@ import ufl
 from forms import BulkLaw, Incompressible, LinearElastic, Rubber
 from forms.base import Array
 from forms.ends import FreeEnd, free_end
-from forms.ends.constants import TABLE_COLUMNS, chebyshev_ratios, shipped_table
+from forms.ends.constants import TABLE_COLUMNS, chebyshev_poisson_ratios, free_end_table
 from forms.tensors import Expr
 from geometry import block
 from geometry.joint import Joint
-from studies.half_strip import half_strip
-from studies.problems import FOURIER_BODY, free_blocks, loaded
-from studies.sweeping import by_reaction, last_order
+from studies.half_strip import compute_free_end
+from studies.problems import FOURIER_BODY, free_blocks, top_loaded
+from studies.sweeping import last_order, reaction_error
 from thinlayer import Structure, ThinLayer, compare, plotting, solve
 from thinlayer.discretisation import applicability
 from thinlayer.discretisation.applicability import MIN_STIFFNESS_CONTRAST
@@ -37,7 +37,7 @@ from thinlayer.system.table import Table
 POISSON_RATIOS = (0.0, 0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.475, 0.49, 0.499, 0.4999, 0.5)  # Poisson's ratios
 N_TABLE_ROWS = 17  # number of rows of the package's table
 EPS = (1 / 16, 1 / 32, 1 / 64, 1 / 128)
-CELLS = 24  # per thickness, through it and near the ends: with 12 the mesh's own error is of order 1.5 at nu = 0.45
+CELLS_2D = 24  # per thickness, through it and near the ends: with 12 the mesh's own error is of order 1.5 at nu = 0.45
 CELLS_3D, CELLS_RUBBER = 8, 12
 CORRECTED, IGNORED = "known", "ignored"  # treatment of ends; laws that ignore them treat the layer as infinite
 EDGE_OPTIONS = {CORRECTED: "free", IGNORED: "plain"}
@@ -46,7 +46,7 @@ DRAWN_CONSTANTS = ("c_N", "rho_N", "m_N/c_N", "c_T", "m_T/c_T", "kappa")
 CELL_SIZE, H_S = 1 / 8, 1 / 32  # cell sizes
 CONTRASTS = (10.0, 20.0, MIN_STIFFNESS_CONTRAST, 80.0, 400.0)  # Young's modulus of the bodies over mu of the layer
 SOFT_RATIOS, SOFT_EPS = (0.0, 0.3, 0.45), (1 / 16, 1 / 64)  # Poisson's ratios of elastic layers, thicknesses
-UNEQUAL = {"LOWER": LinearElastic.young(E=20.0, nu=0.2), "UPPER": FOURIER_BODY}
+UNEQUAL_LAWS = {"LOWER": LinearElastic.young(E=20.0, nu=0.2), "UPPER": FOURIER_BODY}
 
 
 # ---------------------------------------------------------------- structures
@@ -59,21 +59,21 @@ class EndCase:
         structure: function of the thickness, and of the number of cells per thickness near the ends of S, that returns
             the structure.
         law: law of the layer.
-        inner: function of the coordinates that is true at points far from the ends, where errors are measured.
-        lowest: least allowed rate of convergence, between the two smallest thicknesses, if the law corrects the ends.
-        low: errors ("traction", "jump", "work") whose rate must not exceed 1.3 if the law ignores the ends. Errors that
+        is_inner: function of the coordinates that is true at points far from the ends, where errors are measured.
+        min_order: least allowed rate of convergence, between the two smallest thicknesses, if the law corrects the ends.
+        slow: errors ("traction", "jump", "work") whose rate must not exceed 1.3 if the law ignores the ends. Errors that
             are not listed may change sign.
     """
 
     name: str
     structure: Callable[[float, float], Structure]
     law: BulkLaw
-    inner: Callable[[Expr], Expr] = lambda x: abs(x[0] - 0.5) < 0.25
-    lowest: float = 1.9
-    low: Sequence[str] = QUANTITIES
+    is_inner: Callable[[Expr], Expr] = lambda x: abs(x[0] - 0.5) < 0.25
+    min_order: float = 1.9
+    slow: Sequence[str] = QUANTITIES
 
     @property
-    def file(self) -> str:
+    def csv_name(self) -> str:
         """Name of the csv file with the errors for all thicknesses."""
         return f"{self.name.replace(', ', '_').replace(' ', '_')}.csv"
 
@@ -82,26 +82,26 @@ def _blocks(eps: float, cells: float) -> Structure:
     return free_blocks(eps / cells)
 
 
-def _unequal(eps: float, cells: float) -> Structure:
-    return free_blocks(eps / cells, lambda x, t: (-0.6, 1 + x[0]), (0.3, 0.6), body=UNEQUAL)
+def _unequal_blocks(eps: float, cells: float) -> Structure:
+    return free_blocks(eps / cells, lambda x, t: (-0.6, 1 + x[0]), (0.3, 0.6), body=UNEQUAL_LAWS)
 
 
-def _on_base(eps: float, cells: float) -> Structure:
+def _block_on_base(eps: float, cells: float) -> Structure:
     joint = block(1.0, 0.5, h=CELL_SIZE, h_S=H_S, h_ends=eps / cells, cell="quadrilateral")
-    return loaded(joint, (1.0, -0.2), supports={})
+    return top_loaded(joint, (1.0, -0.2), supports={})
 
 
 CASES = (
     EndCase("equal blocks", _blocks, LinearElastic.shear(40.0, 0.3)),
     EndCase("equal blocks, nu = 0.45", _blocks, LinearElastic.shear(8.0, 0.45)),
-    EndCase("unequal blocks, nu = 0.45", _unequal, LinearElastic.shear(1.6, 0.45)),
-    EndCase("rigid base, sheared", _on_base, LinearElastic.shear(8.0, 0.3)),
+    EndCase("unequal blocks, nu = 0.45", _unequal_blocks, LinearElastic.shear(1.6, 0.45)),
+    EndCase("rigid base, sheared", _block_on_base, LinearElastic.shear(8.0, 0.3)),
 )
-RUBBER_LAWS = {0.45: Rubber.shear(40.0, 0.45), 0.5: Incompressible(40.0)}  # by Poisson's ratio
-RUBBER = [EndCase(f"rubber, nu = {nu:g}", _blocks, law, lowest=1.6, low=("jump",)) for nu, law in RUBBER_LAWS.items()]
+RUBBERS = {0.45: Rubber.shear(40.0, 0.45), 0.5: Incompressible(40.0)}  # by Poisson's ratio
+RUBBER = [EndCase(f"rubber, nu = {nu:g}", _blocks, law, min_order=1.6, slow=("jump",)) for nu, law in RUBBERS.items()]
 
 
-def graded(length: float, first: float, last: float) -> Array:
+def graded_axis(length: float, first: float, last: float) -> Array:
     """Return coordinates (n,) from 0 to `length`, whose distances grow nearly geometrically from `first` to `last`."""
     count, sizes = 1, np.array([first])
     while sizes.sum() < length:
@@ -110,20 +110,20 @@ def graded(length: float, first: float, last: float) -> Array:
     return np.append(0.0, np.cumsum(sizes)) * length / sizes.sum()
 
 
-def grid(*places: Array, cell: str = "hexahedron") -> Joint:
+def grid_joint(*coordinates: Array, cell: str = "hexahedron") -> Joint:
     """Return the joint of a block on a rigid base in 3D, meshed on a tensor grid.
 
     Args:
-        places: increasing coordinates of the grid's planes along x, along y and along z.
+        coordinates: increasing coordinates of the grid's planes along x, along y and along z.
         cell: "hexahedron" or "tetrahedron".
     """
-    nx, ny, nz = (len(nodes) - 1 for nodes in places)
+    nx, ny, nz = (len(nodes) - 1 for nodes in coordinates)
     joint = block(nx, ny, 1.0, depth=nz, cell=cell, structured=True)
-    x = [np.interp(joint.points[:, k], np.arange(len(nodes)), nodes) for k, nodes in enumerate(places)]
+    x = [np.interp(joint.points[:, k], np.arange(len(nodes)), nodes) for k, nodes in enumerate(coordinates)]
     return replace(joint, points=np.stack(x, axis=1))
 
 
-def edge(eps: float, cells: float, cell: str = "hexahedron") -> Structure:
+def edge_3d(eps: float, cells: float, cell: str = "hexahedron") -> Structure:
     """Make a structure of a block on a rigid base in 3D, whose layer has one free edge, along x = 0.
 
     The loads on top vary along the edge. The other lateral sides are planes of symmetry.
@@ -133,8 +133,8 @@ def edge(eps: float, cells: float, cell: str = "hexahedron") -> Structure:
         cells: number of cells per thickness near the edge.
         cell: "hexahedron" or "tetrahedron".
     """
-    places = graded(1.0, eps / cells, CELL_SIZE), graded(0.5, 2 * eps / cells, CELL_SIZE), np.arange(4) / 3
-    joint, pi = grid(*places, cell=cell), ufl.pi
+    places = graded_axis(1.0, eps / cells, CELL_SIZE), graded_axis(0.5, 2 * eps / cells, CELL_SIZE), np.arange(4) / 3
+    joint, pi = grid_joint(*places, cell=cell), ufl.pi
 
     def load(x: Expr, t: Expr) -> list[Expr]:
         wave = ufl.cos(pi * x[2])
@@ -144,7 +144,7 @@ def edge(eps: float, cells: float, cell: str = "hexahedron") -> Structure:
     return Structure(joint, body=FOURIER_BODY, supports=supports, tractions={"TOP": load})
 
 
-EDGE = EndCase("edge in 3D", edge, LinearElastic.shear(8.0, 0.3), inner=lambda x: x[0] > 0.5, lowest=1.85)
+EDGE_CASE = EndCase("edge in 3D", edge_3d, LinearElastic.shear(8.0, 0.3), is_inner=lambda x: x[0] > 0.5, min_order=1.85)
 
 
 # ---------------------------------------------------------------- errors
@@ -159,17 +159,17 @@ def run(record: Record, *, nu: Sequence[float] = POISSON_RATIOS, quick: bool = F
         nu: Poisson's ratios of the layer, from 0 to 0.5.
         quick: every other ratio, three structures with two thicknesses; the table's own rows are not computed anew.
     """
-    table = record.table("table.csv")
+    table = record.new_table("table.csv")
     for ratio in track(nu[::2] if quick else nu, "free_ends", "nu = {:g}"):
-        end = half_strip(float(ratio))
-        table.append(_row(end) | {"from_table": _difference(end)})
+        end = compute_free_end(float(ratio))
+        table.append(_row(end) | {"from_table": _table_difference(end)})
     record.check("largest difference from the package's table", np.nanmax(table["from_table"]), high=1e-8)
     if quick:
-        _check_rates(record, CASES[:1], EPS[:2], CELLS // 2)
+        _check_rates(record, CASES[:1], EPS[:2], CELLS_2D // 2)
     else:
         _check_table(record)
-        _check_rates(record, CASES, EPS, CELLS)
-        _check_rates(record, [EDGE], EPS[:2], CELLS_3D)
+        _check_rates(record, CASES, EPS, CELLS_2D)
+        _check_rates(record, [EDGE_CASE], EPS[:2], CELLS_3D)
     _check_rates(record, RUBBER, EPS[:2] if quick else EPS, CELLS_RUBBER)
     _check_contrasts(record, SOFT_RATIOS[::2] if quick else SOFT_RATIOS, SOFT_EPS[:1] if quick else SOFT_EPS)
 
@@ -184,10 +184,10 @@ def _row(end: FreeEnd) -> dict[str, float]:
     return {"nu": end.nu, **finite, "c_T": end.c_T, "m_T/c_T": end.m_T / end.c_T, "kappa": end.kappa}
 
 
-def _difference(end: FreeEnd) -> float:
+def _table_difference(end: FreeEnd) -> float:
     """Return the largest relative difference of the constants in `end` from those in the package's table."""
-    table = free_end(end.nu)
-    pairs = [(getattr(end, name), getattr(table, name)) for name in (*TABLE_COLUMNS[1:], "kappa")]
+    shipped = free_end(end.nu)
+    pairs = [(getattr(end, name), getattr(shipped, name)) for name in (*TABLE_COLUMNS[1:], "kappa")]
     return max(abs(a / b - 1) for a, b in pairs if 0 < b < math.inf)
 
 
@@ -196,16 +196,16 @@ def _check_table(record: Record) -> None:
 
     `record` writes the rows to nodes.csv, in the table's format.
     """
-    table = record.table("nodes.csv")
-    for ratio in track(list(chebyshev_ratios(N_TABLE_ROWS)), "free_ends", "row of the table, nu = {:g}"):
-        end = half_strip(float(ratio))
+    table = record.new_table("nodes.csv")
+    for ratio in track(list(chebyshev_poisson_ratios(N_TABLE_ROWS)), "free_ends", "row of the table, nu = {:g}"):
+        end = compute_free_end(float(ratio))
         table.append({name: getattr(end, name) for name in TABLE_COLUMNS})
-    reference = shipped_table()
+    reference = free_end_table()
     error = max(float(np.abs(table[name] / reference[name] - 1).max()) for name in TABLE_COLUMNS[1:])
     record.check("largest difference of a row from the package's table", error, high=1e-9)
 
 
-def _errors(record: Record, case: EndCase, cells: int, eps: float) -> dict[str, float]:
+def _error_row(record: Record, case: EndCase, cells: int, eps: float) -> dict[str, float]:
     """Measure errors of interface laws of order 1, with and without correction of free ends, at one thickness.
 
     Args:
@@ -220,13 +220,13 @@ def _errors(record: Record, case: EndCase, cells: int, eps: float) -> dict[str, 
         of the loads on top.
     """
     structure, row, law = case.structure(eps, cells), {"eps": eps}, case.law
-    full = record.solved(solve(structure.full(ThinLayer(law, eps, at=1.0), cells_through=cells)))
+    full = record.add_report(solve(structure.full(ThinLayer(law, eps, at=1.0), cells_through=cells)))
     for treatment, edges in EDGE_OPTIONS.items():
         with warnings.catch_warnings(action="ignore", category=RangeWarning):  # says that ends are ignored
-            limit = record.solved(solve(structure.interface(ThinLayer(law, eps, order=1, edges=edges, at=1.0))))
-        row[_column("traction", treatment)] = by_reaction(full, limit, case.inner)["error_reaction"]
-        row[_column("jump", treatment)] = compare(full, limit, where=case.inner)["error_jump"]
-        row[_column("work", treatment)] = abs(_work_on_top(limit) / _work_on_top(full) - 1)
+            limit = record.add_report(solve(structure.interface(ThinLayer(law, eps, order=1, edges=edges, at=1.0))))
+        row[_column_name("traction", treatment)] = reaction_error(full, limit, case.is_inner)["error_reaction"]
+        row[_column_name("jump", treatment)] = compare(full, limit, where=case.is_inner)["error_jump"]
+        row[_column_name("work", treatment)] = abs(_work_on_top(limit) / _work_on_top(full) - 1)
     return row
 
 
@@ -236,11 +236,11 @@ def _work_on_top(state: State) -> float:
     Other loads are left out, as a load on the layer's lateral side does work that no law on S includes.
     """
     model = state.model
-    top = model.with_loads(tractions={"TOP": (model.structure.tractions or {})["TOP"]})
-    return state.integral(top.external_work(state.u, state.t))
+    top_model = model.with_loads(tractions={"TOP": (model.structure.tractions or {})["TOP"]})
+    return state.integral(top_model.external_work(state.u, state.t))
 
 
-def _column(quantity: str, treatment: str) -> str:
+def _column_name(quantity: str, treatment: str) -> str:
     return f"error_{quantity}" + ("" if treatment == CORRECTED else f", {treatment}")
 
 
@@ -255,12 +255,12 @@ def _check_rates(record: Record, cases: Sequence[EndCase], sizes: Sequence[float
     """
     rows = Table()
     for case in cases:
-        table = record.sweep(partial(_errors, record, case, cells), sizes, case.file)
+        table = record.sweep(partial(_error_row, record, case, cells), sizes, case.csv_name)
         for kind in EDGE_OPTIONS:
-            errors = {what: float(table[_column(what, kind)][-1]) for what in QUANTITIES}
-            orders = {what: last_order(table, _column(what, kind)) for what in QUANTITIES}
-            for what in QUANTITIES if kind == CORRECTED else case.low:
-                bounds = {"low": case.lowest} if kind == CORRECTED else {"high": 1.3}
+            errors = {what: float(table[_column_name(what, kind)][-1]) for what in QUANTITIES}
+            orders = {what: last_order(table, _column_name(what, kind)) for what in QUANTITIES}
+            for what in QUANTITIES if kind == CORRECTED else case.slow:
+                bounds = {"low": case.min_order} if kind == CORRECTED else {"high": 1.3}
                 record.check(f"{case.name}, ends {kind}: last order of the {what}", orders[what], **bounds)
             orders = {f"order of {what}": order for what, order in orders.items()}
             rows.append({"structure": case.name, "ends": kind, "eps": sizes[-1]} | errors | orders)
@@ -282,8 +282,8 @@ def _check_contrasts(record: Record, ratios: Sequence[float], thicknesses: Seque
 
     def row(nu: float, eps: float, contrast: float) -> dict[str, float]:
         soft = EndCase("", _blocks, LinearElastic.shear(100.0 / contrast, nu).scaled(1 / eps))  # E of the blocks is 100
-        errors = _errors(record, soft, CELLS_RUBBER, eps)
-        corrected, ignored = ({what: errors[_column(what, kind)] for what in QUANTITIES} for kind in EDGE_OPTIONS)
+        errors = _error_row(record, soft, CELLS_RUBBER, eps)
+        corrected, ignored = ({what: errors[_column_name(what, kind)] for what in QUANTITIES} for kind in EDGE_OPTIONS)
         factors = {f"{what}_factor": corrected[what] / ignored[what] for what in QUANTITIES}
         return {"nu": nu, "eps": eps, "E_over_mu": contrast, **corrected, **factors}
 
@@ -301,16 +301,16 @@ def draw(record: Record) -> None:
     Lines show the constants of the package's table.
     """
     for case in (CASES[0], *RUBBER):
-        table, errors = record.load(case.file), {}
+        table, errors = record.load(case.csv_name), {}
         for kind in EDGE_OPTIONS:
-            columns = {f"error_{what}": table[_column(what, kind)] for what in QUANTITIES[:2]}
+            columns = {f"error_{what}": table[_column_name(what, kind)] for what in QUANTITIES[:2]}
             errors[f"ends {kind}"] = Table.of({"eps": table["eps"], **columns})
-        title, save = f"{case.name}, order 1, inner half of S", record.path(case.file.replace(".csv", ".svg"))
+        title, save = f"{case.name}, order 1, inner half of S", record.path(case.csv_name.replace(".csv", ".svg"))
         plotting.rates(errors, reference=2.0, title=title, save=save)
     table, lines = record.load("table.csv"), Table(_row(free_end(float(nu))) for nu in np.linspace(0.02, 0.4995, 200))
     curves = {"half strip": table, "shipped": lines}
     panels = {name: {label: (rows["nu"], rows[name]) for label, rows in curves.items()} for name in DRAWN_CONSTANTS}
     units = {name: "over eps" for name in DRAWN_CONSTANTS if name != "kappa"}
     limits, save = {"c_N": (0.0, 3.0), "rho_N": (0.0, 3.0), "m_N/c_N": (0.0, 4.0)}, record.path("constants.svg")
-    style = {"title": "constants of a free end between rigid faces", "styles": ("o", "-"), "ylim": limits}
-    plotting.curves(panels, "Poisson's ratio nu of the layer", units, save=save, **style)
+    options = {"title": "constants of a free end between rigid faces", "styles": ("o", "-"), "ylim": limits}
+    plotting.curves(panels, "Poisson's ratio nu of the layer", units, save=save, **options)

@@ -28,14 +28,14 @@ from forms.tensors import Expr
 from geometry.domain import create_mesh
 from geometry.topology import BoolArray
 
-MIDDLE = 0.5  # y of the middle line; the half of the strip below it is solved
-FAR = 14.0  # x at which fields that decay over the thickness are negligible
-RATIO = 0.2  # ratio of sizes of cells that shrink towards the corner
+MIDDLE_Y = 0.5  # y of the middle line; the half of the strip below it is solved
+FAR_X = 14.0  # x at which fields that decay over the thickness are negligible
+GRADING_RATIO = 0.2  # ratio of sizes of cells that shrink towards the corner
 LEVELS, DEGREE = 10, 10  # number of times that cells shrink, and degree of displacements: constants to nine digits
-SPLIT = -0.5  # first Lame modulus over mu of the stress without the pressure, which stays positive definite
+SPLIT_LMBDA = -0.5  # first Lame modulus over mu of the stress without the pressure, which stays positive definite
 
 
-def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> FreeEnd:
+def compute_free_end(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> FreeEnd:
     """Compute the constants of a layer's free end, by finite elements on a half strip between rigid faces.
 
     Args:
@@ -51,82 +51,82 @@ def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> FreeEnd
     """
     lmbda = lame_over_mu(nu)
     delta = math.sqrt(lmbda / 12) if lmbda < math.inf else 0.0  # decay length of the pressure in case N
-    mesh = _mesh(levels, max(FAR, 24 * delta), 2 * delta)
+    mesh = _half_strip_mesh(levels, max(FAR_X, 24 * delta), 2 * delta)
     cell, variants = "quadrilateral", basix.LagrangeVariant
-    displacement = basix.ufl.element("P", cell, degree, lagrange_variant=variants.gll_warped, shape=(2,))
-    pressure = basix.ufl.element("P", cell, degree - 2, lagrange_variant=variants.legendre, discontinuous=True)
-    W = fem.functionspace(mesh, basix.ufl.mixed_element([displacement, pressure]))
+    u_element = basix.ufl.element("P", cell, degree, lagrange_variant=variants.gll_warped, shape=(2,))
+    p_element = basix.ufl.element("P", cell, degree - 2, lagrange_variant=variants.legendre, discontinuous=True)
+    W = fem.functionspace(mesh, basix.ufl.mixed_element([u_element, p_element]))
     (u, p), (v, q), x = ufl.TrialFunctions(W), ufl.TestFunctions(W), ufl.SpatialCoordinate(mesh)
-    exact = {"quadrature_degree": 2 * degree + 5}
-    dx = ufl.Measure("dx", domain=mesh, metadata=exact)
-    side = dolfinx.mesh.locate_entities_boundary(mesh, 1, lambda x: x[0] < RATIO ** (levels + 1))
-    tags = dolfinx.mesh.meshtags(mesh, 1, side, np.ones(len(side), np.int32))
-    end = ufl.Measure("ds", domain=mesh, subdomain_data=tags, metadata=exact)(1)
+    quadrature = {"quadrature_degree": 2 * degree + 5}
+    dx = ufl.Measure("dx", domain=mesh, metadata=quadrature)
+    end_facets = dolfinx.mesh.locate_entities_boundary(mesh, 1, lambda x: x[0] < GRADING_RATIO ** (levels + 1))
+    tags = dolfinx.mesh.meshtags(mesh, 1, end_facets, np.ones(len(end_facets), np.int32))
+    ds_end = ufl.Measure("ds", domain=mesh, subdomain_data=tags, metadata=quadrature)(1)
 
     def stress(u: Expr, p: Expr) -> Expr:
-        return (SPLIT * ufl.div(u) + p) * ufl.Identity(2) + 2 * ufl.sym(ufl.grad(u))
+        return (SPLIT_LMBDA * ufl.div(u) + p) * ufl.Identity(2) + 2 * ufl.sym(ufl.grad(u))
 
-    compliance = fem.Constant(mesh, 1 / (lmbda - SPLIT))
+    compliance = fem.Constant(mesh, 1 / (lmbda - SPLIT_LMBDA))
     form = ufl.inner(stress(u, p), ufl.grad(v)) * dx + q * (ufl.div(u) - compliance * p) * dx
     K = fem.assemble_matrix(fem.form(form)).to_scipy().tocsr()
 
-    def dofs(space: fem.FunctionSpace, where: Callable[[Array], BoolArray]) -> npt.NDArray[np.int32]:
+    def locate_dofs(space: fem.FunctionSpace, where: Callable[[Array], BoolArray]) -> npt.NDArray[np.int32]:
         return np.asarray(fem.locate_dofs_geometrical((space, space.collapse()[0]), where)[0])
 
-    faces = dofs(W.sub(0), lambda x: (x[1] < 1e-13) | np.isclose(x[0], x[0].max()))
+    face_dofs = locate_dofs(W.sub(0), lambda x: (x[1] < 1e-13) | np.isclose(x[0], x[0].max()))
 
-    def loaded(traction: Expr, odd: int) -> tuple[float, Callable[[Expr], float]]:
+    def solve_loaded(traction: Expr, zero_component: int) -> tuple[float, Callable[[Expr], float]]:
         """Solve the half strip with fixed faces under a traction on its end x = 0.
 
         Args:
             traction: the traction (2,), a function of the place.
-            odd: number of the displacement component that is zero on the middle line by symmetry, 0 for x, 1 for y.
+            zero_component: displacement component that is zero on the middle line by symmetry, 0 for x, 1 for y.
 
         Returns:
             The work of the traction in its displacements; and a function that integrates f(stress) over the solved half
             of the strip, where f maps the stress (2, 2) to a UFL scalar.
         """
-        load = fem.assemble_vector(fem.form(ufl.inner(traction, v) * end)).array
-        bc_dofs = np.union1d(faces, dofs(W.sub(0).sub(odd), lambda x: np.isclose(x[1], MIDDLE)))
-        free, w = np.setdiff1d(np.arange(len(load)), bc_dofs), fem.Function(W)
-        w.x.array[free] = splu(K[free][:, free].tocsc()).solve(load[free])
+        load = fem.assemble_vector(fem.form(ufl.inner(traction, v) * ds_end)).array
+        bc_dofs = np.union1d(face_dofs, locate_dofs(W.sub(0).sub(zero_component), lambda x: np.isclose(x[1], MIDDLE_Y)))
+        free_dofs, w = np.setdiff1d(np.arange(len(load)), bc_dofs), fem.Function(W)
+        w.x.array[free_dofs] = splu(K[free_dofs][:, free_dofs].tocsc()).solve(load[free_dofs])
         s = stress(*ufl.split(w))
         return float(load @ w.x.array), lambda f: float(fem.assemble_scalar(fem.form(f(s) * dx)))
 
-    X, Y, none = x[0], x[1] - MIDDLE, 0 * x[0]
+    X, Y, zero = x[0], x[1] - MIDDLE_Y, 0 * x[0]
     # T: u_x is odd in y - 1/2; the end is pushed by mu w, which cancels the traction of the uniform strain
-    work, total = loaded(ufl.as_vector([none, none + 1]), odd=0)
-    c_T, m_T = 2 * work, -2 * total(lambda s: s[0, 1] * X + s[0, 0] * Y)
+    work, integrate = solve_loaded(ufl.as_vector([zero, zero + 1]), zero_component=0)
+    c_T, m_T = 2 * work, -2 * integrate(lambda s: s[0, 1] * X + s[0, 0] * Y)
     if nu == 0.5:
         # Poiseuille's flow out of the end, 1/8 - (y - 1/2)^2/2 with the pressure x, has a shear stress on it
-        work, _ = loaded(ufl.as_vector([none, -Y]), odd=1)
+        work, _ = solve_loaded(ufl.as_vector([zero, -Y]), zero_component=1)
         return FreeEnd(nu, math.inf, math.inf, math.inf, c_T, m_T, 1 / (1 - 24 * work))
     # N: u_y is odd in y - 1/2; the end is pressed by lmbda w, here by 1
-    work, total = loaded(ufl.as_vector([none + 1, none]), odd=1)
+    work, integrate = solve_loaded(ufl.as_vector([zero + 1, zero]), zero_component=1)
     M = lmbda + 2
-    c_N, rho_N = 2 * work * lmbda**2 / M, -2 * total(lambda s: s[0, 0])
-    m_N = -2 * lmbda / M * total(lambda s: s[1, 1] * X + s[0, 1] * Y)
+    c_N, rho_N = 2 * work * lmbda**2 / M, -2 * integrate(lambda s: s[0, 0])
+    m_N = -2 * lmbda / M * integrate(lambda s: s[1, 1] * X + s[0, 1] * Y)
     kappa = flow_factor(delta, c_N * M / lmbda - delta) if lmbda else 0.0
     return FreeEnd(nu, c_N, m_N, rho_N, c_T, m_T, kappa)
 
 
-def _mesh(levels: int, length: float, longest: float) -> dolfinx.mesh.Mesh:
+def _half_strip_mesh(levels: int, length: float, max_length: float) -> dolfinx.mesh.Mesh:
     """Mesh the half of the strip below its middle line, from x = 0 to `length`.
 
     Cells shrink `levels` times by the factor 0.2 towards the corner (0, 0). Far from the end x = 0 they are at most
-    `longest` long. Lengths are relative to the strip's height.
+    `max_length` long. Lengths are relative to the strip's height.
     """
     points, cells = [(0.0, 0.0)], []
-    for size in MIDDLE * RATIO ** np.arange(levels, -1, -1.0):  # a square, then pairs of trapezoids around it
+    for size in MIDDLE_Y * GRADING_RATIO ** np.arange(levels, -1, -1.0):  # a square, then pairs of trapezoids around it
         k = len(points)
         points += [(size, 0.0), (0.0, size), (size, size)]
         cells += [[0, 1, 2, 3]] if k == 1 else [[k - 2, k - 1, k + 1, k + 2], [k - 3, k, k - 1, k + 2]]
-    right, step = [len(points) - 3, len(points) - 1], MIDDLE
+    right_vertices, cell_length = [len(points) - 3, len(points) - 1], MIDDLE_Y
     while points[-1][0] < length:
-        if points[-1][0] > FAR / 2:
-            step = max(step, min(1.5 * step, longest))
-        x, k = points[-1][0] + step, len(points)
-        points += [(x, 0.0), (x, MIDDLE)]
-        cells.append([right[0], k, right[1], k + 1])
-        right = [k, k + 1]
+        if points[-1][0] > FAR_X / 2:
+            cell_length = max(cell_length, min(1.5 * cell_length, max_length))
+        x, k = points[-1][0] + cell_length, len(points)
+        points += [(x, 0.0), (x, MIDDLE_Y)]
+        cells.append([right_vertices[0], k, right_vertices[1], k + 1])
+        right_vertices = [k, k + 1]
     return create_mesh(MPI.COMM_SELF, np.array(points), np.array(cells), "quadrilateral")

@@ -30,16 +30,16 @@ from thinlayer.system.table import Row
 EPS = (0.04, 0.02, 0.01, 0.005, 0.0025)
 BODY = LinearElastic.young(E=1.0, nu=0.2)
 BED, HEAD = LinearElastic(lmbda=0.6, mu=0.7), LinearElastic(lmbda=0.3, mu=0.45)  # at the thickness 1
-MORTAR = {"BED": (BED, 1.0), "HEAD": (HEAD, 0.7)}  # seam -> law, thickness over eps
-H = 1 / 16  # cell size
-SHIFT = (0.01, -0.02, 0.005)  # displacement of the top
-RAYS = (10, 95, 150, 200, 310)  # degrees, directions of the star's layers
-RATE = (0.9, 1.1)  # range of orders away from junctions and free ends
+MORTAR_LAYERS = {"BED": (BED, 1.0), "HEAD": (HEAD, 0.7)}  # seam -> law, thickness over eps
+CELL_SIZE = 1 / 16  # cell size
+TOP_SHIFT = (0.01, -0.02, 0.005)  # displacement of the top
+RAY_ANGLES = (10, 95, 150, 200, 310)  # degrees, directions of the star's layers
+ORDER_RANGE = (0.9, 1.1)  # range of orders away from junctions and free ends
 STYLES = ("o-", "s-", "^-", "D-", "v-", "o--", "s--", "^--", "D--", "v--")  # of the cases' curves, in turn
 AWAY = "away from\njunctions and free ends"
-DRAWN = {"jump": "jump on all of S", "inner_jump": f"jump {AWAY}", "inner_traction": f"traction {AWAY}"}
-PICTURED = {"star of five layers": "star.png", "grains": "grains.png"}
-ERRORS = ("jump", "inner_jump", "inner_traction", "energy")
+PANEL_TITLES = {"jump": "jump on all of S", "inner_jump": f"jump {AWAY}", "inner_traction": f"traction {AWAY}"}
+PICTURE_FILES = {"star of five layers": "star.png", "grains": "grains.png"}
+ERROR_NAMES = ("jump", "inner_jump", "inner_traction", "energy")
 
 
 @dataclass(frozen=True)
@@ -47,28 +47,28 @@ class JunctionCase:
     """A network of layers between elastic bodies, clamped at the bottom and displaced at the top.
 
     Attributes:
-        joint: function of the thickness eps that returns the joint.
+        make_joint: function of the thickness eps that returns the joint.
         layers: name of a seam -> law of its layer, with the moduli at the thickness 1, and its thickness divided by
             eps.
         bodies: bodies of the full model: "kept" (meshed layers move them apart) or "extended" (layers are cut out of
             them).
-        distance: distance from junctions and free ends beyond which a point belongs to the inner part of S.
+        margin: distance from junctions and free ends beyond which a point belongs to the inner part of S.
         stiff: whether the bodies' stiffness is added to that of the layer in junctions of the full model.
         refined: whether the cells of bodies at junctions are about as small as eps.
-        coarsest: largest thickness eps of the study.
+        max_eps: largest thickness eps of the study.
         quick: whether the case is run with --quick.
     """
 
-    joint: Callable[[float], Joint]
-    layers: Mapping[str, tuple[LinearElastic, float]] = field(default_factory=lambda: MORTAR)
+    make_joint: Callable[[float], Joint]
+    layers: Mapping[str, tuple[LinearElastic, float]] = field(default_factory=lambda: MORTAR_LAYERS)
     bodies: str = "kept"
-    distance: float = 0.15
+    margin: float = 0.15
     stiff: bool = False
     refined: bool = False
-    coarsest: float = EPS[0]
+    max_eps: float = EPS[0]
     quick: bool = False
 
-    def thin(self, eps: float) -> dict[str, ThinLayer]:
+    def thin_layers(self, eps: float) -> dict[str, ThinLayer]:
         """Return the layers of the network for the thickness `eps`, by the names of their seams.
 
         Each layer is as thick as `eps` times the factor of its seam.
@@ -81,40 +81,40 @@ class JunctionCase:
         `meshed` says whether it is for the full model; only then do junctions have additional stiffness, if `stiff` is
         set.
         """
-        supports: dict[str, Support] = {"BOTTOM": 0.0, "TOP": dict(zip("xyz", SHIFT[: joint.dim], strict=False))}
-        parts = [UflPart(energy=stiff_fill)] if meshed and self.stiff else []
+        supports: dict[str, Support] = {"BOTTOM": 0.0, "TOP": dict(zip("xyz", TOP_SHIFT[: joint.dim], strict=False))}
+        parts = [UflPart(energy=stiffening_energy)] if meshed and self.stiff else []
         return Structure(joint, body=BODY, supports=supports, parts=parts)
 
 
-def bond(eps: float) -> Joint:
+def bond_wall(eps: float) -> Joint:
     """Return the joint of a brick wall in running bond, two courses high and two bricks long.
 
     The thickness `eps` of layers is not used, as the mesh suits all thicknesses.
     """
-    return wall(2, 2, (1.0, 0.5), H, cell="triangle")
+    return wall(2, 2, (1.0, 0.5), CELL_SIZE, cell="triangle")
 
 
-def bond_in_space(eps: float) -> Joint:
-    """Return the joint of the wall of `bond` in 3D, as deep as the bricks are high; junctions are lines.
+def bond_wall_3d(eps: float) -> Joint:
+    """Return the joint of the wall of `bond_wall` in 3D, as deep as the bricks are high; junctions are lines.
 
     The thickness `eps` of layers is not used, as the mesh suits all thicknesses.
     """
     return wall(2, 2, (1.0, 0.5), 1 / 8, depth=0.5, cell="hexahedron")
 
 
-def refined_bond(eps: float) -> Joint:
-    """Return the joint of the wall of `bond`, with cells of the size 2 `eps` at junctions and free ends."""
+def refined_wall(eps: float) -> Joint:
+    """Return the joint of the wall of `bond_wall`, with cells of the size 2 `eps` at junctions and free ends."""
     heads = {f"HEAD {k}": ((x, y), (x, y + 0.5)) for k, (x, y) in enumerate(((1.0, 0.0), (0.5, 0.5), (1.5, 0.5)), 1)}
-    return faults(2.0, 1.0, {"BED": ((0.0, 0.5), (2.0, 0.5)), **heads}, H, h_ends=min(2 * eps, H))
+    return faults(2.0, 1.0, {"BED": ((0.0, 0.5), (2.0, 0.5)), **heads}, CELL_SIZE, h_ends=min(2 * eps, CELL_SIZE))
 
 
-def star(eps: float) -> Joint:
+def star_joint(eps: float) -> Joint:
     """Return the joint of a square in which five layers run from the centre to the boundary.
 
     The thickness `eps` of layers is not used, as the mesh suits all thicknesses.
     """
-    ends = {f"L{k}": (1 + 2 * cos(radians(a)), 1 + 2 * sin(radians(a))) for k, a in enumerate(RAYS)}
-    return faults(2.0, 2.0, {name: ((1.0, 1.0), end) for name, end in ends.items()}, h=0.15, h_S=0.1)
+    ray_ends = {f"L{k}": (1 + 2 * cos(radians(a)), 1 + 2 * sin(radians(a))) for k, a in enumerate(RAY_ANGLES)}
+    return faults(2.0, 2.0, {name: ((1.0, 1.0), ray_end) for name, ray_end in ray_ends.items()}, h=0.15, h_S=0.1)
 
 
 def polycrystal(eps: float) -> Joint:
@@ -122,20 +122,20 @@ def polycrystal(eps: float) -> Joint:
 
     The thickness `eps` of layers is not used, as the mesh suits all thicknesses.
     """
-    return grains(1.0, 1.0, 7, H, seed=1)
+    return grains(1.0, 1.0, 7, CELL_SIZE, seed=1)
 
 
-REFINED = {"BED": (BED, 1.0)} | {f"HEAD {k}": (HEAD, 0.7) for k in (1, 2, 3)}
-STAR = {f"L{k}": (LinearElastic(0.6 - 0.1 * k, 0.7 - 0.05 * k), 1 + 0.1 * k) for k in range(len(RAYS))}
+BOND_LAYERS = {"BED": (BED, 1.0)} | {f"HEAD {k}": (HEAD, 0.7) for k in (1, 2, 3)}
+STAR_LAYERS = {f"L{k}": (LinearElastic(0.6 - 0.1 * k, 0.7 - 0.05 * k), 1 + 0.1 * k) for k in range(len(RAY_ANGLES))}
 CASES = {
-    "bond, kept": JunctionCase(bond, quick=True),
-    "bond, extended": JunctionCase(bond, bodies="extended"),
-    "star of five layers": JunctionCase(star, STAR, bodies="extended", distance=0.2, quick=True),
-    "grains": JunctionCase(polycrystal, {"S": (BED, 1.0)}, bodies="extended", distance=0.1, coarsest=0.02, quick=True),
-    "bond, refined": JunctionCase(refined_bond, REFINED, refined=True, coarsest=0.02, quick=True),
-    "bond in 3D": JunctionCase(bond_in_space, bodies="extended", coarsest=0.02),
-    "bond, stiff junctions": JunctionCase(bond, stiff=True, quick=True),
-    "bond, stiff junctions, refined": JunctionCase(refined_bond, REFINED, stiff=True, refined=True, coarsest=0.02),
+    "bond, kept": JunctionCase(bond_wall, quick=True),
+    "bond, extended": JunctionCase(bond_wall, bodies="extended"),
+    "star of five layers": JunctionCase(star_joint, STAR_LAYERS, bodies="extended", margin=0.2, quick=True),
+    "grains": JunctionCase(polycrystal, {"S": (BED, 1.0)}, bodies="extended", margin=0.1, max_eps=0.02, quick=True),
+    "bond, refined": JunctionCase(refined_wall, BOND_LAYERS, refined=True, max_eps=0.02, quick=True),
+    "bond in 3D": JunctionCase(bond_wall_3d, bodies="extended", max_eps=0.02),
+    "bond, stiff junctions": JunctionCase(bond_wall, stiff=True, quick=True),
+    "bond, stiff junctions, refined": JunctionCase(refined_wall, BOND_LAYERS, stiff=True, refined=True, max_eps=0.02),
 }
 
 
@@ -153,16 +153,16 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         eps: thicknesses; the networks are 1 to 2 wide.
         quick: fewer networks.
     """
-    table = record.table("table.csv")
+    table = record.new_table("table.csv")
     for name in track([name for name, case in CASES.items() if case.quick or not quick], "junctions", "{}"):
-        sizes = [e for e in sorted(eps, reverse=True) if e <= CASES[name].coarsest]
-        rows = compared(record, name, sizes) if sizes else []
+        sizes = [e for e in sorted(eps, reverse=True) if e <= CASES[name].max_eps]
+        rows = compare_models(record, name, sizes) if sizes else []
         table.extend(rows)
         if len(rows) > 1:
-            check(record, name, Table(rows))
+            check_orders(record, name, Table(rows))
 
 
-def compared(record: Record, name: str, sizes: Sequence[float]) -> list[Row]:
+def compare_models(record: Record, name: str, sizes: Sequence[float]) -> list[Row]:
     """Solve both models of the network `name` for the thicknesses `sizes`, and return a table row for each.
 
     The rows have the differences of the models and the observed rates of convergence. `record` keeps the solver's
@@ -170,18 +170,20 @@ def compared(record: Record, name: str, sizes: Sequence[float]) -> list[Row]:
     """
     case, rows = CASES[name], list[Row]()
     for eps in sizes:
-        joint = case.joint(eps)
-        full = record.solved(solve(case.structure(joint, meshed=True).full(case.thin(eps), bodies=case.bodies)))
-        by_law = record.solved(solve(case.structure(joint, meshed=False).interface(case.thin(eps))))
-        rows.append({"case": name, "eps": eps, **differences(case, full, by_law)})
-        if eps == max(sizes) and name in PICTURED:
+        joint = case.make_joint(eps)
+        full = record.add_report(
+            solve(case.structure(joint, meshed=True).full(case.thin_layers(eps), bodies=case.bodies))
+        )
+        by_law = record.add_report(solve(case.structure(joint, meshed=False).interface(case.thin_layers(eps))))
+        rows.append({"case": name, "eps": eps, **model_differences(case, full, by_law)})
+        if eps == max(sizes) and name in PICTURE_FILES:
             states = {f"meshed layers, eps = {eps:g}": full, "interface laws": by_law}
-            plotting.deformed(states, plotting.View(unit="widths"), save=record.path(PICTURED[name]), title=name)
-    orders = {f"order_{error}": Table(rows).orders(error) for error in ERRORS}
+            plotting.deformed(states, plotting.View(unit="widths"), save=record.path(PICTURE_FILES[name]), title=name)
+    orders = {f"order_{error}": Table(rows).orders(error) for error in ERROR_NAMES}
     return [row | {name: values[k] for name, values in orders.items()} for k, row in enumerate(rows)]
 
 
-def differences(case: JunctionCase, full: State, by_law: State) -> dict[str, float]:
+def model_differences(case: JunctionCase, full: State, by_law: State) -> dict[str, float]:
     """Compare the states of the full and the interface model of a network.
 
     Args:
@@ -194,25 +196,25 @@ def differences(case: JunctionCase, full: State, by_law: State) -> dict[str, flo
         norm; "energy" -> relative difference of the stored energies; "in_junctions" -> fraction of the energy in
         junctions.
     """
-    surface, energy = Surface(by_law.model), stored_in(full)
-    on_s, inner = partial(difference, surface, state=full, reference=by_law), far_from_junctions(surface, case.distance)
-    jumps = {"jump": on_s(Surface.jump), "inner_jump": on_s(Surface.jump, where=inner)}
-    energies = {"energy": abs(energy / stored_in(by_law) - 1), "in_junctions": in_junctions(case, full) / energy}
-    return jumps | {"inner_traction": on_s(Surface.traction, where=inner)} | energies
+    surface, energy = Surface(by_law.model), stored_energy(full)
+    error_of, inner = partial(difference, surface, state=full, reference=by_law), far_weights(surface, case.margin)
+    jumps = {"jump": error_of(Surface.jump), "inner_jump": error_of(Surface.jump, where=inner)}
+    energies = {"energy": abs(energy / stored_energy(by_law) - 1), "in_junctions": junction_energy(case, full) / energy}
+    return jumps | {"inner_traction": error_of(Surface.traction, where=inner)} | energies
 
 
-def stored_in(state: State) -> float:
+def stored_energy(state: State) -> float:
     """Return the energy stored in bodies and layers in `state`; the work of the loads is left out."""
-    skipped = {"loads", *(str(Key(LAYER_KIND, seam)) for seam in state.model.joint.seams)}
-    return sum(energy for key, energy in state.energies().items() if key not in skipped)
+    skipped_keys = {"loads", *(str(Key(LAYER_KIND, seam)) for seam in state.model.joint.seams)}
+    return sum(energy for key, energy in state.energies().items() if key not in skipped_keys)
 
 
-def check(record: Record, name: str, rows: Table) -> None:
+def check_orders(record: Record, name: str, rows: Table) -> None:
     """Check the rates of convergence of the network `name`.
 
     `rows` is its table, with a row for each thickness; `record` receives the checks.
     """
-    case, orders = CASES[name], {error: rows[f"order_{error}"][1:] for error in ERRORS}
+    case, orders = CASES[name], {error: rows[f"order_{error}"][1:] for error in ERROR_NAMES}
     if case.stiff and case.refined:
         growth = np.diff(1 / rows["energy"]) / -np.diff(np.log(rows["eps"]))
         if len(growth) > 1:
@@ -225,41 +227,41 @@ def check(record: Record, name: str, rows: Table) -> None:
         return
     for error in ("inner_jump", "inner_traction"):
         what = f"order of the {error.replace('_', ' ')}"
-        record.check(f"{name}: least {what}", min(orders[error]), low=RATE[0])
-        record.check(f"{name}: largest {what}", max(orders[error]), high=RATE[1])
-    low = RATE[0] if case.refined else 0.8
-    record.check(f"{name}: least order of the jump on all of S", min(orders["jump"]), low=low)
+        record.check(f"{name}: least {what}", min(orders[error]), low=ORDER_RANGE[0])
+        record.check(f"{name}: largest {what}", max(orders[error]), high=ORDER_RANGE[1])
+    min_order = ORDER_RANGE[0] if case.refined else 0.8
+    record.check(f"{name}: least order of the jump on all of S", min(orders["jump"]), low=min_order)
 
 
-def far_from_junctions(surface: Surface, distance: float) -> Array:
+def far_weights(surface: Surface, distance: float) -> Array:
     """Return weights (n, q) at q points of n facets of S: 1 far from junctions and ends of S, else 0.
 
     A facet of `surface` is far if its midpoint is farther than `distance` from all of them.
     """
     joint = surface.joint
-    on_s = np.unique(joint.table.vertices[joint.surface_rows])
-    outer = joint.table.vertices[joint.table.cells[:, 1] < 0]
-    special = on_s[(joint.split_mesh.valence[on_s] != 2) | np.isin(on_s, outer)]
-    middles = joint.points[joint.table.vertices[joint.surface_rows]].mean(axis=1)
-    far = cKDTree(joint.points[special]).query(middles)[0] > distance
-    return np.asarray(far[surface.rows, None] * np.ones_like(surface.weights))
+    vertices = np.unique(joint.table.vertices[joint.surface_rows])
+    outer_vertices = joint.table.vertices[joint.table.cells[:, 1] < 0]
+    special_vertices = vertices[(joint.split_mesh.component_counts[vertices] != 2) | np.isin(vertices, outer_vertices)]
+    midpoints = joint.points[joint.table.vertices[joint.surface_rows]].mean(axis=1)
+    is_far = cKDTree(joint.points[special_vertices]).query(midpoints)[0] > distance
+    return np.asarray(is_far[surface.rows, None] * np.ones_like(surface.weights))
 
 
-def stored(law: LinearElastic, u: Expr) -> Expr:
+def energy_density(law: LinearElastic, u: Expr) -> Expr:
     """Return the stored energy per volume of a material of the law `law` at the displacements `u`, a UFL scalar."""
     e = ufl.sym(ufl.grad(u))
     return law.lmbda / 2 * ufl.tr(e) ** 2 + law.mu * ufl.inner(e, e)
 
 
-def stiff_fill(u: Expr, model: Model) -> Expr:
+def stiffening_energy(u: Expr, model: Model) -> Expr:
     """Return the energy, a UFL form, that is added to the full model `model` so that its junctions are stiff.
 
     It is the energy of the bodies' material in the junctions at the displacements `u`.
     """
-    return stored(BODY, u) * model.dx(model.domain.cell_values(f"{LAYER}/{JUNCTIONS}"))
+    return energy_density(BODY, u) * model.dx(model.domain.region_tags(f"{LAYER}/{JUNCTIONS}"))
 
 
-def in_junctions(case: JunctionCase, state: State) -> float:
+def junction_energy(case: JunctionCase, state: State) -> float:
     """Return the energy stored in the layers' material at the junctions, in a state of the full model.
 
     `case` is the network, `state` the state.
@@ -269,17 +271,17 @@ def in_junctions(case: JunctionCase, state: State) -> float:
     assert band is not None, "of a full model"
     for region, seam in band.junctions.items():
         (law, _), eps = case.layers[seam], band.eps[seam]
-        total += state.integral(stored(law.scaled(eps), state.u) * model.dx(model.domain.cell_values(region)))
+        total += state.integral(energy_density(law.scaled(eps), state.u) * model.dx(model.domain.region_tags(region)))
     return total
 
 
 def draw(record: Record) -> None:
     """Draw the differences of the models over the thickness, from table.csv in the folder of `record`."""
-    cases, parts = record.load("table.csv").split("case"), {}
-    for error, title in DRAWN.items():
+    cases, panels = record.load("table.csv").split("case"), {}
+    for error, title in PANEL_TITLES.items():
         lines = {name: (rows["eps"], rows[error]) for name, rows in cases.items()}
-        eps, least = min(lines.values(), key=lambda line: line[1][-1])
-        parts[title] = lines | {"slope 1": (eps, 0.7 * least[-1] * eps / eps[-1])}
-    look = {"log": "xy", "styles": dict(zip(lines, STYLES, strict=False)) | {"slope 1": ":"}}
+        eps, smallest_errors = min(lines.values(), key=lambda line: line[1][-1])
+        panels[title] = lines | {"slope 1": (eps, 0.7 * smallest_errors[-1] * eps / eps[-1])}
+    options = {"log": "xy", "styles": dict(zip(lines, STYLES, strict=False)) | {"slope 1": ":"}}
     labels, save = ("layer thickness eps over the width", "relative difference, L^2"), record.path("rates.svg")
-    plotting.curves(parts, *labels, save=save, **look)
+    plotting.curves(panels, *labels, save=save, **options)

@@ -17,21 +17,21 @@ from thinlayer.running.record import Record
 LMBDA, MU = 60.0, 40.0
 NU = LMBDA / (2 * (LMBDA + MU))
 OMEGA = 30.0
-DILATANCIES = (10.0, 20.0, 30.0)
-DILATANT = {psi: f"psi = {psi:g}" for psi in DILATANCIES}
-CLOSING = -0.01  # constant normal jump; the constant normal stress is the elastic stress at this jump, -1.4
-DIRECTION = 75.0  # direction of the proportional path, degrees from the normal
-SHEAR = 5.0  # shear at the end of the curves: mu w_T over the pressure at the start
-LOOSENED = 0.6  # share of the closing by which the layer is opened to reduce the normal stress
-LASTING = 60.0  # shear, as in SHEAR, at which friction has its lasting value
+DILATANCY_ANGLES = (10.0, 20.0, 30.0)
+PSI_LABELS = {psi: f"psi = {psi:g}" for psi in DILATANCY_ANGLES}
+CLOSING_JUMP = -0.01  # constant normal jump; the constant normal stress is the elastic stress at this jump, -1.4
+PATH_DIRECTION = 75.0  # direction of the proportional path, degrees from the normal
+END_SHEAR = 5.0  # shear at the end of the curves: mu w_T over the pressure at the start
+LOOSENED_SHARE = 0.6  # share of the closing by which the layer is opened to reduce the normal stress
+LASTING_SHEAR = 60.0  # shear, as in END_SHEAR, at which friction has its lasting value
 
-PRESSURE = -(LMBDA + 2 * MU) * CLOSING
+PRESSURE = -(LMBDA + 2 * MU) * CLOSING_JUMP
 FIXED_STRESS, FIXED_JUMP = "normal stress held", "normal jump held"
-RADIAL = f"w_T/|w_N| held, {DIRECTION:g}° off the normal"
+RADIAL = f"w_T/|w_N| held, {PATH_DIRECTION:g}° off the normal"
 UNLOADED = "sheared, unloaded across S, sheared"
 PLANES = "slips parallel to S alone"
 PATHS, FLOW = "paths, dilatancy angle psi = 0", "flow rules (psi in degrees), normal stress held"
-DAVIS = tuple(f"lasting value (Davis), {DILATANT[psi]}" for psi in DILATANCIES if psi < OMEGA)
+DAVIS = tuple(f"lasting value (Davis), {PSI_LABELS[psi]}" for psi in DILATANCY_ANGLES if psi < OMEGA)
 
 
 def run(record: Record, *, quick: bool = False) -> None:
@@ -44,46 +44,46 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: longer steps.
     """
     steps, law = 100 if quick else 400, MohrCoulomb(LMBDA, MU, 0.0, OMEGA)
-    paths = {FIXED_STRESS: fixed_stress, FIXED_JUMP: fixed_jump, RADIAL: radial_path, UNLOADED: unloaded_path}
+    paths = {FIXED_STRESS: fixed_stress_path, FIXED_JUMP: fixed_jump_path, RADIAL: radial_path, UNLOADED: unloaded_path}
     curves = {name: drive(law, path(steps)) for name, path in paths.items()}
     laws: dict[str, BulkLaw] = {PLANES: MohrCoulombMonodirectional(LMBDA, MU, 0.0, OMEGA)}
-    laws |= {name: replace(law, dilatancy_angle=psi) for psi, name in DILATANT.items()}
-    for name, other in laws.items():
-        curves[name] = drive(other, fixed_stress(steps))
-        curves[f"{name}, {FIXED_JUMP}"] = drive(other, fixed_jump(steps))
-    table = record.table("table.csv")
+    laws |= {name: replace(law, dilatancy_angle=psi) for psi, name in PSI_LABELS.items()}
+    for name, other_law in laws.items():
+        curves[name] = drive(other_law, fixed_stress_path(steps))
+        curves[f"{name}, {FIXED_JUMP}"] = drive(other_law, fixed_jump_path(steps))
+    table = record.new_table("table.csv")
     for name, history in curves.items():
-        shear, friction = MU * history.jumps[:, 0] / PRESSURE, ratio(history)
+        shear, friction = MU * history.jumps[:, 0] / PRESSURE, apparent_friction(history)
         columns = {column: history.table[column] for column in history.table.columns}
         table.extend(Table.of({"path": name, "shear": shear, "friction": friction, **columns}))
 
     sheared = curves[FIXED_JUMP]
-    exact = formulas.mohr_coulomb_fixed_opening(LMBDA, MU, 0.0, OMEGA, CLOSING, sheared.jumps[:, 0])
-    error, maximum = np.abs(sheared.tractions - exact).max(), float(np.nanmax(ratio(curves[UNLOADED])))
+    exact = formulas.mohr_coulomb_fixed_opening(LMBDA, MU, 0.0, OMEGA, CLOSING_JUMP, sheared.jumps[:, 0])
+    error, max_friction = np.abs(sheared.tractions - exact).max(), float(np.nanmax(apparent_friction(curves[UNLOADED])))
     record.check("largest error against the closed form, opening held", error, high=6 / steps)
-    record.check_near("largest friction while the normal stress is taken away", maximum, tangent(), 1e-5)
-    for name, path in {FIXED_JUMP: fixed_jump, FIXED_STRESS: fixed_stress}.items():
-        friction = ratio(drive(law, path(60, LASTING)))[-1]
+    record.check_near("largest friction while the normal stress is taken away", max_friction, tan_omega(), 1e-5)
+    for name, path in {FIXED_JUMP: fixed_jump_path, FIXED_STRESS: fixed_stress_path}.items():
+        friction = apparent_friction(drive(law, path(60, LASTING_SHEAR)))[-1]
         record.check_near(f"lasting friction, {name}", friction, np.sin(np.radians(OMEGA)), 1e-6)
-    for psi in DILATANCIES[:2]:
-        friction = ratio(drive(replace(law, dilatancy_angle=psi), fixed_stress(60, LASTING)))[-1]
+    for psi in DILATANCY_ANGLES[:2]:
+        friction = apparent_friction(drive(replace(law, dilatancy_angle=psi), fixed_stress_path(60, LASTING_SHEAR)))[-1]
         record.check_near(f"lasting friction, psi = {psi:g}", friction, formulas.apparent_friction(OMEGA, psi), 5e-7)
-    record.check_near(f"lasting friction, {PLANES}", ratio(curves[PLANES])[-1], tangent(), 1e-12)
+    record.check_near(f"lasting friction, {PLANES}", apparent_friction(curves[PLANES])[-1], tan_omega(), 1e-12)
 
 
-def ratio(history: PointHistory) -> Array:
+def apparent_friction(history: PointHistory) -> Array:
     """Return the apparent friction (steps,) t_T/|t_N| at a point after each step of `history`; NaN without pressure."""
     t_T, t_N = history.tractions.T
     return np.where(t_N < 0, t_T / np.where(t_N < 0, -t_N, 1.0), np.nan)
 
 
-def tangent() -> float:
+def tan_omega() -> float:
     """Return the friction coefficient tan(Omega) of Coulomb's law, for the layer's friction angle Omega."""
     return float(np.tan(np.radians(OMEGA)))
 
 
 # ---------------------------------------------------------------- paths
-def shears(steps: int, end: float) -> Array:
+def tangential_jumps(steps: int, end: float) -> Array:
     """Return the tangential jumps w_T, over the thickness, at the ends of equal steps from zero.
 
     `steps` is the number of steps. `end` is the shear after the last one: mu w_T over the pressure at the start, with
@@ -92,7 +92,7 @@ def shears(steps: int, end: float) -> Array:
     return np.linspace(0, end * PRESSURE / MU, steps + 1, dtype=np.float64)[1:]
 
 
-def fixed_jump(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
+def fixed_jump_path(steps: int, end: float = END_SHEAR) -> list[dict[str, float]]:
     """Return a path on which a layer is closed, then sheared at a constant normal jump.
 
     Args:
@@ -102,10 +102,10 @@ def fixed_jump(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
     Returns:
         For each step the prescribed jumps {"w_T": value, "w_N": value}, over the thickness.
     """
-    return [{"w_T": 0.0, "w_N": CLOSING}, *({"w_T": w, "w_N": CLOSING} for w in shears(steps, end))]
+    return [{"w_T": 0.0, "w_N": CLOSING_JUMP}, *({"w_T": w, "w_N": CLOSING_JUMP} for w in tangential_jumps(steps, end))]
 
 
-def fixed_stress(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
+def fixed_stress_path(steps: int, end: float = END_SHEAR) -> list[dict[str, float]]:
     """Return a path on which a layer is compressed, then sheared under a constant normal stress.
 
     Args:
@@ -116,7 +116,7 @@ def fixed_stress(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
         For each step the prescribed tangential jump, over the thickness, and normal traction, {"w_T": value, "t_N":
         value}.
     """
-    return [{"w_T": 0.0, "t_N": -PRESSURE}, *({"w_T": w, "t_N": -PRESSURE} for w in shears(steps, end))]
+    return [{"w_T": 0.0, "t_N": -PRESSURE}, *({"w_T": w, "t_N": -PRESSURE} for w in tangential_jumps(steps, end))]
 
 
 def radial_path(steps: int) -> list[dict[str, float]]:
@@ -124,38 +124,38 @@ def radial_path(steps: int) -> list[dict[str, float]]:
 
     Each step is {"w_T": value, "w_N": value}, prescribed jumps over the thickness.
     """
-    return [{"w_T": w, "w_N": -w / np.tan(np.radians(DIRECTION))} for w in shears(steps, SHEAR)]
+    return [{"w_T": w, "w_N": -w / np.tan(np.radians(PATH_DIRECTION))} for w in tangential_jumps(steps, END_SHEAR)]
 
 
 def unloaded_path(steps: int) -> list[dict[str, float]]:
     """Return a path on which a layer is sheared under a constant normal stress, opened, and sheared further.
 
-    It is opened by the fraction `LOOSENED` of its closing. Each of these three parts has steps/2 steps. A step
+    It is opened by the fraction `LOOSENED_SHARE` of its closing. Each of these three parts has steps/2 steps. A step
     prescribes "w_T" and either "w_N" (jumps over the thickness) or "t_N" (normal traction).
     """
-    first = fixed_stress(steps // 2, SHEAR / 2)
+    first = fixed_stress_path(steps // 2, END_SHEAR / 2)
     w_T, w_N = drive(MohrCoulomb(LMBDA, MU, 0.0, OMEGA), first).jumps[-1]
-    opened = [{"w_T": w_T, "w_N": w} for w in np.linspace(w_N, (1 - LOOSENED) * w_N, steps // 2 + 1)[1:]]
-    last = opened[-1]["w_N"]
-    return [*first, *opened, *({"w_T": w_T + w, "w_N": last} for w in shears(steps // 2, SHEAR / 2))]
+    opened = [{"w_T": w_T, "w_N": w} for w in np.linspace(w_N, (1 - LOOSENED_SHARE) * w_N, steps // 2 + 1)[1:]]
+    last_w_N = opened[-1]["w_N"]
+    return [*first, *opened, *({"w_T": w_T + w, "w_N": last_w_N} for w in tangential_jumps(steps // 2, END_SHEAR / 2))]
 
 
 def draw(record: Record) -> None:
     """Draw the apparent friction over the shear for all paths and laws, from table.csv in the folder of `record`."""
     curves = record.load("table.csv").split("path")
-    tan, sin = tangent(), float(np.sin(np.radians(OMEGA)))
-    davis = [formulas.apparent_friction(OMEGA, psi) for psi in DILATANCIES if psi < OMEGA]
-    shown = {PATHS: (UNLOADED, FIXED_STRESS, FIXED_JUMP, RADIAL), FLOW: (FIXED_STRESS, *DILATANT.values(), PLANES)}
-    straight = {PATHS: {"tan(Omega)": tan, "sin(Omega)": sin, "first yield": formulas.first_yield_ratio(NU, OMEGA)}}
-    straight[FLOW] = {"tan(Omega)": tan, "sin(Omega)": sin} | dict(zip(DAVIS, davis, strict=True))
+    tan, sin = tan_omega(), float(np.sin(np.radians(OMEGA)))
+    davis_friction = [formulas.apparent_friction(OMEGA, psi) for psi in DILATANCY_ANGLES if psi < OMEGA]
+    shown = {PATHS: (UNLOADED, FIXED_STRESS, FIXED_JUMP, RADIAL), FLOW: (FIXED_STRESS, *PSI_LABELS.values(), PLANES)}
+    lines = {PATHS: {"tan(Omega)": tan, "sin(Omega)": sin, "first yield": formulas.first_yield_ratio(NU, OMEGA)}}
+    lines[FLOW] = {"tan(Omega)": tan, "sin(Omega)": sin} | dict(zip(DAVIS, davis_friction, strict=True))
     panels = dict[str, Curves]()
     for title, paths in shown.items():
         panels[title] = {path: (curves[path]["shear"], curves[path]["friction"]) for path in paths}
-        panels[title] |= {name: (np.array([0.0, SHEAR]), np.full(2, value)) for name, value in straight[title].items()}
+        panels[title] |= {name: (np.array([0.0, END_SHEAR]), np.full(2, value)) for name, value in lines[title].items()}
     styles = {"tan(Omega)": ":", "sin(Omega)": "--", "first yield": ":"} | dict.fromkeys(DAVIS, "-.")
-    colours = dict(zip((*DILATANT.values(), PLANES), (*COLOURS[4:], "0.3"), strict=True))
+    colours = dict(zip((*PSI_LABELS.values(), PLANES), (*COLOURS[4:], "0.3"), strict=True))
     colours |= dict.fromkeys(("tan(Omega)", "sin(Omega)"), "black") | dict.fromkeys(("first yield", *DAVIS), "0.5")
     title = f"Mohr-Coulomb layer, Omega = {OMEGA:g}°: its lasting friction is sin(Omega), not tan(Omega)"
     labels = ("shear mu w_T over the pressure at the start", "apparent friction t_T / |t_N|")
-    look = {"styles": styles, "colours": colours, "ylim": (0.0, 0.65), "save": record.path("friction.svg")}
-    plotting.curves(panels, *labels, title=title, **look)
+    options = {"styles": styles, "colours": colours, "ylim": (0.0, 0.65), "save": record.path("friction.svg")}
+    plotting.curves(panels, *labels, title=title, **options)

@@ -10,8 +10,8 @@ from thinlayer import Structure, Surface, ThinLayer, plotting, solve
 from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
 
-KAPPA = (1e4, 1e5, 1e6)
-SLIDING = (1.0, 1e-2, 1e-4, 1e-6)
+KAPPAS = (1e4, 1e5, 1e6)
+SLIDING_K_T = (1.0, 1e-2, 1e-4, 1e-6)
 K_N = 100.0
 BONDED_JUMP, BONDED_TRACTION = 0.5913, 28.589  # |[u]| kappa and |t - t_bonded| kappa as kappa -> infinity
 SLIDING_JUMP, SLIDING_TRACTION = -5.45899860e-3, 0.574377539927  # amplitudes of [u_T] and t_N as K_T -> 0
@@ -29,41 +29,41 @@ def run(record: Record, *, quick: bool = False) -> None:
     """
     joint, setup = fourier(1 / 16 if quick else 1 / 48, cell="quadrilateral")
 
-    def interface(k_n: float, k_t: float) -> tuple[State, Surface]:
+    def solve_interface(k_n: float, k_t: float) -> tuple[State, Surface]:
         law = Anisotropic.springs(K_N=k_n, K_T=k_t)
-        state = record.solved(solve(Structure(joint, **setup).interface(ThinLayer(law, 1.0))))
+        state = record.add_report(solve(Structure(joint, **setup).interface(ThinLayer(law, 1.0))))
         return state, Surface(state.model)
 
-    bonded = record.solved(solve(Structure(joint, **setup).bonded()))
+    bonded = record.add_report(solve(Structure(joint, **setup).bonded()))
 
-    def stiff(kappa: float) -> dict[str, float]:
-        state, surface = interface(kappa, kappa)
+    def stiff_row(kappa: float) -> dict[str, float]:
+        state, surface = solve_interface(kappa, kappa)
         difference = surface.norm(surface.reaction(state) - surface.reaction(bonded))
         row = {"kappa": kappa, "jump_times_kappa": surface.norm(surface.jump(state)) * kappa}
         return row | {"traction_difference_times_kappa": difference * kappa}
 
-    def sliding(k_t: float) -> dict[str, float]:
+    def sliding_row(k_t: float) -> dict[str, float]:
         """Solve with the tangential stiffness `k_t`, and return a row of sliding.csv.
 
         The row has `k_t` ("K_T") and the amplitudes on S of the tangential jump and traction and of the normal
         traction. They are "jump_T", "traction_T" (factors of sin(pi x)) and "traction_N" (of cos(pi x)).
         """
-        state, surface = interface(K_N, k_t)
+        state, surface = solve_interface(K_N, k_t)
         sine, cosine = 2 * np.sin(np.pi * surface.x[0]), 2 * np.cos(np.pi * surface.x[0])
         jump, traction = surface.frame(surface.jump(state)), surface.frame(surface.traction(state))
         parts = {"jump_T": jump[0] * sine, "traction_T": traction[0] * sine, "traction_N": traction[1] * cosine}
         return {"K_T": k_t, **{name: surface.integral(part) for name, part in parts.items()}}
 
-    last = record.rows("table.csv", KAPPA[:: 2 if quick else 1], stiff, "kappa = {:g}").rows[-1]
-    slid = record.rows("sliding.csv", SLIDING[:: 3 if quick else 1], sliding, "K_T = {:g}").rows[-1]
+    last = record.rows("table.csv", KAPPAS[:: 2 if quick else 1], stiff_row, "kappa = {:g}").rows[-1]
+    softest_row = record.rows("sliding.csv", SLIDING_K_T[:: 3 if quick else 1], sliding_row, "K_T = {:g}").rows[-1]
     tolerance = 1e-4 if quick else 1e-5
-    for what, value, expected, near in (
+    for check_name, value, expected, rtol in (
         ("|[u]| kappa at the largest kappa", last["jump_times_kappa"], BONDED_JUMP, 2e-4),
         ("|t - t_bonded| kappa at the largest kappa", last["traction_difference_times_kappa"], BONDED_TRACTION, 2e-4),
-        ("amplitude of [u_T] at the smallest K_T", slid["jump_T"], SLIDING_JUMP, tolerance),
-        ("amplitude of t_N at the smallest K_T", slid["traction_N"], SLIDING_TRACTION, tolerance),
+        ("amplitude of [u_T] at the smallest K_T", softest_row["jump_T"], SLIDING_JUMP, tolerance),
+        ("amplitude of t_N at the smallest K_T", softest_row["traction_N"], SLIDING_TRACTION, tolerance),
     ):
-        record.check_near(what, float(value or 0), expected, near)
+        record.check_near(check_name, float(value or 0), expected, rtol)
 
 
 def draw(record: Record) -> None:
@@ -77,5 +77,5 @@ def draw(record: Record) -> None:
     lines["|t - t of bonded bodies| over E/100"] = kappa, table["traction_difference_times_kappa"] / kappa
     lines["slope -1"] = kappa, 5 / kappa
     title, labels = "a stiff interface law tends to bonded bodies", ("K_N = K_T over E/100 per width", "L^2 norm on S")
-    look = {"title": title, "styles": ("o-", "s--", ":"), "log": "xy", "save": record.path("bonded.svg")}
-    plotting.curves(lines, *labels, **look)
+    options = {"title": title, "styles": ("o-", "s--", ":"), "log": "xy", "save": record.path("bonded.svg")}
+    plotting.curves(lines, *labels, **options)

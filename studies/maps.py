@@ -12,18 +12,18 @@ from matplotlib.patches import Patch
 
 from thinlayer.output.plotting.picture import Picture, finish_picture
 
-RANGES = ("#5e9bc8", "#b7dfc0", "#fff7b0", "#f8b26a", "#dd5a4d")  # colours of the ranges, from the lowest values
+RANGE_COLOURS = ("#5e9bc8", "#b7dfc0", "#fff7b0", "#f8b26a", "#dd5a4d")  # colours of the ranges, from the lowest values
 CELL, MARGIN = (0.37, 0.25), (0.45, 0.35)  # inches: of a cell, and of a panel around its cells
-SIZE = 8  # size of text, points: 6 in print, where two columns fill 170 mm
+FONT_SIZE = 8  # size of text, points: 6 in print, where two columns fill 170 mm
 Panel = tuple[npt.ArrayLike, npt.NDArray[np.str_]]  # values of cells, texts of cells
 Axis = tuple[str, Sequence[str]]  # label of the axis, labels of its columns or rows
 
 
-def maps(parts: Mapping[str, Panel], x: Axis, y: Axis, ranges: dict[str, float], *, title: str, save: Path) -> Picture:
+def maps(panels: Mapping[str, Panel], x: Axis, y: Axis, ranges: dict[str, float], *, title: str, save: Path) -> Picture:
     """Draw values over two axes as coloured cells, in panels in two columns with one legend.
 
     Args:
-        parts: title of a panel -> its values (rows, columns), the first row at the bottom, and the texts in its cells
+        panels: title of a panel -> its values (rows, columns), the first row at the bottom, and the texts in its cells
             (rows, columns). Cells with the value NaN stay white.
         x: label of the horizontal axis, and a label for each column.
         y: label of the vertical axis, and a label for each row.
@@ -34,24 +34,24 @@ def maps(parts: Mapping[str, Panel], x: Axis, y: Axis, ranges: dict[str, float],
     Returns:
         The picture.
     """
-    columns = min(2, len(parts))
-    rows = -(-len(parts) // columns)
+    columns = min(2, len(panels))
+    rows = -(-len(panels) // columns)
     width, height = (len(axis[1]) * cell + margin for axis, cell, margin in zip((x, y), CELL, MARGIN, strict=True))
     figure = Picture(figsize=(width * columns, height * rows + 1.4), layout="constrained")
-    colours, norm = RANGES[: len(ranges)], BoundaryNorm([-np.inf, *ranges.values()], len(ranges))
-    for k, (label, (values, texts)) in enumerate(parts.items()):
+    colours, norm = RANGE_COLOURS[: len(ranges)], BoundaryNorm([-np.inf, *ranges.values()], len(ranges))
+    for k, (label, (values, texts)) in enumerate(panels.items()):
         axes = figure.add_subplot(rows, columns, k + 1)
-        cells, last = np.ma.masked_invalid(np.asarray(values, float)), k >= len(parts) - columns
+        cells, is_bottom = np.ma.masked_invalid(np.asarray(values, float)), k >= len(panels) - columns
         axes.pcolormesh(cells, cmap=ListedColormap(colours), norm=norm, edgecolors="white")
         for (i, j), text in np.ndenumerate(texts):
-            axes.text(j + 0.5, i + 0.5, text, ha="center", va="center", fontsize=SIZE)
-        axes.set_xticks(np.arange(len(x[1])) + 0.5, x[1] if last else [], rotation=60, fontsize=SIZE)
-        axes.set_yticks(np.arange(len(y[1])) + 0.5, y[1] if k % columns == 0 else [], fontsize=SIZE)
+            axes.text(j + 0.5, i + 0.5, text, ha="center", va="center", fontsize=FONT_SIZE)
+        axes.set_xticks(np.arange(len(x[1])) + 0.5, x[1] if is_bottom else [], rotation=60, fontsize=FONT_SIZE)
+        axes.set_yticks(np.arange(len(y[1])) + 0.5, y[1] if k % columns == 0 else [], fontsize=FONT_SIZE)
         axes.tick_params(length=0)
-        axes.set_title(label, fontsize=SIZE + 1)
-        axes.set_ylabel(y[0] if k % columns == 0 else "", fontsize=SIZE + 1)
-        axes.set_xlabel(x[0] if last else "", fontsize=SIZE + 1)
+        axes.set_title(label, fontsize=FONT_SIZE + 1)
+        axes.set_ylabel(y[0] if k % columns == 0 else "", fontsize=FONT_SIZE + 1)
+        axes.set_xlabel(x[0] if is_bottom else "", fontsize=FONT_SIZE + 1)
     patches = [Patch(color=colour, label=name) for colour, name in zip(colours, ranges, strict=True)]
-    figure.legend(handles=patches, loc="outside lower center", ncols=len(ranges), frameon=False, fontsize=SIZE + 1)
-    figure.suptitle(title, fontsize=SIZE + 2)
+    figure.legend(handles=patches, loc="outside lower center", ncols=len(ranges), frameon=False, fontsize=FONT_SIZE + 1)
+    figure.suptitle(title, fontsize=FONT_SIZE + 2)
     return finish_picture(figure, save)

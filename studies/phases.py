@@ -12,8 +12,8 @@ from forms.base import Array
 from forms.tensors import Expr
 from forms.traction import JumpStep
 from geometry import sandwich
-from studies.problems import FOURIER_BODY, WALLS, Problem, StructureArguments, phases_on_s
-from studies.sweeping import Tables, last, last_order
+from studies.problems import FOURIER_BODY, SUPPORTS, Problem, StructureArguments, phases_on_s
+from studies.sweeping import Tables, end_state, last_order
 from thinlayer import Surface
 from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
@@ -27,13 +27,13 @@ CASES: dict[str, tuple[NonMonotone, float, float]] = {
     "across": (NonMonotone(60.0, 40.0, alpha=0.7, transformation_energy=0.003, chi=np.diag([0.0, 1.0])), 1.0, 1.2),
     "along": (NonMonotone(60.0, 40.0, alpha=0.3, transformation_energy=0.0004, chi=SHEARED), 4.0, 0.4),
 }
-PURE = NonMonotoneUnrelaxed(60.0, 40.0, alpha=0.6, transformation_energy=0.0025, chi=OBLIQUE)
-CLOSE = 1e-9  # distance of a phase fraction from a pure phase that counts as rounding
-SHARE = 0.15  # least share of S that each phase, and mixtures, must have
+PURE_LAW = NonMonotoneUnrelaxed(60.0, 40.0, alpha=0.6, transformation_energy=0.0025, chi=OBLIQUE)
+PURE_TOLERANCE = 1e-9  # distance of a phase fraction from a pure phase that counts as rounding
+MIN_SHARE = 0.15  # least share of S that each phase, and mixtures, must have
 
 
 @dataclass(frozen=True)
-class Formula(TractionLaw):
+class PhaseLaw(TractionLaw):
     """Interface law in 2D of a layer of the law `NonMonotone`, with coefficients that may be changed.
 
     The traction at the jump w = w_T + w_N n is mu w_T + K_N w_N n - phase alpha chi n. The phase is from -1 to 1.
@@ -45,7 +45,7 @@ class Formula(TractionLaw):
         C: transformation energy per area of S.
         G: coefficient of the energy alpha^2 G that mixtures gain, as in `NonMonotone`.
         chi_12, chi_22: components along S and along n of chi n, where chi is the direction of the transformation.
-        minus: 1 if the law has the phase -1; 0 for Eq. (43) of the paper as printed, without this phase.
+        minus_factor: 1 if the law has the phase -1; 0 for Eq. (43) of the paper as printed, without this phase.
     """
 
     mu: float
@@ -55,30 +55,30 @@ class Formula(TractionLaw):
     G: float
     chi_12: float
     chi_22: float
-    minus: float = 1.0
+    minus_factor: float = 1.0
 
     @classmethod
-    def of(cls, layer: NonMonotone, **changed: float) -> Formula:
+    def of(cls, layer: NonMonotone, **changed: float) -> PhaseLaw:
         """Return the interface law of `layer`, with those coefficients replaced that are named in `changed`."""
-        names = {"mu": "mu", "alpha": "alpha", "G": "G", "C": "transformation_energy"}
-        same = {name: getattr(layer, parameter) for name, parameter in names.items()}
-        same |= {"K_N": layer.lmbda + 2 * layer.mu, "chi_12": layer.chi[0, 1], "chi_22": layer.chi[1, 1]}
-        return cls(**same | changed)
+        parameter_names = {"mu": "mu", "alpha": "alpha", "G": "G", "C": "transformation_energy"}
+        coefficients = {name: getattr(layer, parameter) for name, parameter in parameter_names.items()}
+        coefficients |= {"K_N": layer.lmbda + 2 * layer.mu, "chi_12": layer.chi[0, 1], "chi_22": layer.chi[1, 1]}
+        return cls(**coefficients | changed)
 
     def traction(self, step: JumpStep) -> Expr:
         """Return the traction (3,) at the jump of a time step, `step.mid`."""
         w, n = step.mid, step.n
         w_N, tangent = ufl.dot(w, n), ufl.as_vector([n[1], -n[0], 0])
-        stress = self.alpha * (self.chi_12 * tangent + self.chi_22 * n)
-        m = ufl.dot(stress, w)
+        transformation_stress = self.alpha * (self.chi_12 * tangent + self.chi_22 * n)
+        m = ufl.dot(transformation_stress, w)
         fraction = ufl.min_value(ufl.max_value((abs(m) - self.C) / (self.alpha**2 * self.G) + 0.5, 0), 1)
-        phase = fraction * ufl.conditional(ufl.lt(m, 0), -self.minus, 1)
-        return self.mu * (w - w_N * n) + self.K_N * w_N * n - phase * stress
+        phase = fraction * ufl.conditional(ufl.lt(m, 0), -self.minus_factor, 1)
+        return self.mu * (w - w_N * n) + self.K_N * w_N * n - phase * transformation_stress
 
 
 # wrong laws: lambda + mu as in Eqs. (41)-(42); no phase -1, Eq. (43); laminates only across n, G = 1/(lambda + 2 mu)
-PRINTED, ONE_BRANCH = Formula.of(CASES[""][0], K_N=100.0), Formula.of(CASES[""][0], minus=0.0)
-SMALL_GAIN = Formula.of(CASES["across"][0], G=1 / 140)
+PRINTED, ONE_BRANCH = PhaseLaw.of(CASES[""][0], K_N=100.0), PhaseLaw.of(CASES[""][0], minus_factor=0.0)
+SMALL_GAIN = PhaseLaw.of(CASES["across"][0], G=1 / 140)
 
 
 def blocks(h: float, shear: float, pull: float, *, moved: bool = False) -> Problem:
@@ -96,16 +96,16 @@ def blocks(h: float, shear: float, pull: float, *, moved: bool = False) -> Probl
     """
 
     def top(x: Expr, t: Expr) -> tuple[Expr, Expr]:
-        share = t if moved else 1
-        return share * shear * ufl.sin(ufl.pi * x[0]), share * pull * ufl.cos(ufl.pi * x[0] / 2)
+        factor = t if moved else 1
+        return factor * shear * ufl.sin(ufl.pi * x[0]), factor * pull * ufl.cos(ufl.pi * x[0] / 2)
 
-    setup: StructureArguments = {"body": FOURIER_BODY, "supports": WALLS, "tractions": {} if moved else {"TOP": top}}
+    setup: StructureArguments = {"body": FOURIER_BODY, "supports": SUPPORTS, "tractions": {} if moved else {"TOP": top}}
     if moved:
-        setup["supports"] = WALLS | {"TOP": {"x": lambda x, t: top(x, t)[0], "y": lambda x, t: top(x, t)[1]}}
+        setup["supports"] = SUPPORTS | {"TOP": {"x": lambda x, t: top(x, t)[0], "y": lambda x, t: top(x, t)[1]}}
     return sandwich(2.0, 0.5, 0.5, h, cell="quadrilateral", structured=True), setup
 
 
-def along_s(state: State, _: Surface) -> dict[str, Array]:
+def phases_along(state: State, _: Surface) -> dict[str, Array]:
     """Return two columns for a table: "x" (n,) and the layer's "phase" (n,) at the n facets of S in `state`.
 
     The second argument, the surface S, is not used.
@@ -113,7 +113,7 @@ def along_s(state: State, _: Surface) -> dict[str, Array]:
     return dict(zip(("x", "phase"), phases_on_s(state), strict=True))
 
 
-def shares(full: Solution, limit: Solution) -> dict[str, float]:
+def phase_fractions(full: Solution, limit: Solution) -> dict[str, float]:
     """Measure which fractions of S are in each phase, and on how many facets both models differ.
 
     Args:
@@ -124,27 +124,27 @@ def shares(full: Solution, limit: Solution) -> dict[str, float]:
         With the interface law: fractions of S in phase 1 ("plus"), in phase -1 ("minus") and in mixtures ("mixed").
         "differ" is the number of facets of S where the phases of both models differ by more than 1/2.
     """
-    state = last(limit)
-    (_, on_s), (_, meshed) = (phases_on_s(last(solution)) for solution in (limit, full))
-    mixed = (abs(on_s) > CLOSE) & (abs(on_s) < 1 - CLOSE)
-    (row,), differ = Surface(state.model).table(state).rows, abs(meshed - on_s) > 0.5
-    pure = {name: float(row[name] or 0.0) for name in ("plus", "minus")}
-    return pure | {"mixed": float(mixed.mean()), "differ": float(differ.sum())}
+    state = end_state(limit)
+    (_, limit_phases), (_, full_phases) = (phases_on_s(end_state(solution)) for solution in (limit, full))
+    is_mixed = (abs(limit_phases) > PURE_TOLERANCE) & (abs(limit_phases) < 1 - PURE_TOLERANCE)
+    (row,), is_different = Surface(state.model).table(state).rows, abs(full_phases - limit_phases) > 0.5
+    pure_fractions = {name: float(row[name] or 0.0) for name in ("plus", "minus")}
+    return pure_fractions | {"mixed": float(is_mixed.mean()), "differ": float(is_different.sum())}
 
 
-def all_there(record: Record, tables: Tables) -> None:
+def check_phases(record: Record, tables: Tables) -> None:
     """Check that phase 1, phase -1 and mixtures each occupy at least the fraction 0.15 of S.
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
+        tables: name of a `Sweep` of the study `rates` -> its table, with a line for each thickness.
     """
     for name in ("non_monotone", "non_monotone across", "non_monotone along"):
         for share in ("plus", "minus", "mixed"):
-            record.check(f"share of S, {share}, {name}", tables[name][share][-1], low=SHARE)
+            record.check(f"share of S, {share}, {name}", tables[name][share][-1], low=MIN_SHARE)
 
 
-def snaps(full: Solution, limit: Solution) -> dict[str, float]:
+def snap_errors(full: Solution, limit: Solution) -> dict[str, float]:
     """Compare the snaps in marches of both models.
 
     Args:
@@ -152,28 +152,28 @@ def snaps(full: Solution, limit: Solution) -> dict[str, float]:
         limit: history with the interface law.
 
     Returns:
-        The entries of `shares`, and "snaps", the number of snaps with the interface law. "error_times" is the largest
-        difference of the times of a snap, over the last such time. "error_lost" is the relative difference of the total
-        energies lost. Errors are NaN if the models have different numbers of snaps.
+        The entries of `phase_fractions`, and "snaps", the number of snaps with the interface law. "error_times" is the
+        largest difference of the times of a snap, over the last such time. "error_lost" is the relative difference of
+        the total energies lost. Errors are NaN if the models have different numbers of snaps.
     """
     assert isinstance(full, History)
     assert isinstance(limit, History)
-    row, times, lost = shares(full, limit) | {"snaps": len(limit.snaps)}, np.nan, np.nan
+    row, time_error, lost_error = phase_fractions(full, limit) | {"snaps": len(limit.snaps)}, np.nan, np.nan
     meshed, on_s = (np.array([(snap.t, snap.lost) for snap in march.snaps]).reshape(-1, 2) for march in (full, limit))
     if len(meshed) == len(on_s) > 0:
-        times = float(abs(meshed - on_s)[:, 0].max() / on_s[-1, 0])
-        lost = float(abs(meshed[:, 1].sum() / on_s[:, 1].sum() - 1))
-    return row | {"error_times": times, "error_lost": lost}
+        time_error = float(abs(meshed - on_s)[:, 0].max() / on_s[-1, 0])
+        lost_error = float(abs(meshed[:, 1].sum() / on_s[:, 1].sum() - 1))
+    return row | {"error_times": time_error, "error_lost": lost_error}
 
 
-def same_snaps(record: Record, tables: Tables) -> None:
+def check_snaps(record: Record, tables: Tables) -> None:
     """Check that the meshed layer changes phase at the same facets of S as the interface law, at almost the same times.
 
     The difference of the times must be O(eps).
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
+        tables: name of a `Sweep` of the study `rates` -> its table, with a line for each thickness.
     """
     table = tables["non_monotone unrelaxed"]
     record.check("columns in another phase than on S, unrelaxed, any eps", table["differ"].max(), high=0.0)

@@ -21,28 +21,28 @@ from geometry.joint import Joint, Profile
 from geometry.shapes.sizing import GridArgs
 from geometry.topology import BoolArray
 from thinlayer import Structure, Surface, ThinLayer, piecewise
-from thinlayer.discretisation.coefficient import Load
+from thinlayer.discretisation.coefficient import LoadInput
 from thinlayer.discretisation.forces import BodyForce
 from thinlayer.discretisation.part_definition import PartDefinition
 from thinlayer.discretisation.state import State
-from thinlayer.discretisation.supports import ByPlace, Place, Support
+from thinlayer.discretisation.supports import Place, Support, SupportsByPlace
 
 FOURIER_BODY = LinearElastic.young(E=100.0, nu=0.3)
 FOURIER_LAYER = LinearElastic(lmbda=60.0, mu=40.0)
-MORTAR = MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02)  # for `sheared`
-BAR = LinearElastic.young(E=130e3, nu=0.2)  # MPa, section 8.2 of the paper
-WALLS: dict[Place, Support] = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}  # clamped below, between rollers
+MORTAR_LAW = MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02)  # for `sheared`
+BAR_LAW = LinearElastic.young(E=130e3, nu=0.2)  # MPa, section 8.2 of the paper
+SUPPORTS: dict[Place, Support] = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}  # clamped below, on rollers
 CHI = np.array([[0.0, 0.3], [0.3, 1.0]])  # a layer changes phase as it opens and is sheared
-SNAPPING = (1.0, 1.0, 1.2, 0.9, CHI)  # lmbda, mu, alpha, transformation energy and chi of a layer that snaps
-SHEAR = 5.0  # largest shear on the upper side in `sheared`, over the pressure there
+SNAP_LAW = (1.0, 1.0, 1.2, 0.9, CHI)  # lmbda, mu, alpha, transformation energy and chi of a layer that snaps
+MAX_SHEAR = 5.0  # largest shear on the upper side in `sheared`, over the pressure there
 
 
 class StructureArguments(TypedDict, total=False):
     """Keyword arguments of `Structure` for a study's problem; the joint is passed separately."""
 
     body: BulkLaw | Mapping[str, BulkLaw]
-    supports: ByPlace
-    tractions: Mapping[str, Load]
+    supports: SupportsByPlace
+    tractions: Mapping[str, LoadInput]
     body_force: BodyForce
     plane: str
     element: str
@@ -56,7 +56,7 @@ LayerOfThickness = Callable[[float], ThinLayer]
 LoadPath = Mapping[float, tuple[float, float, float]]  # time -> p, r and q of `pressed`, linear in between
 
 
-def of(law: BulkLaw, at: float | None = 1.0, order: int = 0, profile: Profile | None = None) -> LayerOfThickness:
+def layer_fn(law: BulkLaw, at: float | None = 1.0, order: int = 0, profile: Profile | None = None) -> LayerOfThickness:
     """Return a function that makes a layer of a given thickness.
 
     Args:
@@ -84,11 +84,11 @@ def fourier(h: float, *, cell: str = "triangle") -> Problem:
     """
     joint = sandwich(1.0, 0.5, 0.5, h, cell=cell, structured=True)
     tractions = {"TOP": lambda x, t: (0.5 * ufl.sin(ufl.pi * x[0]), ufl.cos(ufl.pi * x[0]))}
-    return joint, {"body": FOURIER_BODY, "supports": WALLS, "tractions": tractions}
+    return joint, {"body": FOURIER_BODY, "supports": SUPPORTS, "tractions": tractions}
 
 
 @dataclass(frozen=True)
-class Wave:
+class WaveSolution:
     """Exact solution in plane strain of two blocks with a layer between them under sinusoidal tractions.
 
     The lower side is clamped. Displacements are (u_x(y) sin(k x), u_y(y) cos(k x)). Tractions on planes of constant y
@@ -106,7 +106,7 @@ class Wave:
     body: tuple[float, float]
     load: tuple[float, float]
 
-    def across(self, lmbda: float, mu: float, thickness: float) -> Array:
+    def transfer_matrix(self, lmbda: float, mu: float, thickness: float) -> Array:
         """Return the transfer matrix (4, 4) of an isotropic layer.
 
         It maps the amplitudes of displacement and traction (u_x, u_y, t_x, t_y) at the lower face to those at the upper
@@ -117,24 +117,24 @@ class Wave:
             thickness: thickness of the layer; a block is also such a layer.
         """
         k, M = self.k, lmbda + 2 * mu
-        ratio, along = (1.0, 4 * mu) if math.isinf(lmbda) else (lmbda / M, 4 * mu * (lmbda + mu) / M)
-        rows = [[0, k, 1 / mu, 0], [-ratio * k, 0, 0, 1 / M], [along * k**2, 0, 0, ratio * k], [0, 0, -k, 0]]
-        return np.asarray(expm(np.array(rows) * thickness))
+        ratio, modulus = (1.0, 4 * mu) if math.isinf(lmbda) else (lmbda / M, 4 * mu * (lmbda + mu) / M)
+        generator = [[0, k, 1 / mu, 0], [-ratio * k, 0, 0, 1 / M], [modulus * k**2, 0, 0, ratio * k], [0, 0, -k, 0]]
+        return np.asarray(expm(np.array(generator) * thickness))
 
-    def solved(self, lmbda: float, mu: float, eps: float) -> tuple[Array, Array, float]:
+    def solve_amplitudes(self, lmbda: float, mu: float, eps: float) -> tuple[Array, Array, float]:
         """Solve with a layer of Lamé's moduli `lmbda` and `mu` and the thickness `eps` between the blocks.
 
         Returns:
             Amplitudes (2,) of the layer's mean traction, amplitudes (2,) of its jump, and the work of the load over a
             half-wave of length 1.
         """
-        body, layer = self.across(*self.body, self.height), self.across(lmbda, mu, eps)
-        below = body @ np.append(np.zeros(2), np.linalg.solve((body @ layer @ body)[2:, 2:], self.load))
-        above = layer @ below
-        return (above + below)[2:] / 2, (above - below)[:2], float(self.load @ (body @ above)[:2]) / 2
+        body, layer = self.transfer_matrix(*self.body, self.height), self.transfer_matrix(lmbda, mu, eps)
+        lower = body @ np.append(np.zeros(2), np.linalg.solve((body @ layer @ body)[2:, 2:], self.load))
+        upper = layer @ lower
+        return (upper + lower)[2:] / 2, (upper - lower)[:2], float(self.load @ (body @ upper)[:2]) / 2
 
 
-def loaded(joint: Joint, top: Load, **more: Unpack[StructureArguments]) -> Structure:
+def top_loaded(joint: Joint, top: LoadInput, **more: Unpack[StructureArguments]) -> Structure:
     """Make a structure under a traction on top, clamped below, whose bodies have E = 100 and nu = 0.3.
 
     Args:
@@ -148,7 +148,7 @@ def loaded(joint: Joint, top: Load, **more: Unpack[StructureArguments]) -> Struc
 
 def free_blocks(
     h_ends: float,
-    load: Load = (0.3, -1.0),
+    load: LoadInput = (0.3, -1.0),
     heights: Heights = (0.5, 0.5),
     *,
     h_S: float = 1 / 32,
@@ -161,9 +161,9 @@ def free_blocks(
         load: traction on top.
         heights: heights of the lower and the upper block.
         h_S: cell size on S.
-        more: further arguments of `Structure`; `body`, `supports` and `tractions` replace those of `loaded`.
+        more: further arguments of `Structure`; `body`, `supports` and `tractions` replace those of `top_loaded`.
     """
-    return loaded(sandwich(1.0, *heights, h=1 / 8, h_S=h_S, h_ends=h_ends, cell="quadrilateral"), load, **more)
+    return top_loaded(sandwich(1.0, *heights, h=1 / 8, h_S=h_S, h_ends=h_ends, cell="quadrilateral"), load, **more)
 
 
 def pressed(h: float, path: LoadPath) -> Problem:
@@ -188,7 +188,7 @@ def pressed(h: float, path: LoadPath) -> Problem:
         p, r, q = loads(x, t)
         return q * ufl.sin(ufl.pi * x[0] / 2), -p - r * ufl.cos(ufl.pi * x[0] / 2)
 
-    return joint, {"body": FOURIER_BODY, "supports": WALLS, "tractions": {"TOP": top}}
+    return joint, {"body": FOURIER_BODY, "supports": SUPPORTS, "tractions": {"TOP": top}}
 
 
 def sheared(h: float) -> Problem:
@@ -203,7 +203,7 @@ def sheared(h: float) -> Problem:
     joint, setup = fourier(h, cell="quadrilateral")
 
     def load(x: Expr, t: Expr) -> tuple[Expr, Expr]:
-        shear = SHEAR * ufl.conditional(ufl.lt(t, 1), t, 2 - t)
+        shear = MAX_SHEAR * ufl.conditional(ufl.lt(t, 1), t, 2 - t)
         return shear * ufl.sin(ufl.pi * x[0]), -1 + 0.3 * ufl.cos(ufl.pi * x[0])
 
     return joint, setup | {"tractions": {"TOP": load}}
@@ -228,9 +228,9 @@ def sliding_bar(n: int, *, depth: bool = False, **cells: Unpack[GridArgs]) -> Pr
     cells.setdefault("structured", True)
     joint = block(side, side, side / n, depth=side if depth else None, **cells)
     fixed: dict[Place, Support] = {"BACK": {"z": 0.0}} if depth else {(side, 0.0): 0.0}
-    zero = (0.0,) if depth else ()
-    loads = {"LEFT": (100.0, 0.0, *zero), "TOP": (0.0, -50.0, *zero)}
-    return joint, {"body": BAR, "supports": {"RIGHT": {"x": 0.0}, **fixed}, "tractions": loads, "element": "P1"}
+    zeros = (0.0,) if depth else ()
+    loads = {"LEFT": (100.0, 0.0, *zeros), "TOP": (0.0, -50.0, *zeros)}
+    return joint, {"body": BAR_LAW, "supports": {"RIGHT": {"x": 0.0}, **fixed}, "tractions": loads, "element": "P1"}
 
 
 # ---------------------------------------------------------------- joints as they are built, in mm or m, and MPa
@@ -238,9 +238,9 @@ young = LinearElastic.young
 STEEL, ALUMINIUM, STONE = young(E=210e3, nu=0.3), young(E=70e3, nu=0.33), young(E=20e3, nu=0.2)
 GLUE, GLUE_EPS = young(E=2e3, nu=0.4), 0.2  # 2 GPa where the layer is 0.2 mm thick
 JOINT, JOINT_EPS = young(E=1e3, nu=0.2), 0.01  # 1 GPa where joints are 10 mm thick
-RADII = (10.0, 15.0, 20.0)  # mm: inside of the shaft, S, outside of the hub
-MESH = Path(__file__).parent / "data" / "arch.msh"  # mesh with curved cells; arch.geo has its geometry
-WEIGHT = (0.0, -0.025)  # MN/m^3
+HUB_RADII = (10.0, 15.0, 20.0)  # mm: inside of the shaft, S, outside of the hub
+ARCH_MESH_FILE = Path(__file__).parent / "data" / "arch.msh"  # mesh with curved cells; arch.geo has its geometry
+ARCH_WEIGHT = (0.0, -0.025)  # MN/m^3
 ARCH_RADIUS, MIDDLE = 1.15, 0.1  # m: joints are measured over the middle two thirds of their length
 
 
@@ -253,8 +253,8 @@ def glued_hub(h: float) -> Problem:
     Returns:
         The joint, and the arguments of its `Structure`.
     """
-    tractions = {"OUTSIDE": lambda x, t: (0.0, -ufl.conditional(x[1] > 0, 10.0 * x[1] / RADII[2], 0.0))}
-    joint, bodies = ring(*RADII, h=h, cell="quadrilateral", degree=2), {"INNER": STEEL, "OUTER": ALUMINIUM}
+    tractions = {"OUTSIDE": lambda x, t: (0.0, -ufl.conditional(x[1] > 0, 10.0 * x[1] / HUB_RADII[2], 0.0))}
+    joint, bodies = ring(*HUB_RADII, h=h, cell="quadrilateral", degree=2), {"INNER": STEEL, "OUTER": ALUMINIUM}
     return joint, {"body": bodies, "supports": {"INSIDE": 0.0}, "tractions": tractions}
 
 
@@ -270,12 +270,12 @@ def arch(element: str) -> Problem:
         The joint, and the arguments of its `Structure`.
     """
     tractions = {"EXTRADOS": lambda x, t: (0.0, ufl.conditional(x[0] > 0, -0.4, -0.1))}
-    setup: StructureArguments = {"body": STONE, "tractions": tractions, "body_force": WEIGHT, "element": element}
+    setup: StructureArguments = {"body": STONE, "tractions": tractions, "body_force": ARCH_WEIGHT, "element": element}
     setup["supports"] = {"SPRINGINGS": 0.0}
-    return read(MESH, S="JOINTS", lower="ODD STONES", upper="EVEN STONES"), setup
+    return read(ARCH_MESH_FILE, S="JOINTS", lower="ODD STONES", upper="EVEN STONES"), setup
 
 
-def inside_joints(x: Array) -> BoolArray:
+def is_inside_joints(x: Array) -> BoolArray:
     """Return a mask of the points in the middle two thirds of the arch's joints, away from their ends.
 
     `x` are coordinates of points of S, m, with the components on the first axis; the mask has the shape of x[0].

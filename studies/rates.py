@@ -23,19 +23,29 @@ from forms.base import Array
 from studies import bands, cylinders, phases, problems, rods
 from studies import fig3_mohr_coulomb as fig3
 from studies.bands import MODULI, RETURN_PATH
-from studies.problems import FOURIER_BODY, FOURIER_LAYER, MORTAR, LoadPath, Problem, fourier, of, pressed, sheared
+from studies.problems import (
+    FOURIER_BODY,
+    FOURIER_LAYER,
+    MORTAR_LAW,
+    LoadPath,
+    Problem,
+    fourier,
+    layer_fn,
+    pressed,
+    sheared,
+)
 from studies.sweeping import (
-    Floors,
-    Row,
+    ErrorFloors,
+    Sweep,
     Tables,
-    by_reaction,
     check_floors,
     draw_along,
+    end_state,
     halves,
-    last,
     last_order,
     middle,
-    table_of,
+    reaction_error,
+    table_file,
 )
 from thinlayer import Surface, plotting
 from thinlayer.output.plotting.curves import COLOURS, ERROR_COLUMNS
@@ -45,12 +55,12 @@ from thinlayer.solving.history import History, Solution
 # ---------------------------------------------------------------- checks in addition to the orders
 EARLY, SPECTRAL = 0.05, {"traction": 0.56140781698, "jump": 7.0602412711e-4}  # time; norms on S, p = 1.5, same steps
 FRACTION, LESS = 0.01, 1e-4  # elastic fractions: pulled layers have no shear strength, open layers none along n
-FLOOR = {"traction": (0.14, 0.18), "jump": (0.26, 0.31)}  # relative errors that Coulomb's law with tan(Omega) leaves
+FLOOR = {"traction": (0.14, 0.18), "jump": (0.26, 0.31)}  # relative errors of Coulomb's law with tan(Omega)
 PRINTED_FLOOR = {"traction": (0.13, 0.16), "jump": (0.22, 0.26)}  # the same of wrong laws in `phases`
 ONE_BRANCH_FLOOR, GAIN_FLOOR = {"traction": (0.12, 0.16), "jump": (0.29, 0.35)}, {"traction": (0.018, 0.026)}
 
 
-def early(_: Solution, limit: Solution) -> dict[str, float]:
+def early_norms(_: Solution, limit: Solution) -> dict[str, float]:
     """Return the L2 norms on S of traction and jump of the interface law at the time 0.05.
 
     The first argument, the full model's solution, is not used.
@@ -66,12 +76,12 @@ def early(_: Solution, limit: Solution) -> dict[str, float]:
     return {f"early_{field.__name__}": surface.norm(field(state)) for field in (surface.traction, surface.jump)}
 
 
-def spectral(record: Record, tables: Tables) -> None:
+def check_spectral(record: Record, tables: Tables) -> None:
     """Check the norms "early_traction" and "early_jump" of a Norton layer against a solution by a spectral method.
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
+        tables: name of a `Sweep` of the study `rates` -> its table, with a line for each thickness.
     """
     for name, value in SPECTRAL.items():
         norm, tolerance = tables["norton"][f"early_{name}"][-1], 5e-4 if record.options.get("quick") else 1e-4
@@ -91,21 +101,21 @@ def normal_jumps(full: Solution, limit: Solution) -> dict[str, float]:
     Returns:
         "normal_jump_full" and "normal_jump_interface" -> relative norm.
     """
-    surface = Surface(last(limit).model)
-    size = surface.norm(surface.jump(last(limit)))
+    surface = Surface(end_state(limit).model)
+    jump_norm = surface.norm(surface.jump(end_state(limit)))
     norms = {}
     for name, solution in {"full": full, "interface": limit}.items():
-        projected = surface.at_points(surface.nodal(surface.jump(last(solution))))
-        norms[f"normal_jump_{name}"] = surface.norm(surface.frame(projected)[1]) / size
+        projected = surface.at_points(surface.nodal(surface.jump(end_state(solution))))
+        norms[f"normal_jump_{name}"] = surface.norm(surface.frame(projected)[1]) / jump_norm
     return norms
 
 
-def no_normal_jump(record: Record, tables: Tables) -> None:
+def check_normal_jump(record: Record, tables: Tables) -> None:
     """Check the normal jump of incompressible layers: zero with the interface law, O(eps) in the meshed layer.
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
+        tables: name of a `Sweep` of the study `rates` -> its table, with a line for each thickness.
     """
     table = tables["incompressible"]
     record.check("largest [u_N]/[u] of the interface law, projected", table["normal_jump_interface"].max(), high=1e-10)
@@ -114,7 +124,7 @@ def no_normal_jump(record: Record, tables: Tables) -> None:
         record.check("last observed order of the meshed layer's [u_N]", order, low=0.93, high=1.07)
 
 
-def less_fraction(record: Record, tables: Tables) -> None:
+def check_smaller_fraction(record: Record, tables: Tables) -> None:
     """Check that the interface law errs more, for pulled frictional layers, if the elastic fraction h is smaller.
 
     With cohesion c and friction angle Omega, only the elastic fraction h resists shear where the tension exceeds c
@@ -124,7 +134,7 @@ def less_fraction(record: Record, tables: Tables) -> None:
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
+        tables: name of a `Sweep` of the study `rates` -> its table, with a line for each thickness.
     """
     for name in ERROR_COLUMNS:
         less, more = (tables[f"monodirectional {case}"][f"error_{name}"][-1] for case in ("pulled_less", "pulled"))
@@ -132,7 +142,7 @@ def less_fraction(record: Record, tables: Tables) -> None:
         record.check(what, less / more, low=2.5)
 
 
-def third_order(record: Record, tables: Tables) -> None:
+def check_third_order(record: Record, tables: Tables) -> None:
     """Check that the traction converges almost as eps^3 for layers about as hard as the bodies.
 
     The rate of convergence tends to 3 from below as eps E_layer/E_body becomes small against the width. The last rate
@@ -140,15 +150,15 @@ def third_order(record: Record, tables: Tables) -> None:
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
+        tables: name of a `Sweep` of the study `rates` -> its table, with a line for each thickness.
     """
-    for name, law in HARD.items():
+    for name, law in HARD_LAWS.items():
         if len(table := tables[name]) > 1:
             low = 2.5 if table["eps"][-1] * law.mu / FOURIER_BODY.mu < 0.05 else 2.0
             record.check(f"last observed order of the traction, {name}", last_order(table, "error_reaction"), low=low)
 
 
-def dissipated(_: Solution, limit: Solution) -> dict[str, float]:
+def dissipation_ratios(_: Solution, limit: Solution) -> dict[str, float]:
     """Return the energies dissipated in a march of the interface model, divided by the energy stored at its end.
 
     The first argument, the full model's solution, is not used.
@@ -160,17 +170,17 @@ def dissipated(_: Solution, limit: Solution) -> dict[str, float]:
         "bodies" and "joint" (the interface law) -> dissipated over stored energy.
     """
     assert isinstance(limit, History)
-    whole, bodies = (float(limit.table[name].sum()) for name in ("dissipated", "dissipated bodies"))
+    total, bodies = (float(limit.table[name].sum()) for name in ("dissipated", "dissipated bodies"))
     stored = limit.last.audit.total
-    return {"bodies": bodies / stored, "joint": (whole - bodies) / stored}
+    return {"bodies": bodies / stored, "joint": (total - bodies) / stored}
 
 
-def both_yield(record: Record, tables: Tables) -> None:
+def check_both_yield(record: Record, tables: Tables) -> None:
     """Check that bodies and layer each dissipate at least 1 % of the stored energy, if both are plastic.
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
+        tables: name of a `Sweep` of the study `rates` -> its table, with a line for each thickness.
     """
     for name in ("bodies", "joint"):
         dissipation = tables["mohr_coulomb metal"][name][-1]
@@ -178,7 +188,7 @@ def both_yield(record: Record, tables: Tables) -> None:
 
 
 # ---------------------------------------------------------------- problems
-def bar(sizes: tuple[float, float, float]) -> Problem:
+def fig2_bar(sizes: tuple[float, float, float]) -> Problem:
     """The bar of Fig. 2 of the paper, on a rigid base, pressed by 0.0164 MPa, sheared by 0.164 MPa.
 
     Args:
@@ -187,10 +197,10 @@ def bar(sizes: tuple[float, float, float]) -> Problem:
     Returns:
         The joint, and the arguments of its `Structure`.
     """
-    return fig3.meshed(sizes), fig3.READINGS["R1"].setup
+    return fig3.bar_joint(sizes), fig3.LOAD_READINGS["R1"].setup
 
 
-def of_metal(h: float) -> Problem:
+def metal_blocks(h: float) -> Problem:
     """The blocks of `studies.problems.sheared`, made of a metal with the law `VonMises`, which hardens.
 
     Args:
@@ -203,7 +213,7 @@ def of_metal(h: float) -> Problem:
     return joint, setup | {"body": VonMises(FOURIER_BODY.lmbda, FOURIER_BODY.mu, strength=3.0, hardening=20.0)}
 
 
-def wedge(x: Array) -> Array:
+def wedge_thickness(x: Array) -> Array:
     """Return the thickness of a tapered layer over its mean thickness at the points `x`.
 
     Its first row x[0] has the coordinates along S, 0 to 1, between which the thickness grows from 1/2 to 3/2.
@@ -211,10 +221,10 @@ def wedge(x: Array) -> Array:
     return 0.5 + x[0]
 
 
-PUSHED: LoadPath = {0: (0.0, 0.0, 0.0), 1: (0.3, 0.35, 0.0), 2: (0.3, 1.0, 1.5), 3: (0.3, 0.0, -0.9)}
-SHEARED = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
+PUSH_PATH: LoadPath = {0: (0.0, 0.0, 0.0), 1: (0.3, 0.35, 0.0), 2: (0.3, 1.0, 1.5), 3: (0.3, 0.0, -0.9)}
+SHEAR_TIMES = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 PATH = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
-pushed, pulled = partial(pressed, path=PUSHED), partial(pressed, path=RETURN_PATH)
+pushed, pulled = partial(pressed, path=PUSH_PATH), partial(pressed, path=RETURN_PATH)
 
 
 # ---------------------------------------------------------------- layers
@@ -224,123 +234,134 @@ NORTON = Norton(*MODULI, eta=5.0, p=1.5)  # at rest the tangent is infinite for 
 SLIPPING = MohrCoulombMonodirectional(*MODULI, cohesion=0.05, friction_angle=25.0)
 OPENING = replace(SLIPPING, elastic_fraction=FRACTION, unilateral=True)
 COULOMB = MohrCoulombMonodirectional(*MODULI, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02)  # slips on S
-PLANES = replace(COULOMB, lmbda=fig3.GLUE.lmbda, mu=fig3.GLUE.mu, cohesion=0.0, elastic_fraction=0.01)
-HARD = {"hard_layer": LinearElastic(lmbda=600.0, mu=400.0), "hard_layer softer": LinearElastic(lmbda=6.0, mu=4.0)}
+BAR_LAW = replace(COULOMB, lmbda=fig3.GLUE.lmbda, mu=fig3.GLUE.mu, cohesion=0.0, elastic_fraction=0.01)
+HARD_LAWS = {"hard_layer": LinearElastic(lmbda=600.0, mu=400.0), "hard_layer softer": LinearElastic(lmbda=6.0, mu=4.0)}
 SUBLAYERS = Stack((0.3, LinearElastic(400.0, 20.0)), (0.3, LinearElastic(20.0, 60.0)), (0.4, LinearElastic(60.0, 5.0)))
 
 
 # ---------------------------------------------------------------- the table
 # fmt: off
-MM = (0.8, 0.4, 0.2, 0.1)
+EPS_MM = (0.8, 0.4, 0.2, 0.1)
 FIFTHS, TENTHS, TWENTIETHS = (0.2, 0.4, 0.6, 0.8, 1.0), (0.1, 0.2, 0.3, 0.4, 0.5), (0.05, 0.1, 0.15, 0.2, 0.25)
-OTHER_STACKS = {"_order0": of(SUBLAYERS), "_mirrored": of(Stack(*SUBLAYERS.sublayers[::-1]), order=1)}  # a wrong law
+# the mirrored stack is a wrong law
+OTHER_STACKS = {"_order0": layer_fn(SUBLAYERS), "_mirrored": layer_fn(Stack(*SUBLAYERS.sublayers[::-1]), order=1)}
 
-still = partial(Row, problem=fourier, orders=(0.95, 1.05), pictured=middle)
-order_1 = partial(Row, h=(1 / 32, 1 / 16), eps=halves(3, 5), orders=(1.9, 2.1), pictured=None)
-hard = partial(order_1, eps=halves(4, 5), orders=None, more=by_reaction)
-rubber = partial(order_1, eps=halves(3), orders=(1.9, 2.3), cells_through=2, more=by_reaction)
-glued = partial(Row, problem=problems.glued_hub, h=(1.0, 2.0), eps=MM, bodies="extended", unit="mm")
-norton = partial(Row, h=(1 / 16, 1 / 8), times=(0.01, 0.02, 0.03, 0.04, *TWENTIETHS), more=early)
-fine = partial(Row, h=(1 / 16, 1 / 8), eps=halves(4), orders=(0.9, 1.1), steps=slice(1, None, 2))
+static_sweep = partial(Sweep, problem=fourier, orders=(0.95, 1.05), pictured=middle)
+order_1 = partial(Sweep, h=(1 / 32, 1 / 16), eps=halves(3, 5), orders=(1.9, 2.1), pictured=None)
+hard = partial(order_1, eps=halves(4, 5), orders=None, extras=reaction_error)
+rubber_sweep = partial(order_1, eps=halves(3), orders=(1.9, 2.3), cells_through=2, extras=reaction_error)
+glued = partial(Sweep, problem=problems.glued_hub, h=(1.0, 2.0), eps=EPS_MM, bodies="extended", unit="mm")
+norton_sweep = partial(Sweep, h=(1 / 16, 1 / 8), times=(0.01, 0.02, 0.03, 0.04, *TWENTIETHS), extras=early_norms)
+fine = partial(Sweep, h=(1 / 16, 1 / 8), eps=halves(4), orders=(0.9, 1.1), quick_steps=slice(1, None, 2))
 slips = partial(fine, problem=pushed, times=PATH, cells_through=2)
-yields = partial(fine, problem=sheared, orders=(0.9, 1.3), times=SHEARED)
-rubs = partial(fine, of(bands.BAND), h=(1 / 128, 1 / 64), cells_through=1, more=bands.zones, along=bands.along_s)
-in_bar = partial(Row, problem=bar, h=((6.0, 3.0, 0.2), (8.0, 4.0, 0.4)), eps=(2.0, 1.0, 0.5, 0.25), orders=(0.9, 1.3),
-    unit="mm", where=lambda x: abs(x[0] - fig3.SIDE / 2) < 0.45 * fig3.SIDE)  # 5 mm off the ends of S
+yields = partial(fine, problem=sheared, orders=(0.9, 1.3), times=SHEAR_TIMES)
+rubs = partial(fine, layer_fn(bands.BAND_LAW), h=(1 / 128, 1 / 64), cells_through=1, extras=bands.zone_lengths,
+    along=bands.tractions_along)
+bar_sweep = partial(Sweep, problem=fig2_bar, h=((6.0, 3.0, 0.2), (8.0, 4.0, 0.4)), eps=(2.0, 1.0, 0.5, 0.25),
+    orders=(0.9, 1.3), unit="mm", where=lambda x: abs(x[0] - fig3.SIDE / 2) < 0.45 * fig3.SIDE)  # 5 mm off the ends of S
 at_once, to_and_fro = (partial(bands.blocks, path=path) for path in (bands.DIRECT_PATH, RETURN_PATH))
 
 
-def switches(case: str, label: str) -> Row:
-    """Return a `Row` of the study for a layer of the law `NonMonotone`, whose material changes phase under the loads.
+def phase_sweep(case: str, label: str) -> Sweep:
+    """Return a `Sweep` of the study for a layer of the law `NonMonotone`, whose material changes phase under the loads.
 
     Args:
         case: key of `phases.CASES`, which has the law and the amplitudes of shear and pull.
-        label: text that distinguishes the row from other rows of its law.
+        label: text that distinguishes the sweep from other sweeps of its law.
     """
     law, shear, pull = phases.CASES[case]
     problem = partial(phases.blocks, shear=shear, pull=pull)
-    return fine(of(law), label, problem, cells_through=2, pictured=None, more=phases.shares, along=phases.along_s)
+    return fine(layer_fn(law), label, problem, cells_through=2, pictured=None, extras=phases.phase_fractions,
+        along=phases.phases_along)
 
 
-def switches_wrongly(case: str, label: str, law: TractionLaw, floors: Floors) -> Row:
-    """Return a `Row` that compares a meshed layer with phases to a wrong interface law, to show the error of this law.
+def wrong_law_sweep(case: str, label: str, law: TractionLaw, floors: ErrorFloors) -> Sweep:
+    """Return a `Sweep` that compares a meshed layer with phases to a wrong interface law, to show its error.
 
     Args:
         case: key of `phases.CASES`, which has the law of the meshed layer and the amplitudes of the loads.
-        label: text that names the row in pictures.
+        label: text that names the sweep in pictures.
         law: the wrong law.
         floors: "traction" or "jump" -> smallest and largest relative error that is expected of it.
     """
-    return replace(switches(case, label), instead=law, floors=floors, orders=None, more=None, along=None)
+    return replace(phase_sweep(case, label), wrong_law=law, floors=floors, orders=None, extras=None, along=None)
 
 
-ROWS: dict[str, Row] = {
-    "elastic": still(of(FOURIER_LAYER)),
-    "extended": still(of(FOURIER_LAYER), bodies="extended"),
-    "tapered": still(of(FOURIER_LAYER, profile=wedge), bodies="extended", orders=(0.9, 1.1)),
-    "order1": order_1(of(FOURIER_LAYER, order=1), other_layers={"_order0": of(FOURIER_LAYER)}, more=by_reaction),
-    "order1_stack": order_1(of(SUBLAYERS, order=1), other_layers=OTHER_STACKS),
-    "hard_layer": hard(of(HARD["hard_layer"], None, order=1), "harder than the bodies"),
-    "hard_layer softer": hard(of(HARD["hard_layer softer"], None, order=1), "softer than the bodies", check=third_order),
-    "rubber": rubber(of(Rubber.shear(40.0, 0.3), order=1), "nu = 0.3"),
-    "rubber harder": rubber(of(Rubber.shear(40.0, 0.45), order=1), "nu = 0.45"),
-    "rubber almost": rubber(of(Rubber.shear(40.0, 0.499), order=1), "nu = 0.499"),
-    "rubber incompressible": rubber(of(Incompressible(40.0), order=1), "nu = 0.5"),
-    "ring": glued(of(problems.GLUE, problems.GLUE_EPS), "order 0", orders=(0.9, 1.1)),
-    "ring order1": glued(of(problems.GLUE, problems.GLUE_EPS, order=1), "order 1", orders=(1.8, 2.2), pictured=None),
-    "fibre": glued(of(cylinders.COATING), problem=cylinders.coated_fibre, h=(0.05, 0.1), eps=(0.08, 0.04, 0.02, 0.01),
-        orders=(0.9, 1.1), unit="R", more=cylinders.against_cylinders, check=cylinders.as_cylinders),
-    "tubes": glued(of(cylinders.GLUE, cylinders.GLUE_EPS), "inner pressure", orders=(0.93, 1.1), check=cylinders.as_lame,
-        problem=partial(cylinders.tubes, loads=cylinders.PRESSURE_LOADS), more=cylinders.against_lame),
-    "tubes push": glued(of(cylinders.GLUE, cylinders.GLUE_EPS), "shaft pushed", orders=(0.9, 1.25),
+SWEEPS: dict[str, Sweep] = {
+    "elastic": static_sweep(layer_fn(FOURIER_LAYER)),
+    "extended": static_sweep(layer_fn(FOURIER_LAYER), bodies="extended"),
+    "tapered": static_sweep(layer_fn(FOURIER_LAYER, profile=wedge_thickness), bodies="extended", orders=(0.9, 1.1)),
+    "order1": order_1(layer_fn(FOURIER_LAYER, order=1), other_layers={"_order0": layer_fn(FOURIER_LAYER)},
+        extras=reaction_error),
+    "order1_stack": order_1(layer_fn(SUBLAYERS, order=1), other_layers=OTHER_STACKS),
+    "hard_layer": hard(layer_fn(HARD_LAWS["hard_layer"], None, order=1), "harder than the bodies"),
+    "hard_layer softer": hard(layer_fn(HARD_LAWS["hard_layer softer"], None, order=1), "softer than the bodies",
+        check=check_third_order),
+    "rubber": rubber_sweep(layer_fn(Rubber.shear(40.0, 0.3), order=1), "nu = 0.3"),
+    "rubber harder": rubber_sweep(layer_fn(Rubber.shear(40.0, 0.45), order=1), "nu = 0.45"),
+    "rubber almost": rubber_sweep(layer_fn(Rubber.shear(40.0, 0.499), order=1), "nu = 0.499"),
+    "rubber incompressible": rubber_sweep(layer_fn(Incompressible(40.0), order=1), "nu = 0.5"),
+    "ring": glued(layer_fn(problems.GLUE, problems.GLUE_EPS), "order 0", orders=(0.9, 1.1)),
+    "ring order1": glued(layer_fn(problems.GLUE, problems.GLUE_EPS, order=1), "order 1", orders=(1.8, 2.2), pictured=None),
+    "fibre": glued(layer_fn(cylinders.COATING), problem=cylinders.coated_fibre, h=(0.05, 0.1), eps=(0.08, 0.04, 0.02, 0.01),
+        orders=(0.9, 1.1), unit="R", extras=cylinders.fibre_errors, check=cylinders.check_fibre),
+    "tubes": glued(layer_fn(cylinders.GLUE, cylinders.GLUE_EPS), "inner pressure", orders=(0.93, 1.1),
+        check=cylinders.check_tubes, problem=partial(cylinders.tubes, loads=cylinders.PRESSURE_LOADS),
+        extras=cylinders.tube_errors),
+    "tubes push": glued(layer_fn(cylinders.GLUE, cylinders.GLUE_EPS), "shaft pushed", orders=(0.9, 1.25),
         problem=partial(cylinders.tubes, loads=cylinders.PUSH_LOADS),
-        where=lambda x: abs(x[1] + cylinders.HEIGHT / 2) < 0.3 * cylinders.HEIGHT),  # off their ends
-    "own_mesh": Row(of(problems.JOINT, problems.JOINT_EPS), problem=problems.arch, h=("P2", "P1"), orders=(0.9, 1.1),
-        eps=(0.04, 0.02, 0.01, 0.005), bodies="extended", where=problems.inside_joints, pictured=middle, unit="m"),
-    "butt_joint": Row(of(problems.GLUE, problems.GLUE_EPS), problem=rods.rods, h=((4.0, 2.5), (6.0, 4.0)), eps=MM,
-        unit="mm", orders=(0.9, None), where=rods.inside_rods, more=rods.against_section, check=rods.in_section),
-    "kelvin_voigt": Row(of(KELVIN_VOIGT), times=TENTHS),
-    "maxwell": Row(of(MAXWELL), "t2 = 1.0", times=FIFTHS),
-    "maxwell t1": Row(of(Maxwell(*MODULI, t1=0.7)), "t2 = t1", times=FIFTHS),
-    "norton": norton(of(NORTON), "p = 1.5"),
-    "norton p3": norton(of(replace(NORTON, eta=2000.0, p=3.0)), "p = 3", check=spectral),
-    "stack": Row(of(Stack((0.5, MAXWELL), (0.5, KELVIN_VOIGT))), "Maxwell, Kelvin-Voigt", eps=halves(4), times=FIFTHS),
-    "stack norton": Row(of(Stack((0.5, FOURIER_LAYER), (0.5, NORTON))), "elastic, Norton", eps=halves(4), times=TWENTIETHS),
+        where=lambda x: abs(x[1] + cylinders.TUBE_LENGTH / 2) < 0.3 * cylinders.TUBE_LENGTH),  # off their ends
+    "own_mesh": Sweep(layer_fn(problems.JOINT, problems.JOINT_EPS), problem=problems.arch, orders=(0.9, 1.1), unit="m",
+        h=("P2", "P1"), eps=(0.04, 0.02, 0.01, 0.005), bodies="extended", where=problems.is_inside_joints, pictured=middle),
+    "butt_joint": Sweep(layer_fn(problems.GLUE, problems.GLUE_EPS), problem=rods.rods, h=((4.0, 2.5), (6.0, 4.0)),
+        eps=EPS_MM, unit="mm", orders=(0.9, None), where=rods.is_inside_rods, extras=rods.section_means,
+        check=rods.check_section),
+    "kelvin_voigt": Sweep(layer_fn(KELVIN_VOIGT), times=TENTHS),
+    "maxwell": Sweep(layer_fn(MAXWELL), "t2 = 1.0", times=FIFTHS),
+    "maxwell t1": Sweep(layer_fn(Maxwell(*MODULI, t1=0.7)), "t2 = t1", times=FIFTHS),
+    "norton": norton_sweep(layer_fn(NORTON), "p = 1.5"),
+    "norton p3": norton_sweep(layer_fn(replace(NORTON, eta=2000.0, p=3.0)), "p = 3", check=check_spectral),
+    "stack": Sweep(layer_fn(Stack((0.5, MAXWELL), (0.5, KELVIN_VOIGT))), "Maxwell, Kelvin-Voigt", eps=halves(4),
+        times=FIFTHS),
+    "stack norton": Sweep(layer_fn(Stack((0.5, FOURIER_LAYER), (0.5, NORTON))), "elastic, Norton", eps=halves(4),
+        times=TWENTIETHS),
     # for eps > 1/32 the next term still affects the orders
-    "incompressible": Row(of(Incompressible(mu=40.0)), eps=halves(5), more=normal_jumps, check=no_normal_jump),
-    "monodirectional": slips(of(SLIPPING), "bilateral"),
-    "monodirectional unilateral": slips(of(OPENING), "unilateral, h = 0.01", problem=pulled),
-    "monodirectional stack": slips(of(Stack((0.4, LinearElastic(90.0, 30.0)), (0.6, SLIPPING))), "elastic, bilateral"),
-    "monodirectional pulled": slips(of(replace(SLIPPING, elastic_fraction=FRACTION)), "pulled, h = 0.01", problem=pulled),
-    "monodirectional pulled_less": slips(of(replace(SLIPPING, elastic_fraction=LESS)), "pulled, h = 1e-4", problem=pulled,
-        orders=None, check=less_fraction),
-    "mohr_coulomb": yields(of(MORTAR), "psi = 0"),
-    "mohr_coulomb dilatant": yields(of(replace(MORTAR, dilatancy_angle=10.0)), "psi = 10°"),
-    "mohr_coulomb coulomb": yields(of(MORTAR), "tan(Omega) on S", orders=None, instead=COULOMB, floors=FLOOR),
-    "mohr_coulomb metal": yields(of(MORTAR), "bodies yield", problem=of_metal, times=SHEARED[:4], steps=slice(None),
-        more=dissipated, check=both_yield),
-    "friction": rubs("at once", at_once, instead=bands.HOLONOMIC),
-    "friction history": rubs("to and fro", to_and_fro, times=PATH, instead=bands.INCREMENTAL, check=bands.same_zones),
-    "friction cells": fine(of(bands.MESHED_BAND), "4 cells, h = 1e-5", at_once, h=(1 / 64, 1 / 64), orders=(0.7, 1.3),
-        instead=bands.HOLONOMIC, long=True),
-    "friction sine": fine(of(bands.BAND), "f = sin(Omega)", at_once, h=(1 / 64, 1 / 32), orders=None, cells_through=1,
-        instead=bands.SINE_LAW, check=bands.sine_leaves_an_error),
-    "non_monotone": switches("", "oblique chi"),
-    "non_monotone across": switches("across", "n (x) n"),
-    "non_monotone along": replace(switches("along", "sym(t (x) n)"), check=phases.all_there),
-    "non_monotone unrelaxed": fine(of(phases.PURE), "oblique chi, pure phases", h=(1 / 8, 1 / 8), cells_through=2,
-        problem=partial(phases.blocks, shear=0.04, pull=0.03, moved=True), times=(0.25, 0.5, 0.75, 1.0), steps=slice(None),
-        more=phases.snaps, along=phases.along_s, check=phases.same_snaps),
-    "non_monotone printed": switches_wrongly("", "lambda + mu on S", phases.PRINTED, PRINTED_FLOOR),
-    "non_monotone one_branch": switches_wrongly("", "no phase -1 on S", phases.ONE_BRANCH, ONE_BRANCH_FLOOR),
-    "non_monotone across small_gain": switches_wrongly("across", "n (x) n, G across", phases.SMALL_GAIN, GAIN_FLOOR),
-    "bar": in_bar(of(fig3.glue(0.02)), "h = 0.02"),
-    "bar less_elastic": in_bar(of(fig3.glue(0.01)), "h = 0.01", long=True),
-    "bar monodirectional": in_bar(of(PLANES), "monodirectional, h = 0.01", long=True),
+    "incompressible": Sweep(layer_fn(Incompressible(mu=40.0)), eps=halves(5), extras=normal_jumps, check=check_normal_jump),
+    "monodirectional": slips(layer_fn(SLIPPING), "bilateral"),
+    "monodirectional unilateral": slips(layer_fn(OPENING), "unilateral, h = 0.01", problem=pulled),
+    "monodirectional stack": slips(layer_fn(Stack((0.4, LinearElastic(90.0, 30.0)), (0.6, SLIPPING))),
+        "elastic, bilateral"),
+    "monodirectional pulled": slips(layer_fn(replace(SLIPPING, elastic_fraction=FRACTION)), "pulled, h = 0.01",
+        problem=pulled),
+    "monodirectional pulled_less": slips(layer_fn(replace(SLIPPING, elastic_fraction=LESS)), "pulled, h = 1e-4",
+        problem=pulled, orders=None, check=check_smaller_fraction),
+    "mohr_coulomb": yields(layer_fn(MORTAR_LAW), "psi = 0"),
+    "mohr_coulomb dilatant": yields(layer_fn(replace(MORTAR_LAW, dilatancy_angle=10.0)), "psi = 10°"),
+    "mohr_coulomb coulomb": yields(layer_fn(MORTAR_LAW), "tan(Omega) on S", orders=None, wrong_law=COULOMB, floors=FLOOR),
+    "mohr_coulomb metal": yields(layer_fn(MORTAR_LAW), "bodies yield", problem=metal_blocks, times=SHEAR_TIMES[:4],
+        quick_steps=slice(None), extras=dissipation_ratios, check=check_both_yield),
+    "friction": rubs("at once", at_once, wrong_law=bands.HOLONOMIC),
+    "friction history": rubs("to and fro", to_and_fro, times=PATH, wrong_law=bands.INCREMENTAL, check=bands.check_zones),
+    "friction cells": fine(layer_fn(bands.REGULARIZED_LAW), "4 cells, h = 1e-5", at_once, h=(1 / 64, 1 / 64),
+        orders=(0.7, 1.3), wrong_law=bands.HOLONOMIC, slow=True),
+    "friction sine": fine(layer_fn(bands.BAND_LAW), "f = sin(Omega)", at_once, h=(1 / 64, 1 / 32), orders=None,
+        cells_through=1, wrong_law=bands.SINE_LAW, check=bands.check_sine_error),
+    "non_monotone": phase_sweep("", "oblique chi"),
+    "non_monotone across": phase_sweep("across", "n (x) n"),
+    "non_monotone along": replace(phase_sweep("along", "sym(t (x) n)"), check=phases.check_phases),
+    "non_monotone unrelaxed": fine(layer_fn(phases.PURE_LAW), "oblique chi, pure phases", h=(1 / 8, 1 / 8), cells_through=2,
+        problem=partial(phases.blocks, shear=0.04, pull=0.03, moved=True), times=(0.25, 0.5, 0.75, 1.0),
+        quick_steps=slice(None), extras=phases.snap_errors, along=phases.phases_along, check=phases.check_snaps),
+    "non_monotone printed": wrong_law_sweep("", "lambda + mu on S", phases.PRINTED, PRINTED_FLOOR),
+    "non_monotone one_branch": wrong_law_sweep("", "no phase -1 on S", phases.ONE_BRANCH, ONE_BRANCH_FLOOR),
+    "non_monotone across small_gain": wrong_law_sweep("across", "n (x) n, G across", phases.SMALL_GAIN, GAIN_FLOOR),
+    "bar": bar_sweep(layer_fn(fig3.glue_law(0.02)), "h = 0.02"),
+    "bar less_elastic": bar_sweep(layer_fn(fig3.glue_law(0.01)), "h = 0.01", slow=True),
+    "bar monodirectional": bar_sweep(layer_fn(BAR_LAW), "monodirectional, h = 0.01", slow=True),
 }
-LAWS = tuple(dict.fromkeys(name.split()[0] for name in ROWS))
+LAWS = tuple(dict.fromkeys(name.split()[0] for name in SWEEPS))
 ORDERS = {f"{name}, order {k}": f"{key}{'' if k else '_order0'}" for k in (0, 1) for name, key in ERROR_COLUMNS.items()}
-DRAWN = {  # law -> label and column of each error, reference order
+DRAWN_ERRORS = {  # law -> label and column of each error, reference order
     "order1": (ORDERS, 2.0),
     "order1_stack": (ORDERS | {"jump, mirrored": "error_jump_mirrored"}, 2.0),
     "hard_layer": ({"traction": "error_reaction"}, 3.0),
@@ -367,14 +388,14 @@ def run(
         quick: coarser meshes, fewer steps and pictures, without the longest rows.
     """
     tables: Tables = {}
-    for name, row in ROWS.items():
+    for name, sweep in SWEEPS.items():
         first = name.split()[0]
-        if law not in ("all", first) or (quick and row.long):
+        if law not in ("all", first) or (quick and sweep.slow):
             continue
-        tables[name] = row.sweep(record, name, eps or row.eps, quick=quick, pictured=name == first or not quick)
-        check_floors(record, name, tables[name], tables[name.rpartition(" ")[0] or name], row.floors)
-        if row.check:
-            row.check(record, tables)
+        tables[name] = sweep.compare_all(record, name, eps or sweep.eps, quick=quick, pictured=name == first or not quick)
+        check_floors(record, name, tables[name], tables[name.rpartition(" ")[0] or name], sweep.floors)
+        if sweep.check:
+            sweep.check(record, tables)
 # fmt: on
 
 
@@ -384,16 +405,16 @@ def draw(record: Record) -> None:
     They are read from the folder of `record`; laws without a table there are left out.
     """
     for law in LAWS:
-        rows = {row.label: name for name, row in ROWS.items() if name.split()[0] == law and record.has(table_of(name))}
-        title = f"meshed against law on S: {law}" + (f", eps in {ROWS[law].unit}" if ROWS[law].unit else "")
+        rows = {s.label: name for name, s in SWEEPS.items() if name.split()[0] == law and record.has(table_file(name))}
+        title = f"meshed against law on S: {law}" + (f", eps in {SWEEPS[law].unit}" if SWEEPS[law].unit else "")
         if not rows:
             continue
-        tables = {label: record.path(table_of(name)) for label, name in [*rows.items()][: len(COLOURS)]}
+        tables = {label: record.path(table_file(name)) for label, name in [*rows.items()][: len(COLOURS)]}
         if law not in SEPARATE_LAWS:
-            errors, order = DRAWN.get(law, (ERROR_COLUMNS, 1.0))
+            errors, order = DRAWN_ERRORS.get(law, (ERROR_COLUMNS, 1.0))
             plotting.rates(tables, save=record.path(f"rates_{law}.svg"), title=title, errors=errors, reference=order)
-        for error, end in (("traction", ""), ("jump", "_jump")) if law in SEPARATE_LAWS else ():
-            look = {"title": f"{title}: {error}", "errors": {error: f"error_{error}"}}
-            plotting.rates(tables, save=record.path(f"rates_{law}{end}.svg"), **look)
-        if along := {label: name for label, name in rows.items() if ROWS[name].along}:
+        for error, suffix in (("traction", ""), ("jump", "_jump")) if law in SEPARATE_LAWS else ():
+            options = {"title": f"{title}: {error}", "errors": {error: f"error_{error}"}}
+            plotting.rates(tables, save=record.path(f"rates_{law}{suffix}.svg"), **options)
+        if along := {label: name for label, name in rows.items() if SWEEPS[name].along}:
             draw_along(record, along, f"along_{law}")

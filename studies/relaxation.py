@@ -7,16 +7,16 @@ import math
 import numpy as np
 
 from forms import HolonomicCoulomb
-from studies.fig8_friction import MODULI, in_tens
+from studies.fig8_friction import MODULI, stiffness_label
 from studies.problems import sliding_bar
 from studies.sweeping import Curves
 from thinlayer import SolveError, Structure, Table, plotting, solve
 from thinlayer.running.record import Record
 
 OMEGAS = (0.8, 1.0, 1.2, 1.4, 1.6, 1.7, 1.8, 1.85, 1.9, 1.93, 1.95)
-TOLERANCE = 1e-8  # largest relative increment of a converged relaxation
+INCREMENT_RTOL = 1e-8  # largest relative increment of a converged relaxation
 MAX_SWEEPS = 30_000
-EXPECTED = {  # sweeps of an independent code on the same meshes: (squares, lmbda, omega)
+EXPECTED_SWEEPS = {  # sweeps of an independent code on the same meshes: (squares, lmbda, omega)
     (8, 15e8, 1.0): 605, (8, 15e4, 1.8): 90, (8, 15.0, 1.9): 621,
     (16, 15e8, 1.8): 320, (16, 15e4, 1.6): 515, (16, 15.0, 1.95): 1385,
     (32, 15e8, 1.9): 584, (32, 15e4, 1.9): 581, (32, 15.0, 1.9): 6946,
@@ -34,16 +34,16 @@ def run(record: Record, *, quick: bool = False) -> None:
     cases = [(n, pair, omega, same) for same in (False, True) for n in meshes for pair in MODULI for omega in OMEGAS]
     cases = [case for case in cases if not case[-1] or (case[0] == 16 and case[2] != 1.0)]
 
-    def row(n: int, pair: tuple[float, float], omega: float, same: bool) -> dict[str, float]:
-        on_s = omega if same else 1.0
-        sweeps, converged = count(n, *pair, omega, on_s)
-        about = {"squares": n, "lmbda": pair[0], "mu": pair[1], "omega": omega, "omega_contact": on_s}
-        return about | {"sweeps": sweeps, "converged": int(converged)}
+    def row(n: int, pair: tuple[float, float], omega: float, same_omega: bool) -> dict[str, float]:
+        omega_contact = omega if same_omega else 1.0
+        sweeps, converged = count_sweeps(n, *pair, omega, omega_contact)
+        inputs = {"squares": n, "lmbda": pair[0], "mu": pair[1], "omega": omega, "omega_contact": omega_contact}
+        return inputs | {"sweeps": sweeps, "converged": int(converged)}
 
     check(record, record.rows("table.csv", cases, row))
 
 
-def count(n: int, lmbda: float, mu: float, omega: float, omega_contact: float) -> tuple[int, bool]:
+def count_sweeps(n: int, lmbda: float, mu: float, omega: float, omega_contact: float) -> tuple[int, bool]:
     """Solve the bar of Fig. 7 by relaxation, and count its sweeps.
 
     Args:
@@ -56,7 +56,7 @@ def count(n: int, lmbda: float, mu: float, omega: float, omega_contact: float) -
         The number of sweeps until the relaxation converges or fails, and whether it has converged.
     """
     joint, setup = sliding_bar(n, arrangement="AlternateLeft")
-    options = {"omega": omega, "omega_contact": omega_contact, "tolerance": TOLERANCE, "max_sweeps": MAX_SWEEPS}
+    options = {"omega": omega, "omega_contact": omega_contact, "tolerance": INCREMENT_RTOL, "max_sweeps": MAX_SWEEPS}
     model = Structure(joint, **setup).interface(HolonomicCoulomb.of_layer(lmbda, mu, friction=1.0))
     try:
         state = solve(model, method="relaxation", options={f"relaxation_{k}": v for k, v in options.items()})
@@ -74,22 +74,22 @@ def check(record: Record, table: Table) -> None:
         record: record of the run, which receives the checks.
         table: a row for each mesh, stiffness and omega, with the columns of table.csv.
     """
-    unit_contact = table["omega_contact"] == 1.0
-    for (n, lmbda, omega), expected in EXPECTED.items():
-        at = unit_contact & (table["squares"] == n) & (table["lmbda"] == lmbda) & (table["omega"] == omega)
-        if at.any():
-            ratio, what = table["sweeps"][at][0] / expected, f"sweeps / {expected}, n = {n}, lmbda = {lmbda:g}"
+    is_unit_contact = table["omega_contact"] == 1.0
+    for (n, lmbda, omega), expected in EXPECTED_SWEEPS.items():
+        is_case = is_unit_contact & (table["squares"] == n) & (table["lmbda"] == lmbda) & (table["omega"] == omega)
+        if is_case.any():
+            ratio, what = table["sweeps"][is_case][0] / expected, f"sweeps / {expected}, n = {n}, lmbda = {lmbda:g}"
             record.check(f"{what}, omega = {omega}", ratio, low=0.9, high=1.1)
-    same = (table["omega"] == table["omega_contact"]) & (table["omega"] > 1)
-    failures = table["sweeps"][same & (table["converged"] == 0)]
-    record.check("one omega everywhere: cases that fail", len(failures), low=1)
-    record.check("one omega everywhere: sweeps until a failure is found", failures.max(initial=0), high=MAX_SWEEPS)
-    stiff = unit_contact & (table["lmbda"] == MODULI[0][0]) & (table["converged"] == 1)
-    best = {n: table["sweeps"][stiff & (table["squares"] == n)].min() for n in np.unique(table["squares"])}
-    record.results["best_sweeps"] = {int(n): int(sweeps) for n, sweeps in best.items()}
-    sizes = sorted(best)
-    order = math.log(best[sizes[-1]] / best[sizes[0]]) / math.log(sizes[-1] / sizes[0])
-    record.check("growth of the least number of sweeps with the squares, exponent", order, high=1.5)
+    is_same = (table["omega"] == table["omega_contact"]) & (table["omega"] > 1)
+    failed_sweeps = table["sweeps"][is_same & (table["converged"] == 0)]
+    record.check("one omega everywhere: cases that fail", len(failed_sweeps), low=1)
+    record.check("one omega everywhere: sweeps until a failure is found", failed_sweeps.max(initial=0), high=MAX_SWEEPS)
+    is_stiff = is_unit_contact & (table["lmbda"] == MODULI[0][0]) & (table["converged"] == 1)
+    least_sweeps = {n: table["sweeps"][is_stiff & (table["squares"] == n)].min() for n in np.unique(table["squares"])}
+    record.results["best_sweeps"] = {int(n): int(sweeps) for n, sweeps in least_sweeps.items()}
+    sizes = sorted(least_sweeps)
+    exponent = math.log(least_sweeps[sizes[-1]] / least_sweeps[sizes[0]]) / math.log(sizes[-1] / sizes[0])
+    record.check("growth of the least number of sweeps with the squares, exponent", exponent, high=1.5)
 
 
 def draw(record: Record) -> None:
@@ -98,6 +98,6 @@ def draw(record: Record) -> None:
     for lmbda, part in record.load("table.csv").split("omega_contact")[1].split("lmbda").items():
         for n, rows in part.split("squares").items():
             sweeps = np.where(rows["converged"] == 1, rows["sweeps"], np.nan)
-            panels.setdefault(in_tens(lmbda), {})[f"{n:.0f} squares"] = rows["omega"], sweeps
-    look = {"title": f"sweeps of relaxation; none: above {MAX_SWEEPS:,}", "save": record.path("sweeps.svg")}
-    plotting.curves(panels, "omega (1 at the contact nodes)", "sweeps", styles=("o-", "s--", "^:"), log="y", **look)
+            panels.setdefault(stiffness_label(lmbda), {})[f"{n:.0f} squares"] = rows["omega"], sweeps
+    options = {"title": f"sweeps of relaxation; none: above {MAX_SWEEPS:,}", "save": record.path("sweeps.svg")}
+    plotting.curves(panels, "omega (1 at the contact nodes)", "sweeps", styles=("o-", "s--", "^:"), log="y", **options)

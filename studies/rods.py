@@ -10,14 +10,14 @@ from forms.base import Array
 from geometry import disc, sandwich
 from geometry.topology import BoolArray
 from studies.problems import STEEL, Problem
-from studies.sweeping import Tables, last, layer_of
+from studies.sweeping import Tables, end_state, layer_of
 from thinlayer import Structure, Surface, solve
 from thinlayer.running.record import Record
 from thinlayer.solving.history import Solution
 
 RADIUS, HEIGHT = 12.0, 10.0  # mm: of each cylinder
 STRESS, BENDING = 20.0, 30.0  # MPa: mean, and at the edge
-SAME = 0.01  # relative difference of means in three dimensions and in the axisymmetric section
+SECTION_RTOL = 0.01  # relative difference of means in three dimensions and in the axisymmetric section
 
 
 def rods(sizes: tuple[float, float]) -> Problem:
@@ -37,7 +37,7 @@ def rods(sizes: tuple[float, float]) -> Problem:
     return joint, {"body": STEEL, "supports": {"BOTTOM": 0.0}, "tractions": tractions}
 
 
-def inside_rods(x: Array) -> BoolArray:
+def is_inside_rods(x: Array) -> BoolArray:
     """Return a mask of the points of S away from the layer's free end, within 3/4 of the radius.
 
     `x` are coordinates, mm, with the components on the first axis; the mask has the shape of x[0].
@@ -49,7 +49,7 @@ def _radius(x: Array) -> Array:
     return np.asarray(np.sqrt(sum(x[k] ** 2 for k in (0, 2)[: len(x) - 1])))
 
 
-def against_section(full: Solution, limit: Solution) -> dict[str, float]:
+def section_means(full: Solution, limit: Solution) -> dict[str, float]:
     """Compare the cylinders in 3D with an axisymmetric section of them, which is solved here.
 
     The mean traction is weighted with 1 - r^2/R^2 at the distance r from the axis, with the radius R. Equilibrium alone
@@ -65,26 +65,26 @@ def against_section(full: Solution, limit: Solution) -> dict[str, float]:
     """
     layer = layer_of(limit)
     section, load = sandwich(RADIUS, HEIGHT, HEIGHT, 2.0, h_S=0.8, h_ends=0.3), {"TOP": (0.0, STRESS)}
-    tension = Structure(section, body=STEEL, supports={"BOTTOM": 0.0}, tractions=load, plane="axisymmetric")
-    limit_there = solve(tension.interface(layer))
+    structure = Structure(section, body=STEEL, supports={"BOTTOM": 0.0}, tractions=load, plane="axisymmetric")
+    law_2d = solve(structure.interface(layer))
     means = {}
-    for name, state, there in (("meshed", full, solve(tension.full(layer))), ("law", limit, limit_there)):
-        for where, final, model in ("", last(state), last(limit).model), ("_axisymmetric", there, limit_there.model):
+    for name, state, there in (("meshed", full, solve(structure.full(layer))), ("law", limit, law_2d)):
+        for where, end, model in ("", end_state(state), end_state(limit).model), ("_axisymmetric", there, law_2d.model):
             surface = Surface(model)
-            top = final.model.ds(final.model.domain.values("TOP"))
-            means[f"rise_{name}{where}"] = final.integral(final.u[1] * top) / (math.pi * RADIUS**2)
-            weight, normal = 1 - _radius(surface.x) ** 2 / RADIUS**2, surface.frame(surface.traction(final))[-1]
+            top = end.model.ds(end.model.domain.values("TOP"))
+            means[f"rise_{name}{where}"] = end.integral(end.u[1] * top) / (math.pi * RADIUS**2)
+            weight, normal = 1 - _radius(surface.x) ** 2 / RADIUS**2, surface.frame(surface.traction(end))[-1]
             means[f"traction_{name}{where}"] = surface.integral(weight * normal) / surface.integral(weight)
     return means
 
 
-def in_section(record: Record, tables: Tables) -> None:
+def check_section(record: Record, tables: Tables) -> None:
     """Check that means in 3D are equal to those in the axisymmetric section, to 1 %.
 
     Args:
         record: record of the run, which receives the checks.
-        tables: name of a `Row` of the study `rates` -> its table, with a line for each thickness.
+        tables: name of a `Sweep` of the study `rates` -> its table, with a line for each thickness.
     """
     for name in (f"{what}_{model}" for what in ("rise", "traction") for model in ("meshed", "law")):
         difference = np.abs(tables["butt_joint"][name] / tables["butt_joint"][f"{name}_axisymmetric"] - 1).max()
-        record.check(f"{name} in 3D against the axisymmetric section", difference, high=SAME)
+        record.check(f"{name} in 3D against the axisymmetric section", difference, high=SECTION_RTOL)

@@ -12,9 +12,9 @@ from thinlayer import Structure, Surface, Table, plotting, solve
 from thinlayer.output.contact_fields import Contact
 from thinlayer.running.record import Record
 
-STIFFNESS = (5.0, 5e2, 5e4, 5e6, 5e8)  # K_T, N/mm^3; K_N is five times as much
-LIMIT = 5e12
-FRICTION = (0.3, 1.0, 2.0)
+STIFFNESSES = (5.0, 5e2, 5e4, 5e6, 5e8)  # K_T, N/mm^3; K_N is five times as much
+LIMIT_K = 5e12
+FRICTION_COEFFS = (0.3, 1.0, 2.0)
 
 
 def run(record: Record, *, quick: bool = False) -> None:
@@ -27,19 +27,19 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: coarser meshes.
     """
     meshes = (32, 64) if quick else (32, 64, 128, 256, 512, 724)
-    table = _errors({K: solved(record, 31 if quick else 63, K, 1.0)[0] for K in (*STIFFNESS, LIMIT)})
+    table = _error_table({K: solve_bar(record, 31 if quick else 63, K, 1.0)[0] for K in (*STIFFNESSES, LIMIT_K)})
     record.write("table.csv", table)
 
     def row(m: int, f: float, K: float) -> dict[str, float]:
-        report, iterations = solved(record, m, K, f)
-        about = {"squares": m, "friction": f, "K_T": K, "newton_steps": iterations}
-        return about | report.counts | {"equilibrium": report.equilibrium}
+        report, iterations = solve_bar(record, m, K, f)
+        inputs = {"squares": m, "friction": f, "K_T": K, "newton_steps": iterations}
+        return inputs | report.counts | {"equilibrium": report.equilibrium}
 
-    cases = [(m, f, K) for m in meshes for f in FRICTION for K in STIFFNESS]
+    cases = [(m, f, K) for m in meshes for f in FRICTION_COEFFS for K in STIFFNESSES]
     _check(record, table, record.rows("newton_steps.csv", cases, row), meshes)
 
 
-def solved(record: Record, n: int, K: float, friction: float) -> tuple[Contact, int]:
+def solve_bar(record: Record, n: int, K: float, friction: float) -> tuple[Contact, int]:
     """Solve the bar of Fig. 7, and return its contact results at the nodes of S and the number of Newton steps.
 
     Args:
@@ -49,32 +49,32 @@ def solved(record: Record, n: int, K: float, friction: float) -> tuple[Contact, 
         friction: friction coefficient.
     """
     joint, setup = sliding_bar(n)
-    state = record.solved(solve(Structure(joint, **setup).interface(HolonomicCoulomb(5 * K, K, friction))))
+    state = record.add_report(solve(Structure(joint, **setup).interface(HolonomicCoulomb(5 * K, K, friction))))
     return Surface(state.model).contact(state), state.report.iterations
 
 
-def _errors(reports: dict[float, Contact]) -> Table:
-    """Tabulate how much jump and traction for each stiffness differ from those for the largest stiffness, `LIMIT`.
+def _error_table(reports: dict[float, Contact]) -> Table:
+    """Tabulate how much jump and traction for each stiffness differ from those for the largest stiffness, `LIMIT_K`.
 
     Differences are relative, in L2 norms on S; the table also has their observed rates of convergence in 1/K.
 
     Args:
         reports: tangential stiffness K of the layer -> contact results at the nodes of S.
     """
-    limit = fields(reports[LIMIT])
+    limit = contact_fields(reports[LIMIT_K])
 
     def norm(field: np.ndarray) -> float:
-        return float(np.sqrt(reports[LIMIT].areas @ (field**2).sum(axis=1)))
+        return float(np.sqrt(reports[LIMIT_K].areas @ (field**2).sum(axis=1)))
 
-    columns = {"K_T": [*STIFFNESS]}
+    columns = {"K_T": [*STIFFNESSES]}
     for name, limit_field in limit.items():
-        by_stiffness = [fields(reports[K])[name] for K in STIFFNESS]
+        by_stiffness = [contact_fields(reports[K])[name] for K in STIFFNESSES]
         columns[f"error_{name}"] = [norm(field - limit_field) / norm(limit_field) for field in by_stiffness]
-    table = Table.of(columns | {"compliance": [1 / K for K in STIFFNESS]})
+    table = Table.of(columns | {"compliance": [1 / K for K in STIFFNESSES]})
     return Table.of(columns | {f"order_{name}": table.orders(f"error_{name}", of="compliance") for name in limit})
 
 
-def fields(report: Contact) -> dict[str, np.ndarray]:
+def contact_fields(report: Contact) -> dict[str, np.ndarray]:
     """Return "jump" and "traction" at the m nodes of S, arrays (m, 2), from contact results.
 
     Tangential components are first. The second ones are the normal jump and the contact pressure.
@@ -85,9 +85,9 @@ def fields(report: Contact) -> dict[str, np.ndarray]:
 def _check(record: Record, table: Table, steps: Table, meshes: Sequence[int]) -> None:
     for name in ("jump", "traction"):
         record.check(f"last observed order in 1/K, {name}", table[f"order_{name}"][-1], low=0.9, high=1.1)
-    most = {m: part["newton_steps"].max() for m, part in steps.split("squares").items()}
-    record.results["most_newton_steps"] = {str(m): int(k) for m, k in most.items()}
-    coarse, fine = most[meshes[0]], most[meshes[-1]]
+    max_steps = {m: part["newton_steps"].max() for m, part in steps.split("squares").items()}
+    record.results["most_newton_steps"] = {str(m): int(k) for m, k in max_steps.items()}
+    coarse, fine = max_steps[meshes[0]], max_steps[meshes[-1]]
     record.check(f"most Newton steps, {meshes[-1]} squares against {meshes[0]}: more by", fine - coarse, high=2)
     record.check("largest equilibrium error", float(steps["equilibrium"].max()), high=1e-9)
 

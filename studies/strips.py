@@ -24,14 +24,14 @@ from thinlayer.running.record import Record
 NU = 0.3
 ALUMINIUM, STEEL = LinearElastic.young(E=70e3, nu=NU), LinearElastic.young(E=210e3, nu=NU)  # MPa
 ALPHA = {"LOWER": 23e-6, "UPPER": 12e-6}  # 1/K, of aluminium below and steel above
-MODULI = {"LOWER": 70e3, "UPPER": 210e3}
+YOUNG_MODULI = {"LOWER": 70e3, "UPPER": 210e3}
 HEIGHTS = {"LOWER": 3.0, "UPPER": 2.0}  # mm
-COOLING = -80.0  # K
-LENGTH = 200.0  # mm, half of the strips: the left end is the middle
+TEMPERATURE_CHANGE = -80.0  # K
+HALF_LENGTH = 200.0  # mm, half of the strips: the left end is the middle
 EPS = 0.05  # mm
-SHEAR = (0.5, 2.0)  # MPa, shear moduli of the soft layers of the shear lag
-STIFFENING = (0.03, 0.1, 0.3, 1.0, 10.0, 100.0)  # MPa, shear moduli of the layers between the bending strips
-NEAR_ENDS = 0.95  # share of the half length in which shear stresses are compared
+LAG_MODULI = (0.5, 2.0)  # MPa, shear moduli of the soft layers of the shear lag
+BENDING_MODULI = (0.03, 0.1, 0.3, 1.0, 10.0, 100.0)  # MPa, shear moduli of the layers between the bending strips
+COMPARED_SHARE = 0.95  # share of the half length in which shear stresses are compared
 
 
 def run(record: Record, *, quick: bool = False) -> None:
@@ -41,12 +41,12 @@ def run(record: Record, *, quick: bool = False) -> None:
         record: record of the run, with its folder, tables and checks.
         quick: coarser meshes.
     """
-    shear_lag(record, 5.0 if quick else 2.5)
-    bending(record, 5.0 if quick else 2.5)
+    check_shear_lag(record, 5.0 if quick else 2.5)
+    check_bending(record, 5.0 if quick else 2.5)
 
 
 # ---------------------------------------------------------------- strips
-def strips(h: float, mu: float, supports: Mapping[Place, Support]) -> dict[str, Model]:
+def strip_models(h: float, mu: float, supports: Mapping[Place, Support]) -> dict[str, Model]:
     """Make models of the right halves of two cooled strips with a layer between them.
 
     Args:
@@ -57,17 +57,17 @@ def strips(h: float, mu: float, supports: Mapping[Place, Support]) -> dict[str, 
     Returns:
         "meshed layer" and "interface law" -> model.
     """
-    joint = sandwich(LENGTH, HEIGHTS["LOWER"], HEIGHTS["UPPER"], h, cell="quadrilateral", structured=True)
-    cooled = {name: ThermalExpansion(alpha, COOLING) for name, alpha in ALPHA.items()}
-    bodies, conditions = {"LOWER": ALUMINIUM, "UPPER": STEEL}, {"LEFT": {"x": 0.0}, **supports}
-    structure = Structure(joint, body=bodies, supports=conditions, eigenstrain=cooled)
+    joint = sandwich(HALF_LENGTH, HEIGHTS["LOWER"], HEIGHTS["UPPER"], h, cell="quadrilateral", structured=True)
+    eigenstrains = {name: ThermalExpansion(alpha, TEMPERATURE_CHANGE) for name, alpha in ALPHA.items()}
+    bodies, all_supports = {"LOWER": ALUMINIUM, "UPPER": STEEL}, {"LEFT": {"x": 0.0}, **supports}
+    structure = Structure(joint, body=bodies, supports=all_supports, eigenstrain=eigenstrains)
     layer = ThinLayer(LinearElastic.shear(mu, 0.4), EPS)
     return {"meshed layer": structure.full(layer), "interface law": structure.interface(layer)}
 
 
-def difference() -> float:
+def free_strain_difference() -> float:
     """Return the free thermal strain of the upper strip minus that of the lower strip, in plane strain."""
-    return (1 + NU) * (ALPHA["UPPER"] - ALPHA["LOWER"]) * COOLING
+    return (1 + NU) * (ALPHA["UPPER"] - ALPHA["LOWER"]) * TEMPERATURE_CHANGE
 
 
 def compliances(eps: float = 0.0) -> tuple[float, float]:
@@ -80,45 +80,45 @@ def compliances(eps: float = 0.0) -> tuple[float, float]:
     Args:
         eps: distance of the strips, mm, which adds to the lever arm of the forces.
     """
-    plane = {name: E / (1 - NU**2) for name, E in MODULI.items()}
-    stretch = sum(1 / (plane[name] * h) for name, h in HEIGHTS.items())
-    return stretch, arm(eps) ** 2 / sum(plane[name] * h**3 / 12 for name, h in HEIGHTS.items())
+    plane_moduli = {name: E / (1 - NU**2) for name, E in YOUNG_MODULI.items()}
+    stretch = sum(1 / (plane_moduli[name] * h) for name, h in HEIGHTS.items())
+    return stretch, lever_arm(eps) ** 2 / sum(plane_moduli[name] * h**3 / 12 for name, h in HEIGHTS.items())
 
 
-def arm(eps: float = 0.0) -> float:
+def lever_arm(eps: float = 0.0) -> float:
     """Return the distance between the mid-planes of the strips, mm; `eps` (mm) is the distance of the strips."""
     return sum(HEIGHTS.values()) / 2 + eps
 
 
-def lag(mu: float, x: npt.NDArray[np.floating]) -> Array:
+def lag_stress(mu: float, x: npt.NDArray[np.floating]) -> Array:
     """Closed form of the shear stress on S of strips that do not bend (Volkersen), MPa.
 
     `mu` is the shear modulus of the layer, MPa, `x` the distances (n,) from the middle of the strips, mm.
     """
     B = np.sqrt(mu / EPS * compliances()[0])
-    return np.asarray(mu * difference() * np.sinh(B * x) / (EPS * B * np.cosh(B * LENGTH)))
+    return np.asarray(mu * free_strain_difference() * np.sinh(B * x) / (EPS * B * np.cosh(B * HALF_LENGTH)))
 
 
-def shear_lag(record: Record, h: float) -> None:
+def check_shear_lag(record: Record, h: float) -> None:
     """Solve strips between smooth rigid plates, which keep them flat, and check the shear stress on S.
 
     `h` is the cell size, mm. `record` writes the stresses to shear_lag.csv.
     """
-    table = record.table("shear_lag.csv")
-    for mu in SHEAR:
-        models = strips(h, mu, {"BOTTOM": {"y": 0.0}, "TOP": {"y": 0.0}})
+    table = record.new_table("shear_lag.csv")
+    for mu in LAG_MODULI:
+        models = strip_models(h, mu, {"BOTTOM": {"y": 0.0}, "TOP": {"y": 0.0}})
         surface = Surface(models["interface law"])
         for name, model in models.items():
-            x, t = surface.profile(surface.traction(record.solved(solve(model))))
-            exact = lag(mu, x[:, 0])
+            x, t = surface.profile(surface.traction(record.add_report(solve(model))))
+            exact = lag_stress(mu, x[:, 0])
             table.extend(Table.of({"model": name, "mu": mu, "x": x[:, 0], "tau": t[:, 0], "closed_form": exact}))
-    for mu, of_mu in table.split("mu").items():
-        for name, part in of_mu.split("model").items():
-            inside = (part["x"] > 0.1 * LENGTH) & (part["x"] < NEAR_ENDS * LENGTH)
-            error = np.abs(part["tau"] / part["closed_form"] - 1)[inside].max()
+    for mu, mu_table in table.split("mu").items():
+        for name, part in mu_table.split("model").items():
+            is_inside = (part["x"] > 0.1 * HALF_LENGTH) & (part["x"] < COMPARED_SHARE * HALF_LENGTH)
+            error = np.abs(part["tau"] / part["closed_form"] - 1)[is_inside].max()
             record.check(f"shear lag, mu = {mu:g} MPa, {name}: largest relative error inside", error, high=0.02)
             what = f"shear lag of 1.2 mu, mu = {mu:g} MPa, {name}: largest relative error inside"
-            record.check(what, np.abs(part["tau"] / lag(1.2 * mu, part["x"]) - 1)[inside].max(), low=0.02)
+            record.check(what, np.abs(part["tau"] / lag_stress(1.2 * mu, part["x"]) - 1)[is_inside].max(), low=0.02)
 
 
 def timoshenko(eps: float = 0.0) -> float:
@@ -127,10 +127,10 @@ def timoshenko(eps: float = 0.0) -> float:
     `eps` is the distance of the strips, mm, as if a rigid layer joined them.
     """
     stretch, bend = compliances(eps)
-    return float(-difference() * bend / arm(eps) / (stretch + bend))
+    return float(-free_strain_difference() * bend / lever_arm(eps) / (stretch + bend))
 
 
-def bent(mu: float, eps: float = 0.0) -> float:
+def suhir(mu: float, eps: float = 0.0) -> float:
     """Return the curvature in the middle of two strips with a soft layer between them (Suhir 1986), 1/mm.
 
     Axial forces build up over the shear-lag length from the ends.
@@ -141,7 +141,7 @@ def bent(mu: float, eps: float = 0.0) -> float:
             that of the thickness `EPS`.
     """
     k = np.sqrt(mu / EPS * sum(compliances(eps)))
-    return float(timoshenko(eps) * (1 - 1 / np.cosh(min(k * LENGTH, 700.0))))
+    return float(timoshenko(eps) * (1 - 1 / np.cosh(min(k * HALF_LENGTH, 700.0))))
 
 
 def curvature(surface: Surface, state: State) -> float:
@@ -150,22 +150,22 @@ def curvature(surface: Surface, state: State) -> float:
     A parabola is fitted to the means of the displacements of both sides of `surface`, the surface S.
     """
     x, v = surface.profile(surface.displacements(state).mean(axis=0))
-    near = x[:, 0] < 0.1 * LENGTH
-    return float(2 * np.polyfit(x[near, 0] ** 2, v[near, 1], 1)[0])
+    is_near = x[:, 0] < 0.1 * HALF_LENGTH
+    return float(2 * np.polyfit(x[is_near, 0] ** 2, v[is_near, 1], 1)[0])
 
 
-def bending(record: Record, h: float) -> None:
+def check_bending(record: Record, h: float) -> None:
     """Solve strips that are free to bend, for increasing stiffnesses of the layer, and check their curvature.
 
     `h` is the cell size, mm. `record` writes the curvatures to bending.csv.
     """
-    table = record.table("bending.csv")
+    table = record.new_table("bending.csv")
     gaps = {"meshed layer": EPS, "interface law": 0.0}  # the interface law neglects the thickness in the lever arm
-    for mu in STIFFENING:
-        models = strips(h, mu, {(0.0, -HEIGHTS["LOWER"]): {"y": 0.0}})
+    for mu in BENDING_MODULI:
+        models = strip_models(h, mu, {(0.0, -HEIGHTS["LOWER"]): {"y": 0.0}})
         surface = Surface(models["interface law"])
-        curvatures = {name: curvature(surface, record.solved(solve(model))) for name, model in models.items()}
-        table.append({"mu": mu, **curvatures, **{f"{name}, closed form": bent(mu, eps) for name, eps in gaps.items()}})
+        curvatures = {name: curvature(surface, record.add_report(solve(model))) for name, model in models.items()}
+        table.append({"mu": mu, **curvatures, **{f"{name}, closed form": suhir(mu, eps) for name, eps in gaps.items()}})
     for name in gaps:
         ratios, stiffest = table[name] / table[f"{name}, closed form"], table[name][-1] / timoshenko()
         record.check(f"curvature with a shear lag, {name}: largest relative error", abs(ratios - 1).max(), high=0.02)
@@ -178,18 +178,18 @@ def draw(record: Record) -> None:
 
     The values are read from shear_lag.csv and bending.csv in the folder of `record`.
     """
-    lines, grid = Curves(), np.linspace(0, LENGTH, 200)
-    for mu, of_mu in record.load("shear_lag.csv").split("mu").items():
-        for name, part in of_mu.split("model").items():
+    lines, grid = Curves(), np.linspace(0, HALF_LENGTH, 200)
+    for mu, mu_table in record.load("shear_lag.csv").split("mu").items():
+        for name, part in mu_table.split("model").items():
             lines[f"{name}, G = {mu:g} MPa"] = part["x"][::4], part["tau"][::4]
-        lines[f"closed form, G = {mu:g} MPa"] = grid, lag(mu, grid)
+        lines[f"closed form, G = {mu:g} MPa"] = grid, lag_stress(mu, grid)
     title, save = "two strips of unequal expansion, cooled by 80 K, held flat", record.path("shear_lag.svg")
     look = {"styles": ("s", ".", "-", "s", ".", "--"), "colours": [colour for colour in COLOURS[:2] for _ in range(3)]}
     plotting.curves(lines, "x from the middle (mm)", "shear stress on S (MPa)", title=title, save=save, **look)
-    table, grid = record.load("bending.csv"), np.geomspace(min(STIFFENING), max(STIFFENING), 200)
+    table, grid = record.load("bending.csv"), np.geomspace(min(BENDING_MODULI), max(BENDING_MODULI), 200)
     lines = {name: (table["mu"], 1e3 * table[name]) for name in ("meshed layer", "interface law")}
-    lines["closed form"] = grid, np.array([1e3 * bent(float(mu)) for mu in grid])
+    lines["closed form"] = grid, np.array([1e3 * suhir(float(mu)) for mu in grid])
     lines["bonded (Timoshenko)"] = grid, np.full(len(grid), 1e3 * timoshenko())
     title, save = "two strips of unequal expansion, cooled by 80 K, free to bend", record.path("bending.svg")
-    modulus, styles = "shear modulus G of the layer (MPa)", ("s", "o", "-", ":")
-    plotting.curves(lines, modulus, "curvature (1/m)", title=title, styles=styles, log="x", save=save)
+    xlabel, styles = "shear modulus G of the layer (MPa)", ("s", "o", "-", ":")
+    plotting.curves(lines, xlabel, "curvature (1/m)", title=title, styles=styles, log="x", save=save)

@@ -18,17 +18,17 @@ from thinlayer import Structure, Surface, Table, ThinLayer, compare, plotting, s
 from thinlayer.discretisation.layer import SurfaceLaw
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
-from thinlayer.output.comparison import Where
-from thinlayer.output.plotting.curves import ERROR_COLUMNS, fraction
+from thinlayer.output.comparison import WhereFunction
+from thinlayer.output.plotting.curves import ERROR_COLUMNS, as_fraction
 from thinlayer.running.record import Record
 from thinlayer.solving.history import Solution
 from thinlayer.surface.surface_mesh import Where as OnSurface
 
-Floors = Mapping[str, tuple[float, float]]  # traction or jump -> range of the relative error that a wrong law leaves
+ErrorFloors = Mapping[str, tuple[float, float]]  # traction or jump -> range of the error that a wrong law leaves
 Tables = dict[str, Table]
 Field = Callable[[Surface, State], Array]
 Curves = dict[str, tuple[npt.ArrayLike, npt.ArrayLike]]  # label -> x and y
-ON_S = "interface law"
+LAW_KEY = "interface law"
 
 
 def halves(k: int, n: int = 4) -> tuple[float, ...]:
@@ -40,12 +40,12 @@ SQUARES, EIGHTHS = partial(fourier, cell="quadrilateral"), halves(3)
 
 
 @dataclass(frozen=True)
-class Row:
+class Sweep:
     """A comparison of a meshed layer with its interface law in one structure for decreasing thickness.
 
     Attributes:
-        layer: function of the thickness that returns the layer.
-        label: text that distinguishes the row from other rows of its law.
+        layer_fn: function of the thickness that returns the layer.
+        label: text that distinguishes the sweep from other sweeps of its law.
         problem: function of the cell size, or of another parameter of the mesh, that returns the joint and the
             arguments of its `Structure`.
         h: argument of `problem` without --quick, and with it.
@@ -54,8 +54,8 @@ class Row:
             The second may be None: no upper bound. None: no such check.
         times: ends of the time steps, from rest under loads that act from t = 0 on; the last states are compared. None:
             a static solve.
-        steps: slice that selects those `times` that are used with --quick.
-        instead: law of the interface model in place of the layer's law, to show the error of a wrong law; None: the
+        quick_steps: slice that selects those `times` that are used with --quick.
+        wrong_law: law of the interface model in place of the layer's law, to show the error of a wrong law; None: the
             layer's law.
         bodies: bodies of the full model, and of interface models of order 1: "kept" (a meshed layer moves them apart)
             or "extended" (it is cut out of them).
@@ -63,101 +63,101 @@ class Row:
         where: function of the coordinates that selects the part of S on which errors are measured; None: all of S.
         other_layers: suffix -> function of the thickness that returns a layer with another interface law. The errors of
             this law are further columns, whose names end with the suffix.
-        more: function of the solutions of the full and the interface model that returns further columns, name ->
+        extras: function of the solutions of the full and the interface model that returns further columns, name ->
             number; None: none.
         along: function of a state and S that returns x and fields along S, name -> array, drawn for both models; None:
             nothing is drawn along S.
-        floors: "traction" or "jump" -> smallest and largest relative error that a wrong law leaves (`check_floors`).
-            The row of a wrong law has the name of the right law's row and one more word.
-        check: function of the record and of the tables so far (name of a row -> table) that makes further checks; None:
+        floors: "traction" or "jump" -> smallest and largest relative error that a wrong law leaves, see
+            `check_floors`. The sweep of a wrong law has the name of the right law's sweep and one more word.
+        check: function of the record and of the tables so far (name of a sweep -> table) that makes further checks; None:
             none.
         pictured: function that chooses one of the thicknesses, at which deformed structures are drawn; None: no
             picture.
         unit: unit of lengths; "": none.
-        long: whether the row is left out with --quick.
+        slow: whether the sweep is left out with --quick.
     """
 
-    layer: LayerOfThickness
+    layer_fn: LayerOfThickness
     label: str = ""
     problem: Callable[..., Problem] = SQUARES
     h: tuple[object, object] = (1 / 32, 1 / 8)
     eps: Sequence[float] = EIGHTHS
     orders: tuple[float, float | None] | None = (0.93, 1.07)
     times: Sequence[float] | None = None
-    steps: slice = slice(None)
-    instead: BulkLaw | SurfaceLaw | None = None
+    quick_steps: slice = slice(None)
+    wrong_law: BulkLaw | SurfaceLaw | None = None
     bodies: str = "kept"
     cells_through: int = 4
-    where: Where | None = None
+    where: WhereFunction | None = None
     other_layers: Mapping[str, LayerOfThickness] = field(default_factory=dict)
-    more: Callable[[Solution, Solution], dict[str, float]] | None = None
+    extras: Callable[[Solution, Solution], dict[str, float]] | None = None
     along: Callable[[State, Surface], dict[str, Array]] | None = None
-    floors: Floors = field(default_factory=dict)
+    floors: ErrorFloors = field(default_factory=dict)
     check: Callable[[Record, Tables], None] | None = None
     pictured: Callable[[Sequence[float]], float] | None = max
     unit: str = ""
-    long: bool = False
+    slow: bool = False
 
-    def sweep(self, record: Record, name: str, eps: Sequence[float], *, quick: bool, pictured: bool) -> Table:
+    def compare_all(self, record: Record, name: str, eps: Sequence[float], *, quick: bool, pictured: bool) -> Table:
         """Compare both models at each thickness, and check the last rates of convergence.
 
         The laws are printed, and deformed structures are drawn for one thickness.
 
         Args:
             record: record of the run, which writes the table and receives the checks.
-            name: name of this `Row`.
+            name: name of this `Sweep`.
             eps: thicknesses.
             quick: whether to use coarser meshes and fewer steps.
             pictured: whether to draw deformed structures.
 
         Returns:
-            Table of the errors of traction and jump, and of the row's further columns, with a line for each thickness.
+            Table of the errors of traction and jump, and of the sweep's further columns, with a line for each thickness.
         """
         joint, setup = self.problem(self.h[quick])
-        structure, case = Structure(joint, **setup), name.replace(" ", "_")
-        times = self.times[self.steps] if self.times and quick else self.times
-        shown = self.pictured(eps) if self.pictured and pictured else None
-        law = self.layer(eps[0]).law
+        structure, case_file = Structure(joint, **setup), name.replace(" ", "_")
+        times = self.times[self.quick_steps] if self.times and quick else self.times
+        drawn_eps = self.pictured(eps) if self.pictured and pictured else None
+        law = self.layer_fn(eps[0]).law
         record.parameters[name] = {"layer": str(law), "h": self.h[quick], "times": times}
 
-        def solved(model: Model, what: str) -> Solution:
-            return record.march(model, times, f"{what}_{case}") if times else record.solved(solve(model))
+        def run_model(model: Model, what: str) -> Solution:
+            return record.march(model, times, f"{what}_{case_file}") if times else record.add_report(solve(model))
 
-        def by_law(layer: ThinLayer | SurfaceLaw, what: str) -> Solution:
+        def solve_interface(layer: ThinLayer | SurfaceLaw, what: str) -> Solution:
             bodies = self.bodies if isinstance(layer, ThinLayer) and layer.order else "kept"
-            return solved(structure.interface(layer, bodies=bodies), what)
+            return run_model(structure.interface(layer, bodies=bodies), what)
 
         def compare_at(e: float) -> dict[str, float]:
-            layer, other = self.layer(e), self.instead
-            full = solved(structure.full(layer, bodies=self.bodies, cells_through=self.cells_through), f"full_{e:g}")
-            on_s = ThinLayer(other, e, at=1.0) if isinstance(other, BulkLaw) else other or layer
-            limit = by_law(on_s, f"interface_{e:g}")
-            states = {f"meshed layer, eps = {e:.4g} {self.unit}".rstrip(): last(full), ON_S: last(limit)}
+            layer, wrong_law = self.layer_fn(e), self.wrong_law
+            full = run_model(structure.full(layer, bodies=self.bodies, cells_through=self.cells_through), f"full_{e:g}")
+            surface_law = ThinLayer(wrong_law, e, at=1.0) if isinstance(wrong_law, BulkLaw) else wrong_law or layer
+            limit = solve_interface(surface_law, f"interface_{e:g}")
+            states = {f"meshed layer, eps = {e:.4g} {self.unit}".rstrip(): end_state(full), LAW_KEY: end_state(limit)}
             if self.along:
-                surface, rows = Surface(last(limit).model), Table()
+                surface, rows = Surface(end_state(limit).model), Table()
                 for model, state in states.items():
                     rows.extend(Table.of({"model": model, **self.along(state, surface)}))
-                record.write(along_of(name, e), rows)
-            if e == shown:
+                record.write(along_file(name, e), rows)
+            if e == drawn_eps:
                 what = re.split(r"[;.]\s", getattr(self.problem, "func", self.problem).__doc__ or name)[0]
-                title, save = ", ".join(filter(None, (what, self.label))), record.path(f"deformed_{case}.png")
+                title, save = ", ".join(filter(None, (what, self.label))), record.path(f"deformed_{case_file}.png")
                 plotting.deformed(states, plotting.View(unit=self.unit), save=save, title=title)
-            row = compare(full, limit, where=self.where) | elastic_fraction(layer.law)
-            for end, further in self.other_layers.items():
-                errors = compare(full, by_law(further(e), f"interface{end}_{e:g}"), where=self.where)
-                row |= {f"{column}{end}": errors[column] for column in ERROR_COLUMNS.values()}
-            return row | (self.more(full, limit) if self.more else {})
+            row = compare(full, limit, where=self.where) | fraction_column(layer.law)
+            for suffix, other_layer in self.other_layers.items():
+                errors = compare(full, solve_interface(other_layer(e), f"interface{suffix}_{e:g}"), where=self.where)
+                row |= {f"{column}{suffix}": errors[column] for column in ERROR_COLUMNS.values()}
+            return row | (self.extras(full, limit) if self.extras else {})
 
-        record.say(f"meshed layer {law}, on S {self.instead}" if self.instead else law)
-        table = record.sweep(compare_at, eps, table_of(name))
+        record.say(f"meshed layer {law}, on S {self.wrong_law}" if self.wrong_law else law)
+        table = record.sweep(compare_at, eps, table_file(name))
         low, high = self.orders or (None, None)
-        by_nodes = {"traction": "error_reaction"} if "error_reaction" in table.columns else {}
-        for what, column in (ERROR_COLUMNS | by_nodes).items() if self.orders and len(eps) > 1 else ():
+        reaction_column = {"traction": "error_reaction"} if "error_reaction" in table.columns else {}
+        for what, column in (ERROR_COLUMNS | reaction_column).items() if self.orders and len(eps) > 1 else ():
             record.check(f"last observed order of the {what}, {name}", last_order(table, column), low=low, high=high)
         return table
 
 
-def elastic_fraction(law: Law) -> dict[str, float]:
+def fraction_column(law: Law) -> dict[str, float]:
     """Return {"h": elastic fraction of `law`}, the largest one of its sublayers; {} if it has none."""
     parameters = (sublayer.parameters() for _, sublayer in law.sublayers)
     fractions = [values["elastic_fraction"] for values in parameters if "elastic_fraction" in values]
@@ -169,14 +169,14 @@ def middle(eps: Sequence[float]) -> float:
     return sorted(eps)[len(eps) // 2]
 
 
-def last(solution: Solution) -> State:
+def end_state(solution: Solution) -> State:
     """Return the last state of a history; a state is returned as it is."""
     return solution if isinstance(solution, State) else solution.last
 
 
 def layer_of(solution: Solution) -> ThinLayer:
     """Return the layer of the model that a state or history belongs to; the model has exactly one layer."""
-    (layer,) = last(solution).model.layers.values()
+    (layer,) = end_state(solution).model.layers.values()
     return layer.as_thin_layer
 
 
@@ -188,7 +188,7 @@ def last_order(table: Table, column: str) -> float:
     return table.orders(column)[-1] or math.nan
 
 
-def by_reaction(full: Solution, limit: Solution, where: Where | None = None) -> dict[str, float]:
+def reaction_error(full: Solution, limit: Solution, where: WhereFunction | None = None) -> dict[str, float]:
     """Measure the error of the tractions that are equivalent to the bodies' nodal forces on S (`Surface.reaction`).
 
     In the laws' own tractions the next term in eps nearly cancels, so that their errors do not show it.
@@ -201,8 +201,8 @@ def by_reaction(full: Solution, limit: Solution, where: Where | None = None) -> 
     Returns:
         "error_reaction" -> relative error in the L2 norm on S.
     """
-    state = last(limit)
-    return {"error_reaction": difference(Surface(state.model), Surface.reaction, last(full), state, where or 1.0)}
+    state = end_state(limit)
+    return {"error_reaction": difference(Surface(state.model), Surface.reaction, end_state(full), state, where or 1.0)}
 
 
 def difference(surface: Surface, field: Field, state: State, reference: State, where: OnSurface | float = 1.0) -> float:
@@ -215,16 +215,16 @@ def difference(surface: Surface, field: Field, state: State, reference: State, w
         reference: state with which it is compared; the norm of its field is the divisor.
         where: function of the coordinates that selects a part of S, or weights on S, (n, q) at q points of n facets.
     """
-    wanted = field(surface, reference)
-    return surface.norm(field(surface, state) - wanted, where) / surface.norm(wanted, where)
+    reference_field = field(surface, reference)
+    return surface.norm(field(surface, state) - reference_field, where) / surface.norm(reference_field, where)
 
 
-def check_floors(record: Record, name: str, wrong: Table, right: Table, floors: Floors) -> None:
+def check_floors(record: Record, name: str, wrong: Table, right: Table, floors: ErrorFloors) -> None:
     """Check that a wrong law's errors lie in their ranges, do not decrease with eps, and exceed those of the right law.
 
     Args:
         record: record of the run, which receives the checks.
-        name: name of the `Row` of the wrong law.
+        name: name of the `Sweep` of the wrong law.
         wrong: table of errors of the wrong law, a line for each thickness.
         right: table of errors of the right law.
         floors: "traction" or "jump" -> smallest and largest relative error of the wrong law at the smallest thickness.
@@ -237,13 +237,13 @@ def check_floors(record: Record, name: str, wrong: Table, right: Table, floors: 
             record.check(f"last observed order of the {of}, {name}", wrong[f"order_{of}"][-1], low=-0.2, high=0.2)
 
 
-def table_of(case: str) -> str:
-    """Return the name of the csv file with the table of errors of the `Row` named `case`."""
+def table_file(case: str) -> str:
+    """Return the name of the csv file with the table of errors of the `Sweep` named `case`."""
     return f"table_{case.replace(' ', '_')}.csv" if case else "table.csv"
 
 
-def along_of(case: str, eps: float) -> str:
-    """Return the name of the csv file with fields along S of the `Row` named `case`, at the thickness `eps`."""
+def along_file(case: str, eps: float) -> str:
+    """Return the name of the csv file with fields along S of the `Sweep` named `case`, at the thickness `eps`."""
     return f"along_{case.replace(' ', '_')}_{eps:g}.csv"
 
 
@@ -254,17 +254,20 @@ def draw_along(record: Record, cases: Mapping[str, str], name: str) -> None:
 
     Args:
         record: record of the run.
-        cases: title of a panel -> name of the `Row` drawn there.
+        cases: title of a panel -> name of the `Sweep` drawn there.
         name: name of the picture's file, without its ending.
     """
     panels: dict[str, Curves] = {}
     for label, case in cases.items():
-        for eps in record.load(table_of(case))["eps"]:
-            table = record.load(along_of(case, eps))
+        for eps in record.load(table_file(case))["eps"]:
+            table = record.load(along_file(case, eps))
             column = table.columns[-1]
             lines = panels.setdefault(f"{column}, {label}", {})
             for model, rows in table.split("model").items():
-                lines.pop(ON_S, None)  # the interface law comes last
-                lines[ON_S if model == ON_S else f"meshed layer, eps = {fraction(eps)}"] = rows["x"], rows[column]
-    look = {"styles": {ON_S: "--"}, "colours": {ON_S: "black"}, "columns": 2, "save": record.path(f"{name}.svg")}
+                lines.pop(LAW_KEY, None)  # the interface law comes last
+                lines[LAW_KEY if model == LAW_KEY else f"meshed layer, eps = {as_fraction(eps)}"] = (
+                    rows["x"],
+                    rows[column],
+                )
+    look = {"styles": {LAW_KEY: "--"}, "colours": {LAW_KEY: "black"}, "columns": 2, "save": record.path(f"{name}.svg")}
     plotting.curves(panels, "x along S over half the width", **look)

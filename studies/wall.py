@@ -17,21 +17,21 @@ from thinlayer.discretisation.supports import Support
 from thinlayer.running.record import Record
 from thinlayer.solving.history import History
 
-BRICK = (250.0, 75.0)  # mm, with the mortar
+BRICK_SIZE = (250.0, 75.0)  # mm, with the mortar
 CLAY = LinearElastic.young(E=12e3, nu=0.2)  # MPa
 EPS = 10.0  # mm, thickness of the joints
 MORTAR = LinearElastic.young(E=2e3, nu=0.2)
-ANGLE = 30.0  # degrees
-COHESION = {"BED": 0.1, "HEAD": 0.03}  # MPa
+OMEGA = 30.0  # degrees
+COHESIONS = {"BED": 0.1, "HEAD": 0.03}  # MPa
 PRESSURE = 0.5  # MPa, on the top
-STRENGTH = COHESION["BED"] + tan(radians(ANGLE)) * PRESSURE  # of a bed along which all bricks above slide
-WALLS = ("heads with mortar", "open heads")
-NEAR_LIMIT = 0.9  # share of the strength of a bed at which walls are compared and drawn
-PANEL = (2, 3)  # bricks and courses of the panel that is meshed
-SHIFTS = (0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3)  # mm, of its top
+STRENGTH = COHESIONS["BED"] + tan(radians(OMEGA)) * PRESSURE  # of a bed along which all bricks above slide
+WALL_NAMES = ("heads with mortar", "open heads")
+LIMIT_SHARE = 0.9  # share of the strength of a bed at which walls are compared and drawn
+PANEL_SIZE = (2, 3)  # bricks and courses of the panel that is meshed
+TOP_SHIFTS = (0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3)  # mm, of its top
 THICKNESSES = (10.0, 5.0, 2.5)  # mm, of its meshed joints
 ELASTIC_FRACTION = 0.01  # of the panel's mortar: without it nothing supports the free ends of joints
-SHARES = ("seam", "size", "elastic", "sliding", "crushed", "torn", "open")  # columns of joints.csv
+JOINT_COLUMNS = ("seam", "size", "elastic", "sliding", "crushed", "torn", "open")  # columns of joints.csv
 
 
 def run(record: Record, *, quick: bool = False) -> None:
@@ -63,24 +63,24 @@ def push_walls(record: Record, bricks: int, courses: int, cells: int, step: floa
         cells: number of cells over the height of a brick.
         step: increment of the shear stress on the top, MPa.
     """
-    table, joints = record.table("table.csv"), record.table("joints.csv")
-    near, last, shifts = dict[str, State](), dict[str, State](), []
-    for name in WALLS:
-        model = sheared(bricks, courses, BRICK[1] / cells, heads=name == WALLS[0])
-        history, limit = pushed(model, step, 1.5 * STRENGTH)
-        moved, steps = [shift(state) for state in history], [state.report.iterations for state in history]
-        table.extend(Table.of({"wall": name, "shear_MPa": history.t, "shift_mm": moved, "iterations": steps}))
-        record.check(f"{name}: limit over that of a bed that slides", limit / STRENGTH, low=0.995, high=1.0)
-        shifts.append(np.interp(NEAR_LIMIT * STRENGTH, history.t, moved))
-        near[name] = max((state for state in history if state.t <= NEAR_LIMIT * STRENGTH), key=lambda state: state.t)
-        last[name] = record.solved(history.last)
-        for state in (near[name], last[name]):
+    table, joints = record.new_table("table.csv"), record.new_table("joints.csv")
+    near, at_limit, shifts = dict[str, State](), dict[str, State](), []
+    for name in WALL_NAMES:
+        model = wall_model(bricks, courses, BRICK_SIZE[1] / cells, heads=name == WALL_NAMES[0])
+        history, limit_stress = march_to_limit(model, step, 1.5 * STRENGTH)
+        top_shifts, iterations = [top_shift(state) for state in history], [state.report.iterations for state in history]
+        table.extend(Table.of({"wall": name, "shear_MPa": history.t, "shift_mm": top_shifts, "iterations": iterations}))
+        record.check(f"{name}: limit over that of a bed that slides", limit_stress / STRENGTH, low=0.995, high=1.0)
+        shifts.append(np.interp(LIMIT_SHARE * STRENGTH, history.t, top_shifts))
+        near[name] = max((state for state in history if state.t <= LIMIT_SHARE * STRENGTH), key=lambda state: state.t)
+        at_limit[name] = record.add_report(history.last)
+        for state in (near[name], at_limit[name]):
             for row in Surface(state.model).table(state):
-                joints.append({"wall": name, "shear_MPa": state.t} | {key: row.get(key, 0.0) for key in SHARES})
+                joints.append({"wall": name, "shear_MPa": state.t} | {key: row.get(key, 0.0) for key in JOINT_COLUMNS})
     record.check("shift at 0.9 of the limit, open heads over heads with mortar", shifts[1] / shifts[0], low=1.1)
     title = f"a wall under {PRESSURE:g} MPa, sheared by {max(state.t for state in near.values()):.3g} MPa"
     plotting.on_surface(near, Surface.status, save=record.path("joints.png"), title=title)
-    plotting.on_surface(last, Surface.status, save=record.path("limit.png"), title="at the limit")
+    plotting.on_surface(at_limit, Surface.status, save=record.path("limit.png"), title="at the limit")
 
 
 def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
@@ -89,32 +89,32 @@ def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
     `thicknesses` are those of the meshed joints, mm. `record` writes the forces to panel.csv.
     """
     supports: dict[str, Support] = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: t}}
-    panel, pressed = wall(*PANEL, BRICK, BRICK[1] / 6, cell="quadrilateral"), {"TOP": (0.0, -PRESSURE)}
-    structure = Structure(panel, body=CLAY, supports=supports, tractions=pressed, element="Q1")
+    panel, tractions = wall(*PANEL_SIZE, BRICK_SIZE, BRICK_SIZE[1] / 6, cell="quadrilateral"), {"TOP": (0.0, -PRESSURE)}
+    structure = Structure(panel, body=CLAY, supports=supports, tractions=tractions, element="Q1")
 
     def mortar(eps: float) -> dict[str, ThinLayer]:
-        law = partial(MohrCoulomb, MORTAR.lmbda, MORTAR.mu, friction_angle=ANGLE, elastic_fraction=ELASTIC_FRACTION)
-        return {name: ThinLayer(law(cohesion=cohesion), eps, at=EPS) for name, cohesion in COHESION.items()}
+        law = partial(MohrCoulomb, MORTAR.lmbda, MORTAR.mu, friction_angle=OMEGA, elastic_fraction=ELASTIC_FRACTION)
+        return {name: ThinLayer(law(cohesion=cohesion), eps, at=EPS) for name, cohesion in COHESIONS.items()}
 
     models: dict[str, Model] = {"interface law": structure.interface(mortar(EPS))}
     for eps in thicknesses:
         models[f"meshed, {eps:g} mm"] = structure.full(mortar(eps), cells_through=2, bodies="extended")
-    beds, table, forces = Surface(models["interface law"], "BED"), record.table("panel.csv"), {}
-    length = beds.integral(1.0)
+    bed_surface, table, forces = Surface(models["interface law"], "BED"), record.new_table("panel.csv"), {}
+    length = bed_surface.integral(1.0)
     for name, model in models.items():
-        history = record.solved(march(model, list(SHIFTS)))
+        history = record.add_report(march(model, list(TOP_SHIFTS)))
         # failed steps were subdivided: the models are compared at the times that they share
-        forces[name] = [beds.integral(beds.reaction(history.at(t))[0]) / length for t in SHIFTS]
-        table.extend(Table.of({"model": name, "shift_mm": SHIFTS, "shear_MPa": forces[name]}))
-    by_law, *meshed = (np.array(curve) for curve in forces.values())
-    errors = [float(np.abs(curve - by_law).max() / by_law.max()) for curve in meshed]
+        forces[name] = [bed_surface.integral(bed_surface.reaction(history.at(t))[0]) / length for t in TOP_SHIFTS]
+        table.extend(Table.of({"model": name, "shift_mm": TOP_SHIFTS, "shear_MPa": forces[name]}))
+    law_force, *meshed_forces = (np.array(curve) for curve in forces.values())
+    errors = [float(np.abs(curve - law_force).max() / law_force.max()) for curve in meshed_forces]
     for eps, error in zip(thicknesses, errors, strict=True):
         record.check(f"force of the panel, joints of {eps:g} mm, meshed and not", error, high=0.003 * eps)
     if len(errors) > 1:
         record.check("observed order of these", float(np.log2(errors[0] / errors[-1])) / (len(errors) - 1), low=0.8)
 
 
-def sheared(bricks: int, courses: int, h: float, *, heads: bool) -> InterfaceModel:
+def wall_model(bricks: int, courses: int, h: float, *, heads: bool) -> InterfaceModel:
     """Make the interface model of a wall, clamped at the bottom, pressed, and sheared on its top.
 
     The shear stress in MPa is equal to the time t.
@@ -125,14 +125,14 @@ def sheared(bricks: int, courses: int, h: float, *, heads: bool) -> InterfaceMod
         h: cell size, mm.
         heads: whether there is mortar in the head joints.
     """
-    law = partial(MohrCoulombMonodirectional, MORTAR.lmbda, MORTAR.mu, friction_angle=ANGLE)
-    layers = {name: ThinLayer(law(cohesion=C, unilateral=name == "BED"), EPS) for name, C in COHESION.items()}
-    joint, loads = wall(bricks, courses, BRICK, h), {"TOP": lambda x, t: (t, -PRESSURE)}
+    law = partial(MohrCoulombMonodirectional, MORTAR.lmbda, MORTAR.mu, friction_angle=OMEGA)
+    layers = {name: ThinLayer(law(cohesion=C, unilateral=name == "BED"), EPS) for name, C in COHESIONS.items()}
+    joint, loads = wall(bricks, courses, BRICK_SIZE, h), {"TOP": lambda x, t: (t, -PRESSURE)}
     structure = Structure(joint, body=CLAY, supports={"BOTTOM": 0.0}, tractions=loads)
     return structure.interface(layers if heads else layers | {"HEAD": None})
 
 
-def pushed(model: InterfaceModel, step: float, end: float) -> tuple[History, float]:
+def march_to_limit(model: InterfaceModel, step: float, end: float) -> tuple[History, float]:
     """March a wall with growing shear stress up to its limit load.
 
     Args:
@@ -150,10 +150,10 @@ def pushed(model: InterfaceModel, step: float, end: float) -> tuple[History, flo
     raise AssertionError("the wall has no limit")
 
 
-def shift(state: State) -> float:
+def top_shift(state: State) -> float:
     """Return the mean displacement of the top along the wall in `state`, mm."""
-    top = state.model.ds(state.model.domain.values("TOP"))
-    return state.integral(state.u[0] * top) / state.integral(1.0 * top)
+    ds_top = state.model.ds(state.model.domain.values("TOP"))
+    return state.integral(state.u[0] * ds_top) / state.integral(1.0 * ds_top)
 
 
 def draw(record: Record) -> None:
@@ -165,7 +165,7 @@ def draw(record: Record) -> None:
         ("table.csv", "wall", "shear.svg", "a wall, pushed"),
         ("panel.csv", "model", "panel.svg", "a panel, its top moved along"),
     ):
-        parts, columns = record.load(file).split(column), ("shift_mm", "shear_MPa")
-        lines = {name: tuple(np.insert(part[key], 0, 0) for key in columns) for name, part in parts.items()}
+        tables, columns = record.load(file).split(column), ("shift_mm", "shear_MPa")
+        lines = {name: tuple(np.insert(rows[key], 0, 0) for key in columns) for name, rows in tables.items()}
         look = {"title": f"{title}, under a pressure of {PRESSURE:g} MPa", "styles": ("o-", "s-", "^--", "v--", "d--")}
         plotting.curves(lines, "shift of the top (mm)", "shear stress (MPa)", save=record.path(picture), **look)

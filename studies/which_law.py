@@ -15,11 +15,11 @@ from forms import Incompressible, LinearElastic, Rubber
 from forms.base import Array
 from geometry.parallel import default_comm
 from studies.maps import Panel, maps
-from studies.problems import FOURIER_BODY, Wave, fourier, free_blocks
+from studies.problems import FOURIER_BODY, WaveSolution, fourier, free_blocks
 from studies.sweeping import difference
 from thinlayer import RangeWarning, Structure, Surface, Table, ThinLayer, solve
 from thinlayer.discretisation.state import State
-from thinlayer.output.plotting.curves import fraction
+from thinlayer.output.plotting.curves import as_fraction
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 
@@ -28,25 +28,25 @@ NUS = (0.0, 0.2, 0.3, 0.4, 0.45, 0.48, 0.49, 0.499, 0.4999, 0.5)
 QUICK_NUS = (0.3, 0.45, 0.49, 0.499, 0.5)
 E_BODY = 100.0
 CONTRASTS = (10, 200, 200_000)  # Young's modulus of the bodies over the shear modulus of the layer
-LAWS = {
+LAW_NAMES = {
     "order_0": "order 0",
     "order_1": "LinearElastic, order 1",
     "edges": "order 1, free ends",
     "rubber": "Rubber, order 1",
     "rubber_edges": "Rubber, free ends",
 }
-LETTERS = {"order_0": "0", "order_1": "1", "rubber": "R"}
-CORRECTED = {"edges": "order_1", "rubber_edges": "rubber"}  # law corrected at free ends -> law without correction
+LAW_LETTERS = {"order_0": "0", "order_1": "1", "rubber": "R"}
+CORRECTED_LAWS = {"edges": "order_1", "rubber_edges": "rubber"}  # law corrected at free ends -> law without correction
 QUANTITIES = ("traction", "jump", "compliance")
-RANGES = {"< 0.1 %": 0.001, "0.1 to 1 %": 0.01, "1 to 5 %": 0.05, "5 to 20 %": 0.2, "> 20 %": math.inf}  # of errors
+ERROR_RANGES = {"< 0.1 %": 0.001, "0.1 to 1 %": 0.01, "1 to 5 %": 0.05, "5 to 20 %": 0.2, "> 20 %": math.inf}
 ALLOWED_ERRORS = (0.01, 0.05)  # errors for which the cheapest law is drawn
 WARNED_ERROR = 0.1  # error of order 1 from which on a warning is required
 LOAD = 1e-6  # stress: far below the moduli of the layers, so that warnings come from the laws, not from the loads
-INNER = 0.25  # free ends: errors are measured up to this distance from the middle of S
-SIGNS = "!: with a RangeWarning; -: a law without such a material, or S too narrow for its strips at free ends"
-SET_UPS = {"rollers": "between rollers, under one half-wave", "free": "free ends, inner half of S"}
+INNER_HALF_WIDTH = 0.25  # free ends: errors are measured up to this distance from the middle of S
+SIGNS_TEXT = "!: with a RangeWarning; -: a law without such a material, or S too narrow for its strips at free ends"
+SET_UP_TITLES = {"rollers": "between rollers, under one half-wave", "free": "free ends, inner half of S"}
 
-Compared = Callable[[State], tuple[float, ...]]
+ErrorFunction = Callable[[State], tuple[float, ...]]
 
 
 def run(record: Record, *, quick: bool = False) -> None:
@@ -58,16 +58,16 @@ def run(record: Record, *, quick: bool = False) -> None:
         record: record of the run, with its folder, tables and checks.
         quick: three thicknesses and five Poisson's ratios, a coarser mesh.
     """
-    table = record.table("table.csv")
+    table = record.new_table("table.csv")
     for name, set_up in (("rollers", Rollers(1 / 16 if quick else 1 / 32)), ("free", FreeEnds(quick))):
         cases = [(c, nu, e) for c in CONTRASTS for nu in (QUICK_NUS if quick else NUS) for e in EPS[:: 1 + quick]]
         for contrast, nu, eps in track(cases, name, "E/mu, nu, eps = {}"):
             row = {"sides": name, "E/mu": contrast, "nu": nu, "eps": eps}
-            table.append(row | _row(record, set_up, E_BODY / contrast, nu, eps))
+            table.append(row | _error_row(record, set_up, E_BODY / contrast, nu, eps))
         _check(record, name, table.split("sides")[name])
 
 
-def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: float) -> dict[str, float | None]:
+def _error_row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: float) -> dict[str, float | None]:
     """Measure the errors of all interface laws for one layer, and record which laws give a warning.
 
     Args:
@@ -82,15 +82,15 @@ def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: 
         law without this material has None. "too_stiff" is the factor by which order 0 overestimates the stiffness.
     """
     lmbda = 2 * nu / (1 - 2 * nu) * mu if nu < 0.5 else math.inf
-    compared, structure = set_up.against(record, lmbda, mu, eps), set_up.structure(eps)
-    errors = [f"{quantity}_{law}" for law in LAWS for quantity in QUANTITIES]
-    row: dict[str, float | None] = dict.fromkeys([*errors, "too_stiff", *(f"warned_{law}" for law in LAWS)])
+    errors_of, structure = set_up.error_function(record, lmbda, mu, eps), set_up.structure(eps)
+    columns = [f"{quantity}_{law}" for law in LAW_NAMES for quantity in QUANTITIES]
+    row: dict[str, float | None] = dict.fromkeys([*columns, "too_stiff", *(f"warned_{law}" for law in LAW_NAMES)])
     for law, layer in set_up.layers(lmbda, mu, eps).items():
         with warnings.catch_warnings(record=True, action="always") as caught_warnings:
-            state = record.solved(solve(structure.interface(layer)))
+            state = record.add_report(solve(structure.interface(layer)))
         warned = any(issubclass(warning.category, RangeWarning) for warning in caught_warnings)
         row[f"warned_{law}"] = float(default_comm().bcast(warned))  # rank 0 warns
-        row |= {f"{quantity}_{law}": error for quantity, error in zip(QUANTITIES, compared(state), strict=True)}
+        row |= {f"{quantity}_{law}": error for quantity, error in zip(QUANTITIES, errors_of(state), strict=True)}
         if law == "order_0" and nu < 0.5:
             row["too_stiff"] = Surface(state.model).table(state)["too_stiff"][0]
     return row
@@ -105,15 +105,15 @@ def _layers(lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
         lmbda, mu: Lamé's moduli of the layer; lmbda is infinite at nu = 1/2.
         eps: thickness of the layer.
     """
-    rubber, first = _rubber(lmbda, mu), partial(ThinLayer, eps=eps, order=1, edges="plain")
+    rubber_law, order_1 = _rubber_law(lmbda, mu), partial(ThinLayer, eps=eps, order=1, edges="plain")
     if math.isinf(lmbda):
-        return {"order_0": ThinLayer(rubber, eps), "rubber": first(rubber)}
+        return {"order_0": ThinLayer(rubber_law, eps), "rubber": order_1(rubber_law)}
     elastic = LinearElastic(lmbda, mu)
-    layers = {"order_0": ThinLayer(elastic, eps), "order_1": first(elastic)}
-    return layers | ({"rubber": first(rubber)} if lmbda else {})
+    layers = {"order_0": ThinLayer(elastic, eps), "order_1": order_1(elastic)}
+    return layers | ({"rubber": order_1(rubber_law)} if lmbda else {})
 
 
-def _rubber(lmbda: float, mu: float) -> Rubber | Incompressible | LinearElastic:
+def _rubber_law(lmbda: float, mu: float) -> Rubber | Incompressible | LinearElastic:
     """Return a law of an isotropic material whose meshed layer does not lock: `Rubber`, or its limits.
 
     The limits are `Incompressible` for an infinite `lmbda`, and `LinearElastic` for `lmbda` = 0. `mu` is the shear
@@ -125,7 +125,7 @@ def _rubber(lmbda: float, mu: float) -> Rubber | Incompressible | LinearElastic:
 class Rollers:
     """Blocks of height 1/2 between rollers, under one half-wave of length 1, with exact solutions.
 
-    The solutions are those of `Wave`.
+    The solutions are those of `WaveSolution`.
 
     Args:
         h: cell size.
@@ -136,7 +136,7 @@ class Rollers:
         s, c = (lambda x, f=f: LOAD * f(ufl.pi * x[0]) for f in (ufl.sin, ufl.cos))
         setup["tractions"] = {"TOP": lambda x, t: (0.5 * s(x), c(x))}
         self._structure = Structure(joint, **setup)
-        self._wave = Wave(math.pi, 0.5, (FOURIER_BODY.lmbda, FOURIER_BODY.mu), (0.5 * LOAD, LOAD))
+        self._wave = WaveSolution(math.pi, 0.5, (FOURIER_BODY.lmbda, FOURIER_BODY.mu), (0.5 * LOAD, LOAD))
 
     def structure(self, eps: float) -> Structure:
         """Return the structure of the blocks, which is the same for all thicknesses `eps`."""
@@ -149,7 +149,7 @@ class Rollers:
         """
         return _layers(lmbda, mu, eps)
 
-    def against(self, record: Record, lmbda: float, mu: float, eps: float) -> Compared:
+    def error_function(self, record: Record, lmbda: float, mu: float, eps: float) -> ErrorFunction:
         """Return a function that compares a state of an interface model with the exact solution.
 
         The function returns the relative errors of the amplitudes of traction and jump on S, and of the compliance.
@@ -159,17 +159,17 @@ class Rollers:
             lmbda, mu: Lamé's moduli of the layer.
             eps: thickness of the layer.
         """
-        *exact, work = self._wave.solved(lmbda, mu, eps)
+        *exact_fields, exact_work = self._wave.solve_amplitudes(lmbda, mu, eps)
 
         def errors(state: State) -> tuple[float, ...]:
             surface = Surface(state.model)
             x = surface.x[0]
-            shape = np.sin(np.pi * x), np.cos(np.pi * x)
+            mode_shapes = np.sin(np.pi * x), np.cos(np.pi * x)
             relative_errors = []
-            for field, wanted in zip((surface.reaction(state), surface.jump(state)), exact, strict=True):
-                amplitudes = [2 * surface.integral(field[k] * shape[k]) for k in range(2)]
+            for field, wanted in zip((surface.reaction(state), surface.jump(state)), exact_fields, strict=True):
+                amplitudes = [2 * surface.integral(field[k] * mode_shapes[k]) for k in range(2)]
                 relative_errors.append(float(np.linalg.norm(amplitudes - wanted) / np.linalg.norm(wanted)))
-            return (*relative_errors, abs(state.energies()["loads"] / work - 1))
+            return (*relative_errors, abs(state.energies()["loads"] / exact_work - 1))
 
         return errors
 
@@ -198,11 +198,11 @@ class FreeEnds:
         allow it. `lmbda` and `mu` are Lamé's moduli of the layer, `eps` its thickness.
         """
         layers = _layers(lmbda, mu, eps)
-        corrected = {name: replace(layers[law], edges=None) for name, law in CORRECTED.items() if law in layers}
+        corrected = {name: replace(layers[law], edges=None) for name, law in CORRECTED_LAWS.items() if law in layers}
         legal = {name: self.structure(eps).interface(layer).free_ends("S") is None for name, layer in corrected.items()}
         return layers | {name: layer for name, layer in corrected.items() if legal[name]}
 
-    def against(self, record: Record, lmbda: float, mu: float, eps: float) -> Compared:
+    def error_function(self, record: Record, lmbda: float, mu: float, eps: float) -> ErrorFunction:
         """Solve with the layer meshed, and return a function that compares other states with this solution.
 
         The function takes a state of an interface model. It returns the relative errors of traction and jump (in L2
@@ -213,23 +213,23 @@ class FreeEnds:
             lmbda, mu: Lamé's moduli of the layer.
             eps: thickness of the layer.
         """
-        layer = ThinLayer(_rubber(lmbda, mu), eps)
-        full = record.solved(solve(self.structure(eps).full(layer, cells_through=self._cells[2])))
-        work = full.energies()["loads"]
+        layer = ThinLayer(_rubber_law(lmbda, mu), eps)
+        full = record.add_report(solve(self.structure(eps).full(layer, cells_through=self._cells[2])))
+        full_work = full.energies()["loads"]
 
         def errors(state: State) -> tuple[float, ...]:
             surface = Surface(state.model)
-            inner = abs(surface.x[0] - 0.5) < INNER
-            on_s = (difference(surface, field, state, full, inner) for field in (Surface.reaction, Surface.jump))
-            return (*on_s, abs(state.energies()["loads"] / work - 1))
+            is_inner = abs(surface.x[0] - 0.5) < INNER_HALF_WIDTH
+            on_s = (difference(surface, field, state, full, is_inner) for field in (Surface.reaction, Surface.jump))
+            return (*on_s, abs(state.energies()["loads"] / full_work - 1))
 
         return errors
 
 
-def _worst(table: Table, law: str) -> Array:
+def _larger_errors(table: Table, law: str) -> Array:
     """Return for each row of `table` the larger one of the errors of traction and jump, (rows,).
 
-    `law` is the name of the law in `LAWS`.
+    `law` is the name of the law in `LAW_NAMES`.
     """
     return np.maximum(table[f"traction_{law}"], table[f"jump_{law}"])
 
@@ -242,15 +242,15 @@ def _check(record: Record, name: str, table: Table) -> None:
     Args:
         record: record of the run, which receives the checks.
         name: "rollers" or "free" (free ends).
-        table: rows of `_row` for these blocks.
+        table: rows of `_error_row` for these blocks.
     """
-    eps, errors = table["eps"], _worst(table, "rubber")
+    eps, errors = table["eps"], _larger_errors(table, "rubber")
     order, high, fine = (2, 2.0, eps > 0.03) if name == "rollers" else (1, 0.3, eps < 0.1)
     record.check(f"{name}: largest error of Rubber over eps^{order}", np.nanmax((errors / eps**order)[fine]), high=high)
-    silent = (_worst(table, "order_1") > WARNED_ERROR) & (table["warned_order_1"] == 0)
-    record.check(f"{name}: errors of LinearElastic, order 1, above 10 % without a warning", silent.sum(), high=0)
-    missed = (_worst(table, "rubber") > WARNED_ERROR) & (eps < 0.2)
-    record.check(f"{name}: errors of Rubber above 10 %, eps < 1/5", missed.sum(), high=0)
+    is_silent = (_larger_errors(table, "order_1") > WARNED_ERROR) & (table["warned_order_1"] == 0)
+    record.check(f"{name}: errors of LinearElastic, order 1, above 10 % without a warning", is_silent.sum(), high=0)
+    is_missed = (_larger_errors(table, "rubber") > WARNED_ERROR) & (eps < 0.2)
+    record.check(f"{name}: errors of Rubber above 10 %, eps < 1/5", is_missed.sum(), high=0)
 
 
 def draw(record: Record) -> None:
@@ -259,24 +259,25 @@ def draw(record: Record) -> None:
     The values are read from table.csv in the folder of `record`.
     """
     tables = record.load("table.csv").split("sides")
-    for name, what in SET_UPS.items():
+    for name, what in SET_UP_TITLES.items():
         table = tables[name]
-        drawn = [law for law in LAWS if np.isfinite(_worst(table, law)).any()]  # laws that accept one of its materials
+        # laws that accept one of its materials
+        drawn_laws = [law for law in LAW_NAMES if np.isfinite(_larger_errors(table, law)).any()]
         nus, eps = np.unique(table["nu"]), np.unique(table["eps"])
-        axes = ("Poisson's ratio nu of the layer", [f"{nu:g}" for nu in nus]), ("eps/l", [fraction(e) for e in eps])
+        axes = ("Poisson's ratio nu of the layer", [f"{nu:g}" for nu in nus]), ("eps/l", [as_fraction(e) for e in eps])
         errors = {}
         for contrast, part in table.split("E/mu").items():
-            for law in drawn:
-                columns = _worst(part, law), part[f"warned_{law}"]  # by ratio, then by thickness
+            for law in drawn_laws:
+                columns = _larger_errors(part, law), part[f"warned_{law}"]  # by ratio, then by thickness
                 worst, warned = (values.reshape(len(nus), -1).T for values in columns)
-                errors[f"{LAWS[law]}; E/mu = {contrast:,.0f}"] = worst, np.vectorize(_percent)(worst, warned > 0)
-        title = f"errors in per cent, the larger of traction and jump; {what}\n{SIGNS}"
-        seen = {panel: pair for panel, pair in errors.items() if np.isfinite(pair[0]).any()}
-        maps(seen, *axes, RANGES, title=title, save=record.path(f"errors_{name}.svg"))
-        parts, names = _cheapest_laws(drawn, {panel: worst for panel, (worst, _) in errors.items()})
-        ranges = {f"{letter}: {law}": k + 0.5 for k, (letter, law) in enumerate(names.items())}
-        title = f"the first of {', '.join(names)} whose error is small enough; {what}"
-        maps(parts, *axes, ranges, title=title, save=record.path(f"cheapest_{name}.svg"))
+                errors[f"{LAW_NAMES[law]}; E/mu = {contrast:,.0f}"] = worst, np.vectorize(_percent)(worst, warned > 0)
+        title = f"errors in per cent, the larger of traction and jump; {what}\n{SIGNS_TEXT}"
+        nonempty_panels = {panel: pair for panel, pair in errors.items() if np.isfinite(pair[0]).any()}
+        maps(nonempty_panels, *axes, ERROR_RANGES, title=title, save=record.path(f"errors_{name}.svg"))
+        panels, law_names = _cheapest_laws(drawn_laws, {panel: worst for panel, (worst, _) in errors.items()})
+        ranges = {f"{letter}: {law}": k + 0.5 for k, (letter, law) in enumerate(law_names.items())}
+        title = f"the first of {', '.join(law_names)} whose error is small enough; {what}"
+        maps(panels, *axes, ranges, title=title, save=record.path(f"cheapest_{name}.svg"))
 
 
 def _cheapest_laws(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[str, Panel], dict[str, str]]:
@@ -285,25 +286,25 @@ def _cheapest_laws(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[s
     Where a law can be corrected at free ends, the error is that with the correction.
 
     Args:
-        laws: names of the laws in `LAWS`, the cheapest first.
+        laws: names of the laws in `LAW_NAMES`, the cheapest first.
         errors: "LAW; E/mu = NUMBER" -> errors (thicknesses, Poisson's ratios).
 
     Returns:
         Title of a panel of `maps` -> numbers and letters of the laws, two arrays of this shape; and letter -> name of
         the law.
     """
-    corrected = {law: name for name, law in CORRECTED.items() if name in laws}
-    laws = [law for law in laws if law in LETTERS]
-    names = {LETTERS[law]: LAWS[law] for law in laws} | {"m": "meshed layer"}
-    parts = dict[str, Panel]()
+    corrected = {law: name for name, law in CORRECTED_LAWS.items() if name in laws}
+    laws = [law for law in laws if law in LAW_LETTERS]
+    names = {LAW_LETTERS[law]: LAW_NAMES[law] for law in laws} | {"m": "meshed layer"}
+    panels = dict[str, Panel]()
     for contrast in CONTRASTS:
         pair = (laws, [corrected.get(law, law) for law in laws])
-        plain, improved = (np.array([errors[f"{LAWS[law]}; E/mu = {contrast:,}"] for law in some]) for some in pair)
-        stack = np.where(np.isfinite(improved), improved, plain)
-        for wanted in ALLOWED_ERRORS:
-            good = np.append(stack < wanted, np.ones((1, *stack.shape[1:]), bool), axis=0).argmax(axis=0)
-            parts[f"error < {100 * wanted:.0f} %; E/mu = {contrast:,}"] = good, np.array(list(names))[good]
-    return parts, names
+        plain, better = (np.array([errors[f"{LAW_NAMES[law]}; E/mu = {contrast:,}"] for law in some]) for some in pair)
+        stack = np.where(np.isfinite(better), better, plain)
+        for allowed in ALLOWED_ERRORS:
+            cheapest = np.append(stack < allowed, np.ones((1, *stack.shape[1:]), bool), axis=0).argmax(axis=0)
+            panels[f"error < {100 * allowed:.0f} %; E/mu = {contrast:,}"] = cheapest, np.array(list(names))[cheapest]
+    return panels, names
 
 
 def _percent(error: float, warned: bool) -> str:

@@ -19,21 +19,21 @@ from thinlayer.system.progress import track
 # Poisson's ratio; E of the bodies over mu, see EPS
 CASES = ((0.3, 1000.0), (0.3, 100.0), (0.45, 1000.0), (0.45, 100.0))
 EPS = (1 / 16, 1 / 32, 1 / 64)  # thicknesses; moduli are proportional to eps, and defined at the first one
-THROUGH = 32  # cells through the meshed layer
-LONG = 2.0  # length of cells of S where it is not meshed, over eps
+CELLS_THROUGH = 32  # cells through the meshed layer
+CELL_LENGTH = 2.0  # length of cells of S where it is not meshed, over eps
 DISTANCES = np.array([0.05, 0.1, 0.2, 0.5, 1, 1.5, 2, 3, 5, 10])  # distances of compared points from an end, over eps
 HEIGHTS = np.array([-0.3, -0.15, 0.0, 0.15, 0.3])  # heights of these; nearer to corners the mesh is too coarse
-AT_END = 3.0  # distance over eps up to which points belong to the end
+END_DISTANCE = 3.0  # distance over eps up to which points belong to the end
 
 
-def _by_law(blocks: Structure, law: LinearElastic, eps: float, order: int = 0, edges: str | None = None) -> State:
+def _law_state(blocks: Structure, law: LinearElastic, eps: float, order: int = 0, edges: str | None = None) -> State:
     return solve(blocks.interface(ThinLayer(law, eps, order, at=EPS[0], edges=edges)))
 
 
 # states that prescribe the displacements of the layer's faces
-STATES: dict[str, Callable[[Structure, LinearElastic, float], State]] = {"order 0": _by_law}
-STATES["order 1, free"] = partial(_by_law, order=1, edges="free")
-STATES["estimate"] = lambda *case: estimate(_by_law(*case)).better
+STATE_FUNCTIONS: dict[str, Callable[[Structure, LinearElastic, float], State]] = {"order 0": _law_state}
+STATE_FUNCTIONS["order 1, free"] = partial(_law_state, order=1, edges="free")
+STATE_FUNCTIONS["estimate"] = lambda *case: estimate(_law_state(*case)).better
 
 
 def run(record: Record, *, quick: bool = False) -> None:
@@ -44,10 +44,10 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: two thicknesses, one ratio of moduli for each Poisson's ratio.
     """
     for nu, ratio in CASES[::3] if quick else CASES:
-        _errors(record, nu, ratio, EPS[:2] if quick else EPS)
+        _check_errors(record, nu, ratio, EPS[:2] if quick else EPS)
 
 
-def _errors(record: Record, nu: float, ratio: float, thicknesses: Sequence[float]) -> None:
+def _check_errors(record: Record, nu: float, ratio: float, thicknesses: Sequence[float]) -> None:
     """Measure and check the errors of `Zoom` in stresses and in strengths of singularities, for one layer's material.
 
     Args:
@@ -56,15 +56,15 @@ def _errors(record: Record, nu: float, ratio: float, thicknesses: Sequence[float
         ratio: Young's modulus of the bodies over the layer's shear modulus at the first thickness.
         thicknesses: thicknesses of the layer; its moduli are proportional to the thickness.
     """
-    table = record.table(f"errors_{nu:g}_{ratio:g}.csv")
+    table = record.new_table(f"errors_{nu:g}_{ratio:g}.csv")
     law = LinearElastic.shear(100.0 / ratio, nu)
     for eps in track(list(thicknesses), "zoom", f"nu = {nu:g}, E/mu = {ratio:g}, eps = {{:g}}"):
         layer = ThinLayer(law, eps, at=EPS[0])
-        full = Zoom(record.solved(solve(free_blocks(eps / THROUGH).full(layer, cells_through=THROUGH))))
+        full = Zoom(record.add_report(solve(free_blocks(eps / CELLS_THROUGH).full(layer, cells_through=CELLS_THROUGH))))
         row = {"eps": eps, "M/E": (law.lmbda + 2 * law.mu) * eps / EPS[0] / 100.0}
-        for name, state in STATES.items():
-            zoom = Zoom(record.solved(state(free_blocks(LONG * eps, h_S=LONG * eps), law, eps)))
-            row |= {f"{key} {name}": value for key, value in _compared(zoom, full).items()}
+        for name, make_state in STATE_FUNCTIONS.items():
+            zoom = Zoom(record.add_report(make_state(free_blocks(CELL_LENGTH * eps, h_S=CELL_LENGTH * eps), law, eps)))
+            row |= {f"{key} {name}": value for key, value in _zoom_errors(zoom, full).items()}
         table.append(row)
         if eps == thicknesses[-1] and (nu, ratio) == CASES[-1]:
             for component, file in {"N": "end_N.png", "T": "end_T.png"}.items():
@@ -75,7 +75,7 @@ def _errors(record: Record, nu: float, ratio: float, thicknesses: Sequence[float
         record.check(f"largest error, {key}, {what}", table[f"{key} estimate"].max(), high=high)
 
 
-def _compared(zoom: Zoom, full: Zoom) -> dict[str, float]:
+def _zoom_errors(zoom: Zoom, full: Zoom) -> dict[str, float]:
     """Compare a zoom into an interface model with a zoom into a full model.
 
     Args:
@@ -93,9 +93,9 @@ def _compared(zoom: Zoom, full: Zoom) -> dict[str, float]:
         stress = full.stress(x, y)
         samples.append((d, stress, zoom.stress(x, y) - stress))
     distance, stress, error = (np.concatenate(arrays) for arrays in zip(*samples, strict=True))
-    parts = {"end": distance <= AT_END, "inside": distance > AT_END}
-    errors = {name: float(np.sqrt(np.mean(error[at] ** 2) / np.mean(stress[at] ** 2))) for name, at in parts.items()}
-    zoomed, meshed = (np.array([corner.H[0] for corner in of.corners]) for of in (zoom, full))
+    masks = {"end": distance <= END_DISTANCE, "inside": distance > END_DISTANCE}
+    errors = {name: float(np.sqrt(np.mean(error[at] ** 2) / np.mean(stress[at] ** 2))) for name, at in masks.items()}
+    zoomed, meshed = (np.array([corner.H[0] for corner in zoom_view.corners]) for zoom_view in (zoom, full))
     return errors | {"H": float(np.abs(zoomed - meshed).max() / np.abs(meshed).max())}
 
 
@@ -104,13 +104,13 @@ def draw(record: Record) -> None:
 
     The values are read from the tables of the materials in the folder of `record`.
     """
-    parts, lines = {}, {"order 0": "o:", "order 1, free": "o--", "estimate": "o-"}
-    names = [f"{key} {state}" for state in STATES for key in ("end", "inside", "H")]
+    panels, line_styles = {}, {"order 0": "o:", "order 1, free": "o--", "estimate": "o-"}
+    column_names = [f"{key} {state}" for state in STATE_FUNCTIONS for key in ("end", "inside", "H")]
     for nu, ratio in CASES:
         if record.has(file := f"errors_{nu:g}_{ratio:g}.csv"):
             table = record.load(file)
-            parts[f"nu = {nu:g}, E/mu = {ratio:g}"] = {name: (table["eps"], table[name]) for name in names}
-    styles = {name: lines[name.split(" ", 1)[1]] for name in names}
-    colours, save = dict(zip(names, 3 * COLOURS[:3], strict=True)), record.path("errors.svg")
-    look = {"styles": styles, "colours": colours, "log": "y", "columns": 2, "save": save}
-    plotting.curves(parts, "layer thickness eps over the width", "relative error", **look)
+            panels[f"nu = {nu:g}, E/mu = {ratio:g}"] = {name: (table["eps"], table[name]) for name in column_names}
+    styles = {name: line_styles[name.split(" ", 1)[1]] for name in column_names}
+    colours, save = dict(zip(column_names, 3 * COLOURS[:3], strict=True)), record.path("errors.svg")
+    options = {"styles": styles, "colours": colours, "log": "y", "columns": 2, "save": save}
+    plotting.curves(panels, "layer thickness eps over the width", "relative error", **options)

@@ -45,7 +45,7 @@ class Answer:
 
 def at_rest(law, points: int) -> np.ndarray:
     """What points at rest remember."""
-    return np.zeros((points, material(law).memory))
+    return np.zeros((points, material(law).memory_size))
 
 
 def respond(law, e, e_old, q, n, dt=DT, theta=1.0, slots=range(6)) -> Answer:

@@ -165,7 +165,7 @@ def on_top(state: State, regions: tuple[str, ...]) -> Any:
 
 
 def of_inertia(state: State, regions: tuple[str, ...]) -> Any:
-    dx = [state.model.dx(state.model.domain.cell_values(name)) for name in regions]
+    dx = [state.model.dx(state.model.domain.region_tags(name)) for name in regions]
     return -np.array([sum(state.integral(2.0 * c * measure) for measure in dx) for c in state.memory["inertia"]["a"]])
 
 

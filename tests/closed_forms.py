@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ive, kve
 
-from forms.formulas import fraction, phase_energy, retained_pressure_share
+from forms.formulas import phase_energy, pressure_modulus, signed_phase_fraction
 from forms.non_monotone import lamination_gain
 
 Array = npt.NDArray[np.float64]
@@ -249,7 +249,7 @@ class NonMonotoneLimit:
         phases 1 and -1 would mix below. mixing = 1 is the relaxed form of Eqs. (42)-(43), whose stress is that of the least
         energy. Equation (43) prints alpha chi_12 [u_i] for alpha chi_ij [u_i] n_j and leaves out phase -1.
         """
-        phase = fraction(self.drive(w), self.transformation_energy, self._gain(mixing))
+        phase = signed_phase_fraction(self.drive(w), self.transformation_energy, self._gain(mixing))
         return self._traction(w, phase), phase
 
     def pure(self, w: Array, phase: int) -> tuple[Array, npt.NDArray[np.bool_]]:
@@ -298,7 +298,7 @@ def rubber_strip_tilted(lmbda: float, mu: float, eps: float, a: float) -> float:
 
     w_N = theta x gives p = (lmbda theta/eps) (x - a sinh(x/delta)/sinh(a/delta)), and with 2 mu w_N/eps the moment.
     """
-    return (retained_pressure_share(lmbda, mu, a / eps, 1.5) + 2 * mu) / eps * 2 * a**3 / 3
+    return (pressure_modulus(lmbda, mu, a / eps, 1.5) + 2 * mu) / eps * 2 * a**3 / 3
 
 
 def rubber_disc_pressure(lmbda: float, mu: float, eps: float, radius: float, r: Array) -> Array:
@@ -315,7 +315,7 @@ def rubber_disc_pressure(lmbda: float, mu: float, eps: float, radius: float, r: 
 
 
 def rubber_annulus(lmbda: float, mu: float, eps: float, inner: float, outer: float) -> float:
-    """Mean normal traction per opening of an annulus inner < r < outer, free at both ends, as `forms.formulas.rubber_disc`.
+    """Mean normal traction per opening of an annulus inner < r < outer, free at both ends, as `formulas.disc_stiffness`.
 
     For an infinite lmbda (3 mu/(2 eps^3)) (outer^2 + inner^2 - (outer^2 - inner^2)/ln(outer/inner)) + 2 mu/eps.
     """

@@ -42,7 +42,7 @@ def inner(surface: Surface, distance: float = DISTANCE):
     joint = surface.joint
     on_s = np.unique(joint.surface)
     outer = np.unique(joint.table.vertices[joint.table.cells[:, 1] < 0])
-    special = on_s[(joint.split_mesh.valence[on_s] > 2) | np.isin(on_s, outer)]
+    special = on_s[(joint.split_mesh.component_counts[on_s] > 2) | np.isin(on_s, outer)]
     return cKDTree(joint.points[special]).query(np.moveaxis(surface.x, 0, -1))[0] > distance
 
 

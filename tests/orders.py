@@ -19,9 +19,9 @@ def observed_orders(sizes: Iterable[float], errors: Iterable[float]) -> list[flo
 def taylor_order(solver: Solver, size: float = 1e-2, theta: float = 1.0, longest: float = 1.0) -> float:
     """Smallest order in h of |R(x + h d) - R(x) - h A d| at some unknowns x, for a direction d; inf where it vanishes."""
     equations = solver.equations
-    equations.begin(TimeStep(solver.rest(0.0), 0.1, 0.1, theta))
+    equations.begin(TimeStep(solver.rest_state(0.0), 0.1, 0.1, theta))
     random = np.random.default_rng(1)
-    x, d, at, there, linear = (equations.vector() for _ in range(5))
+    x, d, at, there, linear = (equations.create_vector() for _ in range(5))
     x.array[:] = size * random.standard_normal(x.getLocalSize())
     d.array[:] = size * random.standard_normal(d.getLocalSize())
     equations.residual(x, at)

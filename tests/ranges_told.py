@@ -12,7 +12,7 @@ from forms import LinearElastic
 from tests.meshes import upper_cells
 from thinlayer.discretisation.state import Report, State
 from thinlayer.errors import RangeWarning
-from thinlayer.surface.pressure_excess import FaceDisplacements, pressure_excess, resting_sublayers
+from thinlayer.surface.pressure_excess import FaceDisplacements, pressure_excess, sublayer_moduli
 
 STIFF = LinearElastic.young(1e5, 0.3)
 
@@ -34,8 +34,8 @@ def opened(model, upper):
 
 
 def excess(model, upper):
-    (layer,) = resting_sublayers(model.layers["S"])
-    return pressure_excess(opened(model, upper), layer).work
+    (layer,) = sublayer_moduli(model.layers["S"])
+    return pressure_excess(opened(model, upper), layer).work_error
 
 
 def strip_excess(x):

@@ -9,7 +9,7 @@ from forms import IncrementalCoulomb, LinearElastic, MohrCoulomb
 from geometry import sandwich
 from tests.refused import refused
 from thinlayer import SolveError, Structure, ThinLayer, march, solve
-from thinlayer.solving.contact.methods import MAX_CONDENSED
+from thinlayer.solving.contact.methods import MAX_CONDENSED_DOFS
 from thinlayer.solving.newton import NewtonSolver
 
 JOINT = sandwich(8, 2, 2, h=1.0, structured=True)
@@ -80,7 +80,7 @@ def test_leaves_that_multigrid_does_not_solve_are_solved_by_newton(caplog, monke
     leaves = Structure(joint, body=LinearElastic.young(E=2e5, nu=0.0), **load).interface(law)
     wanted = solve(leaves).u.x.array
     refused(SolveError, "try method='newton'", solve, leaves, method="multigrid", options={"snes_max_it": 3})
-    monkeypatch.setitem(MAX_CONDENSED, 2, 0)
+    monkeypatch.setitem(MAX_CONDENSED_DOFS, 2, 0)
     with caplog.at_level(logging.INFO, "thinlayer"):
         state = solve(leaves)
     assert state.report.method == "newton"

@@ -35,7 +35,9 @@ NUMBERS = {0.1: (1.2925, 1.6925, 1.7625, 1.2225, 0.275744680851), 0.0: (1.375, 1
 @pytest.mark.parametrize("eps", NUMBERS)
 def test_thresholds(eps):
     bar = replace(BAR, eps=eps)
-    assert (bar.delta_0, bar.delta_1, bar.up, bar.down, bar.loop_area) == pytest.approx(NUMBERS[eps], rel=1e-11)
+    assert (bar.delta_0, bar.delta_1, bar.snap_elongation, bar.snap_back_elongation, bar.loop_area) == pytest.approx(
+        NUMBERS[eps], rel=1e-11
+    )
 
 
 @pytest.mark.parametrize("delta", DELTAS)
@@ -85,7 +87,7 @@ def test_any_bar(bar, share):
     h = 1e-5 * bar.delta_1
     slope = (bar.energy(delta + h) - bar.energy(delta - h)) / (2 * h)
     assert bar.sigma(delta) == pytest.approx(slope, abs=1e-4 * scale)
-    stress, energy, phase = bar.layer(bar.U(delta))
+    stress, energy, phase = bar.layer_response(bar.U(delta))
     assert stress == pytest.approx(bar.sigma(delta), abs=1e-9 * scale)
     assert phase == pytest.approx(bar.phase(delta), abs=1e-9)
     below, there = body(bar, delta, bar.U(delta))
@@ -94,7 +96,7 @@ def test_any_bar(bar, share):
     for odd in (bar.sigma, bar.U, bar.phase):
         assert odd(-delta) == -odd(delta)
     assert bar.energy(-delta) == bar.energy(delta)
-    assert bar.energy(delta) <= min(bar.branch(delta, z).energy for z in (-1, 0, 1)) + 1e-12 * scale * bar.delta_1
+    assert bar.energy(delta) <= min(bar.responses_at(delta, z).energy for z in (-1, 0, 1)) + 1e-12 * scale * bar.delta_1
 
 
 @pytest.mark.parametrize("change", [{"l": 0.0}, {"kbar": np.inf}, {"cbar": np.nan}, {"eps": 1.0}, {"cbar": 0.27}])

@@ -16,7 +16,7 @@ from tests.phases_of_bars import BAR, DELTAS, LONG, body, equilibrium, lowest_ph
 @pytest.mark.parametrize("delta", DELTAS)
 def test_layouts_are_all_there_is(delta):
     """All 3^4 layouts: energies, which are local minimisers, and the least of all."""
-    n, layouts = 4, LONG.layouts(delta, 4)
+    n, layouts = 4, LONG.layout_responses(delta, 4)
     sign = -1 if delta < 0 else 1
     energies, local = [], []
     for z in product((-1, 0, 1), repeat=n):
@@ -26,12 +26,12 @@ def test_layouts_are_all_there_is(delta):
         if set(z) <= {0, sign}:
             m = abs(sum(z))
             assert layouts.energy[m] == pytest.approx(energy, rel=1e-12, abs=1e-14)
-            assert layouts.local[m] == local[-1]
+            assert layouts.is_local_minimum[m] == local[-1]
             assert layouts.sigma[m] == pytest.approx(body(LONG, delta, LONG.eps * LONG.l * e.mean())[0], abs=1e-12)
             assert layouts.U[m] == pytest.approx(LONG.eps * LONG.l * e.mean(), abs=1e-12)
-    least = layouts.least()
+    least = layouts.of_least_energy()
     assert least.energy == pytest.approx(min(energies), rel=1e-12, abs=1e-14)
-    assert least.local
+    assert least.is_local_minimum
     assert LONG.energy(delta) <= least.energy * (1 + 1e-12)
 
 
@@ -44,30 +44,32 @@ def test_snaps(bar):
         return bar.alpha * equilibrium(bar, delta, [z])[0][0] - bar.cbar / bar.eps
 
     up, down = (brentq(excess, -50, 50, args=(z,), xtol=1e-14) for z in (0, 1))
-    assert (bar.up, bar.down) == pytest.approx((up, down), rel=1e-12)
+    assert (bar.snap_elongation, bar.snap_back_elongation) == pytest.approx((up, down), rel=1e-12)
     gain = [equilibrium(bar, delta, [0])[1] - equilibrium(bar, delta, [1])[1] for delta in (up, down)]
     assert (gain[0], gain[0] - gain[1]) == pytest.approx((-gain[1], bar.loop_area), rel=1e-10)
     delta = np.linspace(down, up, 7)
-    work = np.trapezoid(bar.branch(delta, 0).sigma - bar.branch(delta, 1).sigma, delta)
-    assert (work, bar.up + bar.down) == pytest.approx((bar.loop_area, bar.delta_0 + bar.delta_1), rel=1e-12)
+    work = np.trapezoid(bar.responses_at(delta, 0).sigma - bar.responses_at(delta, 1).sigma, delta)
+    assert (work, bar.snap_elongation + bar.snap_back_elongation) == pytest.approx(
+        (bar.loop_area, bar.delta_0 + bar.delta_1), rel=1e-12
+    )
     for z, delta in ((0, up), (1, down), (-1, -down)):
         inside = -1e-9 if z == 0 else 1e-9 * z
-        assert bar.branch(delta + inside, z).local
-        assert not bar.branch(delta - inside, z).local
+        assert bar.responses_at(delta + inside, z).is_local_minimum
+        assert not bar.responses_at(delta - inside, z).is_local_minimum
 
 
 @pytest.mark.parametrize("mixing", [0.2, 0.9, 1.0])
 def test_equilibrium_path_of_a_uniform_layer(mixing):
     """Every elongation of the layer gives a point on the polygon; the layer's stress is the derivative of its energy."""
     U = np.linspace(0, 1.5 * LONG.U(LONG.delta_1), 401)
-    sigma, _, phase = LONG.layer(U, mixing)
+    sigma, _, phase = LONG.layer_response(U, mixing)
     delta = U + sigma * LONG.l * (1 - LONG.eps) / LONG.K
-    vertices = LONG.path(mixing, end=10.0)
+    vertices = LONG.path_vertices(mixing, end_elongation=10.0)
     assert vertices[-1, 0] == 10.0
     assert max(distance_to_polygon(np.array(p), vertices) for p in zip(delta, sigma, strict=True)) < 1e-12
     assert set(phase[[0, -1]]) == {0, 1}
     h = 1e-6
-    slope = (LONG.layer(U + h, mixing)[1] - LONG.layer(U - h, mixing)[1]) / (2 * h)
+    slope = (LONG.layer_response(U + h, mixing)[1] - LONG.layer_response(U - h, mixing)[1]) / (2 * h)
     assert np.median(np.abs(slope - sigma)) < 1e-8
     back = delta[1:] < delta[:-1] - 1e-12
     excess = (1 - LONG.eps) / (LONG.K * LONG.R) - mixing  # of the layer's steepness over the body's
@@ -85,6 +87,6 @@ def distance_to_polygon(p, vertices):
 
 
 def lost_in_both(bar, vertices):
-    energy = lambda delta, z: bar.branch(delta, z).energy
+    energy = lambda delta, z: bar.responses_at(delta, z).energy
     up, down = vertices[1, 0], vertices[2, 0]
     return energy(up, 0) - energy(up, 1) + energy(down, 1) - energy(down, 0)

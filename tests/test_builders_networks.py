@@ -64,7 +64,7 @@ def test_grains_do_not_depend_on_cells_or_units_but_on_their_seed():
 
     def junctions(points=12, **options):
         joint = grains(3.0, 2.0, points, **options)
-        return joint.points[joint.split_mesh.valence > 2]
+        return joint.points[joint.split_mesh.component_counts > 2]
 
     coarse, fine, other = junctions(h=0.15), junctions(h=0.1, h_ends=0.05), junctions(h=0.15, seed=1)
     assert cKDTree(coarse).query(fine)[0] == pytest.approx(0.0, abs=1e-9)
@@ -120,8 +120,8 @@ def test_a_fault_that_branches_and_one_that_ends():
     joint = faults(8.0, 6.0, polylines, 0.5)
     check(joint, 48.0)
     assert counts(joint)[3] == 1
-    assert joint.points[joint.split_mesh.valence == 3][0] == pytest.approx((2.0, 1.5))
-    ends = np.setdiff1d(joint.table.vertices[joint.rows_of("C")], np.flatnonzero(joint.split_mesh.valence > 1))
+    assert joint.points[joint.split_mesh.component_counts == 3][0] == pytest.approx((2.0, 1.5))
+    ends = np.setdiff1d(joint.table.vertices[joint.rows_of("C")], np.flatnonzero(joint.split_mesh.component_counts > 1))
     assert np.array(sorted(joint.points[ends].tolist())) == pytest.approx(np.array([(5.5, 1.0), (7.5, 1.5)]))
     assert len(joint.regions) == 3
 

@@ -168,7 +168,7 @@ def opened(c, folder):
     model, joint, surface, u = c.model, c.structure.joint, Surface(c.model), c.state.u
     n, x = ufl.FacetNormal(model.V.mesh), ufl.SpatialCoordinate(model.V.mesh)
     divergence = ufl.div(u) + (u[0] / x[0] if c.structure.plane == "axisymmetric" else 0)
-    inner = [*joint.seams, *(joint.periods.names if joint.periods else ())]
+    inner = [*joint.seams, *(joint.periods.side_names if joint.periods else ())]
     sides = [model.ds(model.domain.values(name)) for name in joint.facets if name not in inner]
     outside = sum(c.state.integral(ufl.inner(u, n) * ds) for ds in sides)
     opening = surface.integral((surface.jump(c.state) * surface.n).sum(axis=0))
@@ -220,8 +220,8 @@ def swept(c, folder):
 
 def described(c, folder):
     """A structure that a file describes has the same work of its loads."""
-    case = DescribedCase.of(Description.read(on_root(c.model.comm, lambda: c.described(folder))))
-    model, times = case.structure.bonded() if case.description.bonded else case.model(), case.description.times
+    case = DescribedCase.from_description(Description.read(on_root(c.model.comm, lambda: c.described(folder))))
+    model, times = case.structure.bonded() if case.description.bonded else case.make_model(), case.description.times
     state = march(model, times).last if times else solve(model)
     near(state.load_work(), c.state.load_work())
     return [(state.load_work() / c.whole(len(c.at), 1), len(c.at), 1)]

@@ -19,7 +19,7 @@ from petsc4py import PETSc
 
 from tests.documents import CLONE
 from thinlayer.running import cli
-from thinlayer.running.catalogue import STUDY_GROUPS, duration
+from thinlayer.running.catalogue import STUDY_GROUPS, duration_text
 from thinlayer.system.version import VERSION
 
 ELASTIC = ("run", "rates", "--law", "elastic")
@@ -79,7 +79,13 @@ def test_every_study_is_in_a_group_once():
         if "\ndef run(" in path.read_text()
     ]
     assert sorted(listed) == sorted(scripts)
-    assert [duration(seconds) for seconds in (7.4, 82, 95, 1320, 9000)] == ["7 s", "80 s", "2 min", "20 min", "2 h"]
+    assert [duration_text(seconds) for seconds in (7.4, 82, 95, 1320, 9000)] == [
+        "7 s",
+        "80 s",
+        "2 min",
+        "20 min",
+        "2 h",
+    ]
 
 
 def test_version_help_and_name(monkeypatch):

@@ -20,7 +20,7 @@ from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, compare, drive, march
 from thinlayer.pointwise import kernels
 from thinlayer.system import progress
-from thinlayer.system.compilation import acquire
+from thinlayer.system.compilation import lock_library
 
 pytestmark = pytest.mark.few(5)
 
@@ -101,7 +101,7 @@ def test_steps_ask_for_nothing(build, law, modules):
 def test_what_was_made_before_does_not_matter(modules, monkeypatch):
     """UFL counts variables in a process; a law has the same name in the cache under any count."""
     for _ in range(2):
-        monkeypatch.setattr(kernels, "_COMPILED_LAWS", {})
+        monkeypatch.setattr(kernels, "_COMPILED_BY_NAME", {})
         drive(NORTON, [{"w_T": 0.01, "w_N": 0.02}], dt=0.1)
         ufl.variable(ufl.as_ufl(1.0))
     assert len(modules) == 2
@@ -140,7 +140,7 @@ def kept(folder):
 def test_a_cache_that_cannot_be_written(tmp_path):
     (tmp_path / "file").touch()
     words = "compiled forms cannot be kept in .*: Not a directory; set XDG_"
-    refused(InputError, words, acquire, tmp_path / "file/a", "b")
+    refused(InputError, words, lock_library, tmp_path / "file/a", "b")
 
 
 def test_a_killed_compilation_is_repeated(tmp_path, compiled):

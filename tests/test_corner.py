@@ -23,7 +23,7 @@ def test_the_singular_field_is_elastic_and_in_equilibrium(nu):
     x = r * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
     def at(x):
-        return corner.field(np.linalg.norm(x, axis=1), np.arctan2(x[:, 1], x[:, 0]))
+        return corner.unit_field(np.linalg.norm(x, axis=1), np.arctan2(x[:, 1], x[:, 0]))
 
     slopes = lambda e: [(a - b) / (2 * h) for a, b in zip(at(x + h * e), at(x - h * e), strict=True)]
     (u_x, s_x), (u_y, s_y) = map(slopes, np.eye(2))
@@ -33,15 +33,15 @@ def test_the_singular_field_is_elastic_and_in_equilibrium(nu):
     np.testing.assert_allclose(u_x[:, 1] + u_y[:, 0], stress[:, 2], rtol=1e-7)
     np.testing.assert_allclose(2 * (u_x[:, 0] - u_y[:, 1]), stress[:, 0] - stress[:, 1], rtol=1e-6)
     np.testing.assert_allclose(u_x[:, 0] + u_y[:, 1], (1 - 2 * nu) * (stress[:, 0] + stress[:, 1]) / 2, atol=1e-8)
-    on_face, on_side = (corner.field(np.array(r), np.array(angle)) for angle in (0.0, np.pi / 2))
+    on_face, on_side = (corner.unit_field(np.array(r), np.array(angle)) for angle in (0.0, np.pi / 2))
     np.testing.assert_allclose(on_face[0], 0, atol=1e-12)
     np.testing.assert_allclose(on_side[1][[0, 2]], 0, atol=1e-12)
-    np.testing.assert_allclose(on_face[1][1:], np.array([1, corner.shear]) * r ** (corner.exponent - 1), rtol=1e-12)
+    np.testing.assert_allclose(on_face[1][1:], np.array([1, corner.t_ratio]) * r ** (corner.exponent - 1), rtol=1e-12)
 
 
 def test_strengths_do_not_depend_on_the_radius():
     corner, H = CornerField(0.2), 2.7
 
     for r in (0.01, 0.1, 0.45):
-        u, stress = corner.field(np.array(r), corner._arc[0])
-        assert corner.strength(r, H * u, H * stress) == pytest.approx(H, rel=1e-12)
+        u, stress = corner.unit_field(np.array(r), corner._arc_rule[0])
+        assert corner.intensity(r, H * u, H * stress) == pytest.approx(H, rel=1e-12)

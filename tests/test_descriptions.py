@@ -125,7 +125,7 @@ def test_histories(tmp_path):
         "tractions.TOP={times = [0, 2], values = [[0, 0], [3, -50]]}",
         "tractions.END={pressure = {times = [-1, 0.5, 2], values = [0, 5, 1]}}",
     )
-    assert {".".join(history.keys): dict(history.values) for history in parsed.section.histories} == {
+    assert {".".join(history.key_path): dict(history.values) for history in parsed.file_table.time_series} == {
         "supports.LEFT.x": {0: 0, 2: 0.1},
         "tractions.TOP": {0: (0, 0), 2: (3, -50)},
         "tractions.END.pressure": {-1: 0, 0.5: 5, 2: 1},

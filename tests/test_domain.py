@@ -60,7 +60,7 @@ def compare_tags() -> None:
         assert np.array_equal(domain.cell_tags.indices, regions.indices), name
         assert np.array_equal(domain.cell_tags.values, regions.values), name
         sets = {which: joint.table.index(facets) for which, facets in joint.facets.items()}
-        assert sets.keys() <= domain.facet_values.keys()
+        assert sets.keys() <= domain.set_tags.keys()
         for which, rows in sets.items():
             nodes = joint.table.nodes(rows, joint.cells, joint.cell_type)
             there = distributed(domain, joint.dim - 1, nodes, np.ones(len(rows)))

@@ -59,13 +59,13 @@ def test_the_stations_have_the_energy_of_an_end(dim, nu):
     values = 0.31, 0.22, 0.4, 0.8
     kinematics, n_ufl = Kinematics(), ufl.as_vector(n.tolist())
     along = np.eye(dim) - np.outer(n, n)
-    mean = kinematics.along(ufl.as_matrix((gradient @ along).tolist()), ufl.as_vector(jump.tolist()))
+    mean = kinematics.strain_along(ufl.as_matrix((gradient @ along).tolist()), ufl.as_vector(jump.tolist()))
     jumps, slopes = ufl.as_vector(jump.tolist()), ufl.as_matrix((change @ along).tolist())
-    faces = Faces(n_ufl, eps, jumps, slopes, mean, kinematics.along)
+    faces = Faces(n_ufl, eps, jumps, slopes, mean, kinematics.strain_along)
     weights = EndWeights(ufl.as_vector(m.tolist()), *map(ufl.as_ufl, values), ufl.as_ufl(1.0))
 
     def energy(stations):
-        return sum(float((s.share * s.law.energy(Step(s.strain(s.law, faces), n_ufl)))(())) for s in stations)
+        return sum(float((s.station_weight * s.law.energy(Step(s.strain(s.law, faces), n_ufl)))(())) for s in stations)
 
     at_end, plain = energy(law.stations_at_ends(weights)), energy(law.stations())
     infinite = written(law, eps, n, m, jump, gradient, 0, 0, 1, 1)
@@ -82,16 +82,16 @@ def test_the_stations_have_the_energy_of_an_end(dim, nu):
     assert float(pressed.flow(law)(())) == pytest.approx(0.6 / (12 * 0.7), rel=1e-12)
     volumes = [float(ufl.tr(s.strain(s.law, faces))(())) for s in (pressed, infinite[0])]
     assert volumes[0] == pytest.approx(volumes[1], rel=1e-12)
-    assert not any(s.law.traits.constrained or s.flow(s.law) for s in others)
+    assert not any(s.law.traits.constrained or s.mobility(s.law) for s in others)
 
 
 # ---------------------------------------------------------------- the weights
 def weights_on(joint, eps, ends=None):
     sheet = Sheet(joint)
     ends = straight_ends(sheet.rim, sheet) if ends is None else ends
-    strips = EndStrips.of(free_end(0.3))
+    strips = EndStrips.of_end(free_end(0.3))
     area = np.bincount(np.searchsorted(sheet.facets, sheet.simplices[0]), sheet.areas)
-    return FacetWeights.of(ends, sheet, eps, strips), area, strips, ends
+    return FacetWeights.of_ends(ends, sheet, eps, strips), area, strips, ends
 
 
 @pytest.mark.parametrize("cell", ["triangle", "tetrahedron", "hexahedron"])
@@ -107,7 +107,7 @@ def test_weights_have_the_deficit_of_the_end(cell):
     length = 2 * depth.get("depth", 1.0)
     assert weights.a_N @ area == pytest.approx(strips.opening.c * eps * length, rel=1e-12)
     assert weights.a_T @ area == pytest.approx(strips.shear.c * eps * length, rel=1e-12)
-    of_pressure = FacetWeights.of(opposite, Sheet(joint), eps, EndStrips.with_pressure(free_end(0.3)))
+    of_pressure = FacetWeights.of_ends(opposite, Sheet(joint), eps, EndStrips.with_pressure(free_end(0.3)))
     assert of_pressure.resistance @ area == pytest.approx((1 / free_end(0.3).kappa - 1) * eps * length, rel=1e-12)
     assert not of_pressure.a_N.any()
     np.testing.assert_array_equal(of_pressure.a_T, weights.a_T)

@@ -11,7 +11,7 @@ import pytest
 from forms import LinearElastic
 from forms.base import InputError
 from forms.ends import free_end
-from studies.free_ends import edge, graded, grid
+from studies.free_ends import edge_3d, graded_axis, grid_joint
 from studies.problems import FOURIER_BODY as BODY
 from tests.meshes import part_of
 from tests.refused import refused
@@ -27,7 +27,7 @@ def plate(shape, eps, cell="hexahedron"):
     """A plate on a base: an L of two squares by 0.5 and one more, a square with a hole or a notch of 0.3."""
     parts = {"L": (0.0, 0.5, 1.0)}.get(shape, (0.0, 0.35, 0.65, 1.0))
     x = np.unique(np.concatenate([a + (b - a) * np.linspace(0, 1, 5) for a, b in pairwise(parts)]))
-    joint = grid(x, graded(0.3, eps, 0.15), x, cell=cell)
+    joint = grid_joint(x, graded_axis(0.3, eps, 0.15), x, cell=cell)
     centre = joint.points[joint.corners].mean(axis=1)[:, [0, 2]]
     amid = abs(centre - 0.5) < 0.15
     out = {"L": centre > 0.5, "hole": amid, "notch": np.column_stack([centre[:, 0] > 0.65, amid[:, 1]])}[shape]
@@ -58,7 +58,7 @@ def test_ends_of_an_angular_plate(shape, count, length, cell):
 def test_a_straight_edge_along_which_loads_vary():
     """It opens, and is sheared across and along the edge; without its constants errors are of order 1."""
     eps = 1 / 16
-    structure = edge(eps, 2, "tetrahedron")
+    structure = edge_3d(eps, 2, "tetrahedron")
     meshed, errors = solve(structure.full(ThinLayer(LAW, eps, at=1.0), cells_through=2)), {}
     for edges in ("free", "plain"):
         limit = solve(structure.interface(ThinLayer(LAW, eps, order=1, edges=edges, at=1.0)))
@@ -91,7 +91,7 @@ def test_angular_plates(shape):
 def test_strips_that_lie_on_one_another_are_refused():
     """All of S, or where three ends of a tongue of 0.02 are nearer to one another than 0.56 thicknesses."""
     x = np.concatenate([[0.0, 0.25], np.linspace(0.5, 0.52, 5), [0.56, 0.6], np.linspace(0.605, 0.61, 2)])
-    tongue = grid(x, np.array([0.0, 0.1]), x, cell="hexahedron")
+    tongue = grid_joint(x, np.array([0.0, 0.1]), x, cell="hexahedron")
     centre = tongue.points[tongue.corners].mean(axis=1)[:, [0, 2]]
     tongue = part_of(tongue, (centre[:, 0] < 0.52) | (abs(centre[:, 1] - 0.51) < 0.01))
     hole = plate("hole", 0.1, "tetrahedron"), 0.1, 0.3, "S is short"

@@ -67,7 +67,7 @@ def test_openings_that_are_weaker_alone_are_not_convex():
     end, layer, sides = free_end(0.45), plain_model.layers["S"], plain_model.sides_of("S")
     strips = EndStrips(EndStrip(end.c_N, 1.0), EndStrip(), EndStrip(), 0.0, 0.0)
     ends = straight_ends(plain_model.applicability["S"].free_rim, layer.sheet)
-    weights = FacetWeights.of(ends, layer.sheet, EPS, strips).expressions(plain_model.domain, sides)
+    weights = FacetWeights.of_ends(ends, layer.sheet, EPS, strips).expressions(plain_model.domain, sides)
     opened = lambda u: ufl.dot(sides.jump(u), sides.n)
     taken = lambda u, v: -weights.a_N * (law.lmbda + 2 * law.mu) * opened(u) * opened(v) * sides.measure
     spectrum = eigenvalues(plain_model, taken)

@@ -10,8 +10,8 @@ import pytest
 
 from forms import LinearElastic
 from geometry import faults
-from studies.dropped import free, loaded, published_cases, unwarned
-from studies.may_i_drop import Dropped, effectivities, solved
+from studies.dropped import free_pair, ignore_range_warnings, published_cases, top_loaded
+from studies.may_i_drop import SolvedCase, effectivities, solve_case
 from thinlayer import RangeWarning, ThinLayer, ThinlayerError, estimate, goals, solve
 
 COARSE = 1 / 16
@@ -21,20 +21,20 @@ KNOWN = {case.name: case for case in published_cases()}
 @cache
 def dropped(name):
     """A case by its name."""
-    return Dropped.of(KNOWN[name], COARSE)
+    return SolvedCase.from_case(KNOWN[name], COARSE)
 
 
-def _ratios(dropped: Dropped, state) -> tuple[float, float]:
+def _ratios(dropped: SolvedCase, state) -> tuple[float, float]:
     """Changes of traction and jump to a state over the true ones, on the inner half of S."""
-    changes, truth = dropped.inner(state), dropped.inner(dropped.full)
+    changes, truth = dropped.inner_changes(state), dropped.inner_changes(dropped.full)
     return changes["traction"] / truth["traction"], changes["jump"] / truth["jump"]
 
 
-def _with_layer(dropped: Dropped, **choices):
+def _with_layer(dropped: SolvedCase, **choices):
     """The state with another law of order 1 in place of the better one."""
     layer = dropped.estimate.state.model.layers["S"].thin_layer
     with warnings.catch_warnings(action="ignore", category=RangeWarning):
-        return solved(dropped.case, dropped.estimate.state.model.with_layer(replace(layer, order=1, **choices)))
+        return solve_case(dropped.case, dropped.estimate.state.model.with_layer(replace(layer, order=1, **choices)))
 
 
 def test_between_rollers_changes_are_those_to_the_meshed_layer():
@@ -79,8 +79,8 @@ def test_a_rubbery_layer_needs_its_pressure():
 def test_displacements_of_meshed_bodies_are_those_of_the_same_point():
     """Full models have their bodies apart: a place of the interface model is another one there."""
     case = replace(KNOWN["free ends: nu = 0.3"], asked=(goals.Displacement((0.3, 0.4), (0.0, 1.0)),))
-    dropped = Dropped.of(case, COARSE)
-    (goal,) = case.asked
+    dropped = SolvedCase.from_case(case, COARSE)
+    (goal,) = case.qois
     shifted = goals.Displacement((0.3, 0.4 + COARSE / 2), (0.0, 1.0))
     # the same point, by its own place
     there = shifted.value(replace(dropped.full, model=dropped.full.model), dropped.full.model)
@@ -88,13 +88,13 @@ def test_displacements_of_meshed_bodies_are_those_of_the_same_point():
 
 
 def test_where_there_is_no_number_a_sentence_says_why():
-    fault = loaded(faults(1.0, 1.0, {"CUT": ((-0.1, 0.5), (0.6, 0.5))}, 1 / 8), (0.3, -1.0))
+    fault = top_loaded(faults(1.0, 1.0, {"CUT": ((-0.1, 0.5), (0.6, 0.5))}, 1 / 8), (0.3, -1.0))
     layer, elastic = partial(ThinLayer, eps=COARSE, at=1.0), LinearElastic.shear(30.0, 0.3)
     for structure, law, words in [
         (fault, layer(elastic), "tip"),
-        (free(COARSE), layer(elastic, profile=lambda x: 1 + 0.3 * x[0]), "extended"),
+        (free_pair(COARSE), layer(elastic, profile=lambda x: 1 + 0.3 * x[0]), "extended"),
     ]:
-        with unwarned():
+        with ignore_range_warnings():
             try:
                 said = str(estimate(solve(structure.interface(law))))
             except ThinlayerError as error:

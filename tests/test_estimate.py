@@ -32,7 +32,7 @@ from thinlayer import (
 )
 from thinlayer.estimating import thickness
 from thinlayer.estimating.result import GoalError, _goal_text
-from thinlayer.estimating.thickness import _search
+from thinlayer.estimating.thickness import _search_thickness
 
 pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
 
@@ -229,7 +229,7 @@ def test_the_compliance_of_supports_that_move_knows_no_path():
 # ---------------------------------------------------------------- thin enough
 def test_the_search_goes_on_where_an_error_stays():
     """As that of a nearly incompressible layer does, over a hundredth of the first thickness: 14 %, then in proportion."""
-    eps, at_tolerance, _ = _search(lambda eps: 0.14 * min(eps / 0.05, 1), 5.0, 0.05)
+    eps, at_tolerance, _ = _search_thickness(lambda eps: 0.14 * min(eps / 0.05, 1), 5.0, 0.05)
     assert at_tolerance
     assert eps == pytest.approx(0.05 * 0.05 / 0.14, rel=thickness.THICKNESS_TOLERANCE)
 
@@ -248,7 +248,7 @@ def test_thin_enough_is_where_the_estimate_is_the_tolerance():
 
 def test_thin_enough_goes_on_below_a_change_of_sign():
     """The error x - 12 x^2 is 0.011 at 0.071, but larger than 0.015 from 0.0196 to 0.064."""
-    eps, at_tolerance, rows = _search(lambda x: abs(x - 12 * x * x), 0.1, 0.015)
+    eps, at_tolerance, rows = _search_thickness(lambda x: abs(x - 12 * x * x), 0.1, 0.015)
     assert at_tolerance
     first, second, third = sorted(rows, reverse=True)[:3]
     assert rows[second] < 0.015 < min(rows[first], rows[third])

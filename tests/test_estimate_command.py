@@ -23,7 +23,7 @@ from thinlayer.estimating import goals
 from thinlayer.running.case import DescribedCase
 from thinlayer.running.description import Description
 from thinlayer.running.toml_table import DescriptionError
-from thinlayer.system.folder import hash_of
+from thinlayer.system.folder import file_hash
 
 LAP = Path(__file__).parent.parent / "studies/data/lap.toml"
 COMM = MPI.COMM_WORLD
@@ -66,7 +66,7 @@ def test_description_and_script_agree_and_another_glue_does_not(lap, wanted, tmp
     assert float(said) == pytest.approx(share, rel=0.02)
     assert f"written to {tmp_path / 'out'}" in done.stdout
     run = json.loads((tmp_path / "out" / "run.json").read_text())
-    assert run["parameters"]["files"] == {str(path): hash_of(path) for path in (lap.with_suffix(".msh"), lap)}
+    assert run["parameters"]["files"] == {str(path): file_hash(path) for path in (lap.with_suffix(".msh"), lap)}
     assert run["parameters"]["description"]["layer"] == {"E": 3e3, "nu": 0.35, "eps": 0.4}
     assert (run["study"], run["error"]) == ("estimate", None)
     assert len(run["solves"]) == 2
@@ -87,10 +87,10 @@ def test_description_and_script_agree_and_another_glue_does_not(lap, wanted, tmp
 
 def test_a_goal_of_another_name_is_of_its_kind(lap, wanted):
     """As what is known of it depends on that."""
-    compliance, pull = DescribedCase.of(Description.read(lap)).goals
+    compliance, pull = DescribedCase.from_description(Description.read(lap)).goals
     assert (compliance.name, pull.name) == ("compliance", "pull")
     assert isinstance(pull, goals.Reaction)
-    work = DescribedCase.of(Description.read(lap, ["goals={work = {kind = 'compliance'}}"])).goals[0]
+    work = DescribedCase.from_description(Description.read(lap, ["goals={work = {kind = 'compliance'}}"])).goals[0]
     assert work.name == "work"
     assert isinstance(work, goals.Compliance)
     assert work.value(wanted.state, wanted.state.model) == wanted.goals["compliance"].value

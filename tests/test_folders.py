@@ -25,7 +25,7 @@ from tests.viscous_joints import SUDDEN, interface
 from thinlayer import Table, march, plotting, sweep
 from thinlayer.running import cli
 from thinlayer.running.record import Record
-from thinlayer.system.folder import own_folder
+from thinlayer.system.folder import lock_from_root
 
 FACTOR = 2.0
 
@@ -73,7 +73,7 @@ def test_the_second_run_at_a_time_is_refused(tmp_path):
 
 def test_a_lock_of_this_process_and_folders_for_nothing(tmp_path):
     out = tmp_path / "a" / "b"
-    with own_folder(out), pytest.raises(InputError, match=f"process {os.getpid()} on "), Record("s", out, {}):
+    with lock_from_root(out), pytest.raises(InputError, match=f"process {os.getpid()} on "), Record("s", out, {}):
         pass
     assert not (tmp_path / "a").exists()
     refused(InputError, r"no files can be written in .*: ", lambda: march(interface(), [0.1], out="/proc/no/such"))
@@ -90,7 +90,7 @@ def test_a_lock_is_that_of_the_file_which_is_there(tmp_path, monkeypatch):
         flock(file, flags)
 
     monkeypatch.setattr(fcntl, "flock", late)
-    with own_folder(tmp_path), pytest.raises(InputError, match="another run"), own_folder(tmp_path):
+    with lock_from_root(tmp_path), pytest.raises(InputError, match="another run"), lock_from_root(tmp_path):
         pass
 
 
@@ -193,7 +193,7 @@ def test_only_the_same_run_is_resumed(tmp_path, monkeypatch):
     again = partial(study, tmp_path, {"b": 1.0}, resume=True)
     options = {"options": {"-thinlayer_snes_rtol": "0.9"}, "PETSC_OPTIONS": ""}
     for name, value, words in (
-        ("code", "0123456789ab", r"another one \(code: "),
+        ("code_hash", "0123456789ab", r"another one \(code: "),
         ("petsc_options", options, r"petsc\.-thinlayer_snes_rtol: nothing there, 0\.9 here"),
     ):
         monkeypatch.setattr(thinlayer.running.record, name, lambda value=value: value)
@@ -209,8 +209,8 @@ def test_only_the_same_run_is_resumed(tmp_path, monkeypatch):
 
 def test_other_tables_are_not_drawn(tmp_path):
     study(tmp_path, {"b": 1.0})
-    Record("s", tmp_path, {}).check_drawn()
-    refused(InputError, "is of the study s, not t", lambda: Record("t", tmp_path, {}).check_drawn())
+    Record("s", tmp_path, {}).require_run()
+    refused(InputError, "is of the study s, not t", lambda: Record("t", tmp_path, {}).require_run())
 
 
 # ---------------------------------------------------------------- the command line

@@ -13,7 +13,7 @@ from forms.base import InputError
 from forms.ends import free_end
 from forms.ends.constants import TABLE_COLUMNS, flow_factor
 from forms.ends.corner import CornerField
-from studies.half_strip import half_strip
+from studies.half_strip import compute_free_end
 from tests.refused import refused
 
 DEGREE, LEVELS = 8, 8  # errors below 1e-8: the corner's energy is r^1.4 to r^1.2, r = 0.5 * 0.2^8
@@ -38,7 +38,7 @@ INDEPENDENT = {
 @pytest.mark.parametrize("nu", [0.07, 0.33, 0.4985, 0.5])
 def test_the_table_is_what_the_half_strip_gives(nu):
     """Where volumes stay the same the constants of openings are infinite, in both."""
-    computed, table = half_strip(nu, DEGREE, LEVELS), free_end(nu)
+    computed, table = compute_free_end(nu, DEGREE, LEVELS), free_end(nu)
     for name in (*TABLE_COLUMNS, "kappa"):
         assert getattr(computed, name) == pytest.approx(getattr(table, name), rel=ROUGH), name
     assert math.isinf(table.c_N) == (nu == 0.5)
@@ -75,5 +75,5 @@ def test_the_factor_of_the_flow():
 
 
 def test_other_ratios_are_refused():
-    for nu, solve in itertools.product((-0.1, 0.51, math.nan), (free_end, half_strip, CornerField)):
+    for nu, solve in itertools.product((-0.1, 0.51, math.nan), (free_end, compute_free_end, CornerField)):
         refused(InputError, r"from 0 to 0\.5", solve, nu)

@@ -44,7 +44,7 @@ def problem(rng, law, ends, d, spread=1e3):
 
 def residual(pairs, A, g, u):
     """Of the equations of all nodes, relative to the largest of their terms."""
-    forces = pairs.forces(pairs.separation(u))
+    forces = pairs.forces(pairs.jumps_with_gaps(u))
     return np.abs(A @ u + forces - g).max() / (abs(A) @ np.abs(u) + np.abs(forces) + np.abs(g)).max()
 
 
@@ -69,7 +69,7 @@ def test_a_node_is_solved(name, stiff, ends, d):
             assert not u.any()
             continue
         assert residual(pairs, A, g, u) < 10 * EXACT, trial
-        statuses |= set(law.status(pairs.separation(u), pairs._parts[0].slip))
+        statuses |= set(law.status(pairs.jumps_with_gaps(u), pairs._parts[0].slip))
     assert failed <= (9 if name == "strong friction" else 3)
     assert statuses == set(Status) - ({Status.STICK} if name == "no friction" else set())
 
@@ -108,7 +108,7 @@ def test_least_energy(d):
     slip, weights = pairs._parts[0].slip, pairs.weights
 
     def energy(u):
-        w = pairs.separation(u)
+        w = pairs.jumps_with_gaps(u)
         shear = np.linalg.norm(w[:, :-1] - slip, axis=1)
         beyond = law.bound * (shear - law.bound / (2 * law.K_T))
         huber = np.where(law.K_T * shear <= law.bound, law.K_T * shear**2 / 2, beyond)

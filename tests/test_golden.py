@@ -210,7 +210,9 @@ def supports_and_loads() -> list[float]:
     states.append(solve(pushed().interface(layer(GLUE, eigenstrain=0.01))))
     values = []
     for state in states:
-        force = next(iter(state.reactions_by_place().values())).force if state.model.holders else state.applied().force
+        force = (
+            next(iter(state.reactions_by_place().values())).force if state.model.held_places else state.applied().force
+        )
         energies = state.energies()
         values += [energies["bodies"], energies["layer"], *np.ravel(force)]
     return values

@@ -26,7 +26,7 @@ from tests.refused import refused
 from tests.viscous_joints import JOINT, SETUP, SLOW
 from thinlayer import Structure, ThinLayer, compare, march, piecewise, solve
 from thinlayer.system import fingerprint
-from thinlayer.system.fingerprint import code_of, describe, differences, differences_text, random_states
+from thinlayer.system.fingerprint import code_part, describe, differences, differences_text, random_states
 
 LAYER = ThinLayer(SLOW, 0.1, at=1.0)
 FACTOR = 2.0
@@ -200,7 +200,7 @@ def test_observed_functions_are_all_code_that_they_call():
     """And the numbers that they refer to, but no values that they collect."""
 
     def observed(function):
-        return code_of(describe(function))
+        return code_part(describe(function))
 
     for way in (functools.cache, partial, lambda f: lambda state: f(state), lambda f: Times(f, 1)):
         assert observed(way(scaled)) == observed(way(scaled)) != observed(way(same))

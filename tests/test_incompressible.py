@@ -46,7 +46,7 @@ def sparse(A: PETSc.Mat) -> csr_matrix:
 def volume_change(model: Model) -> tuple[State, float]:
     """Equilibrium, and the largest int q tr e(u) of all pressures' basis functions q over the sum of its terms' sizes."""
     with Solver(model) as solver:
-        state = solver.step(solver.rest(0.0), 0.0)
+        state = solver.step(solver.rest_state(0.0), 0.0)
         (part,) = solver.equations.of_kind(PressurePart)
         G = sparse(part.G)
     u = state.u.x.array

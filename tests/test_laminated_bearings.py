@@ -17,7 +17,7 @@ OPENING = 0.01  # mm
 RUBBER, SOFT = Rubber(modulus(0.499), MU), Rubber(modulus(0.49), 0.5)
 LAYERS = {"LOW": (3.0, RUBBER), "MIDDLE": (2.0, SOFT), "HIGH": (2.5, Incompressible(0.9))}  # thickness, law
 AREAS = {"strain": A, "axisymmetric": math.pi * A**2}
-STIFFNESS = {"strain": formulas.rubber_strip, "axisymmetric": formulas.rubber_disc}
+STIFFNESS = {"strain": formulas.strip_stiffness, "axisymmetric": formulas.disc_stiffness}
 
 
 def stiffness(name, plane):

@@ -82,7 +82,7 @@ def test_tangents_next_to_coinciding_stresses(pair, gap):
 def test_means_of_columns_are_weighted():
     of, weights = np.array([1, 0, 1, 0, 1]), np.array([1.0, 3.0, 2.0, 1.0, 5.0])
     columns = Columns(MPI.COMM_SELF, of, 2, weights)
-    assert columns.mean(np.array([1.0, 2.0, 3.0, 4.0, 5.0])) == pytest.approx([10 / 4, 32 / 8], rel=1e-15)
+    assert columns.column_means(np.array([1.0, 2.0, 3.0, 4.0, 5.0])) == pytest.approx([10 / 4, 32 / 8], rel=1e-15)
 
 
 # ---------------------------------------------------------------- sublayers of any contrast

@@ -22,7 +22,7 @@ from forms import (
 from forms.base import InputError
 from geometry import block, faults, ring, sandwich, wall
 from studies.dropped import random_case
-from studies.may_i_drop import Dropped, effectivities
+from studies.may_i_drop import SolvedCase, effectivities
 from tests.on_ranks import on_ranks
 from tests.own_laws import Cubic
 from tests.refused import refused
@@ -41,7 +41,7 @@ from thinlayer import (
 )
 from thinlayer.discretisation.state import displacements_of
 from thinlayer.estimating import global_local
-from thinlayer.running.estimation import _near_ends
+from thinlayer.running.estimation import _end_shares_text
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.layer_subproblem import LayerSubproblem
 
@@ -179,19 +179,19 @@ def test_steps_lead_to_the_meshed_layer_and_half_the_gap_is_the_distance_from_th
     true = displacements_of(meshed(name), state.model).x.array[: state.model.V.dofmap.index_map.size_local * 2]
     with Adjoint(state) as adjoint:
         iteration = global_local.GlobalLocal(adjoint, layers)
-        iterate, (q, _) = iteration.first_iterate(), iteration.weights(WORK)
+        iterate, (q, _) = iteration.first_iterate(), iteration.weights_and_adjoint(WORK)
         for _ in range(2):
-            bounds = iteration.bounds(0.0, q, iterate, iterate)  # the compliance is its own weight
+            bounds = iteration.goal_bounds(0.0, q, iterate, iterate)  # the compliance is its own weight
             assert bounds.upper - bounds.lower == pytest.approx(iteration.energy_gap(iterate), rel=1e-9)
-            missing, v = true - iterate.u, layers.at_faces(true)
+            missing, v = true - iterate.u, layers.to_layers(true)
             in_bodies = missing @ (iteration._missing_forces(iterate.u) - iteration._missing_forces(true))
             reactions = [layers.dirichlet_reactions(faces, iterate.load, iterate.values) for faces in (v, iterate.v)]
             difference = reactions[0] - (iterate.F + reactions[1]) / 2
             work = in_bodies + difference @ layers.compliance(difference)[0]
             assert work == pytest.approx(iteration.energy_gap(iterate) / 4, rel=1e-7)
-            iterate = iteration.step(iterate)
+            iterate = iteration.cg_step(iterate)
         for _ in range(6):
-            iterate = iteration.step(iterate)
+            iterate = iteration.cg_step(iterate)
         assert iterate.u == pytest.approx(true, abs=1e-6 * np.abs(true).max())
 
 
@@ -200,7 +200,7 @@ def test_forces_of_order_0_without_couples_are_no_equilibrium(monkeypatch):
     """The law resists rotations of the layer, which by itself cannot bear what does."""
 
     def plain(self, u, F, load, values):
-        return global_local.BodyEquilibrium(u, self.layers.at_faces(u), F, load, values)
+        return global_local.BodyEquilibrium(u, self.layers.to_layers(u), F, load, values)
 
     monkeypatch.setattr(global_local.GlobalLocal, "_with_couples", plain)
     structure, layers, _ = CASES["free ends"]
@@ -209,7 +209,7 @@ def test_forces_of_order_0_without_couples_are_no_equilibrium(monkeypatch):
 
 def test_weights_of_the_other_sign_contradict(monkeypatch):
     """Of a reaction: the residual at S is added, not taken off. Bounds of two steps exclude each other then."""
-    bounds = global_local.GlobalLocal.bounds
+    bounds = global_local.GlobalLocal.goal_bounds
 
     def turned(self, at_rest, q, iterate, z):
         interval, weighed = bounds(self, at_rest, q, iterate, z), z.v @ self.residual(iterate)
@@ -233,7 +233,7 @@ def test_very_thin_layers_between_plates_that_bend(eps, monkeypatch):
     assert error.upper - error.lower < 1e-4 * meshed
     result, true = estimate(state, goals=()), compare(full, state)
     assert (result.traction, result.jump) == pytest.approx((true["error_traction"], true["error_jump"]), rel=0.05)
-    monkeypatch.setattr("thinlayer.estimating.estimate._models", lambda model, better: [model])
+    monkeypatch.setattr("thinlayer.estimating.estimate._start_models", lambda model, better: [model])
     alone = estimate(state).goals["compliance"]
     assert alone.bounded == (eps > 1e-3)
     assert alone.better == pytest.approx(meshed, rel=1e-6)
@@ -248,7 +248,7 @@ def test_layers_with_strains_without_stresses_move_by_themselves():
 @pytest.mark.parametrize("seed", range(12))
 def test_random_structures(seed):
     eps, case = random_case(seed)
-    for goal in effectivities(Dropped.of(case, eps))[1]:
+    for goal in effectivities(SolvedCase.from_case(case, eps))[1]:
         assert not goal["outside"]
         assert goal["effectivity"] == pytest.approx(1, abs=0.01)
         assert goal["width"] < 0.06
@@ -300,7 +300,7 @@ def test_cells_at_ends_and_junctions_are_judged_by_finer_ones():
 
 def test_shares_near_ends_are_in_thicknesses_of_the_thicker_layer():
     _, result = estimated("two seams")  # of 1/16 and 1/32
-    assert "within 0.25 of the ends of S and" in _near_ends(result, "compliance", result.density())
+    assert "within 0.25 of the ends of S and" in _end_shares_text(result, "compliance", result.density())
 
 
 def test_bad_cells_at_ends():
@@ -346,9 +346,9 @@ def test_the_energy_above_the_least_is_between_its_bounds(name):
     """By what states store and dissipate: bodies at u_0 with the layer meshed between them, and the meshed structure."""
     state, result, full = yielding(name)
     layers = LayerSubproblem(state.model, dict(state.model.on_seams), 0.0)
-    layers.equilibrate_dirichlet(layers.at_faces(state.u.x.array))
+    layers.equilibrate_dirichlet(layers.to_layers(state.u.x.array))
     outcomes, _ = layers._equations.end_parts(layers._equations.u, 0.0)
-    in_layers = sum(outcome.after + outcome.dissipated for outcome in outcomes.values())
+    in_layers = sum(outcome.new_energy + outcome.dissipated for outcome in outcomes.values())
     potential = state.energies()["bodies"] + in_layers - state.load_work()
     true = potential - (full.audit.total + full.audit.dissipated - full.load_work())
     energy = result.energy

@@ -201,8 +201,8 @@ def test_continuation_finds_what_newton_finds(kind):
 
 def test_continuation_finds_what_newton_does_not_find():
     with Solver(dragged(MohrCoulombMonodirectional(60.0, 40.0, cohesion=0.0, friction_angle=30.0), far=0.25)) as solver:
-        refused(SolveError, "Newton's method failed", lambda: solver.step(solver.rest(0.0), 0.0, 1.0, False))
-        state = solver.step(solver.rest(0.0), 0.0)
+        refused(SolveError, "Newton's method failed", lambda: solver.step(solver.rest_state(0.0), 0.0, 1.0, False))
+        state = solver.step(solver.rest_state(0.0), 0.0)
     assert state.report.homotopy_steps > 1
     assert state.report.residual < 1e-8
     assert abs(state.audit.imbalance) < 1e-8 * state.audit.supplied
@@ -212,12 +212,12 @@ def test_continuation_finds_what_newton_does_not_find():
 def test_eased_laws_leave_no_trace():
     """After a failure too: the next step is the law's own."""
     with Solver(sheared("S")) as solver:
-        expected = solver.step(solver.rest(0.3), 0.3)
+        expected = solver.step(solver.rest_state(0.3), 0.3)
         parameters = [p.points.material.parameters.copy() for p in solver.equations.of_kind(CompiledPart)]
         refused(SolveError, "", solver.step, expected, 0.7)
         for p, before in zip(solver.equations.of_kind(CompiledPart), parameters, strict=True):
             assert (p.points.material.parameters == before).all()
-        again = solver.step(solver.rest(0.3), 0.3)
+        again = solver.step(solver.rest_state(0.3), 0.3)
     assert (again.u.x.array == expected.u.x.array).all()
 
 

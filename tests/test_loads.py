@@ -150,7 +150,7 @@ def test_temperatures_are_asked_for_in_the_joint_before_inflating(bodies, across
 
     law = NonMonotone(60.0, 40.0, Tabulated([(0.0, 0.5), (100.0, 1.5)]), 0.15, CHI, T=T)
     for part in Equations(model(law=law, kind=partial(Structure.full, bodies=bodies))).parts:
-        part.at_time(0.0)
+        part.set_time(0.0)
     assert np.abs(seen[-1][1]).max() == pytest.approx(across, rel=0.2, abs=1e-12)
     assert np.ptp(seen[-1][0]) > 0.8
 

@@ -37,7 +37,7 @@ def test_a_law_without_a_rate_answers_a_sudden_load_at_once():
 @pytest.mark.parametrize("law", [SLOW, SUDDEN, Stack((0.4, LinearElastic(6.0, 4.0)), (0.6, SLOW))], ids=str)
 def test_steps_that_are_not_well_below_a_laws_own_time_are_told_before_the_march(law, recwarn):
     """Backward Euler in one step of x own times is wrong by 1/(1 + x) - exp(-x): 16 % for x = 5."""
-    model, time_scales = interface(law), law.sublayers[-1][1].own_times
+    model, time_scales = interface(law), law.sublayers[-1][1].relaxation_times
     steps = np.arange(1.0, 9.5 * max(time_scales) / min(time_scales)) * min(time_scales) / 8
     march(model, [*steps, 4 * steps[-1]])  # longer when nearly all has crept
     assert not [warning for warning in recwarn if "well below" in str(warning.message)]

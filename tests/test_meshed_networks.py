@@ -59,7 +59,7 @@ def test_running_bond(cell, bodies):
     """
     base = wall(2, 3, BRICK, 0.125, cell=cell)
     length, counts = lengths(base), set()
-    n_T = int((base.split_mesh.valence == 3).sum())
+    n_T = int((base.split_mesh.component_counts == 3).sum())
     for ratio in RATIOS:
         bed, head = ratio * 0.5, 0.7 * ratio * 0.5
         opened = inflate(base, {"BED": bed, "HEAD": head}, bodies=bodies)
@@ -151,7 +151,7 @@ def test_cells_of_junctions_go_to_the_first_seam():
     base = star((0, 120, 240), "triangle")
     opened = inflate(base, 0.01, bodies="extended")
     assert opened.band.junctions == {"LAYER/JUNCTIONS": "L0"}
-    assert opened.band.aligned == ()
+    assert opened.band.aligned_junctions == ()
     assert np.linalg.norm(opened.band.director, axis=2) == pytest.approx(1.0)
     assert inflate(base, 0.01, bodies="extended", junctions=["L2"]).band.junctions == {"LAYER/JUNCTIONS": "L2"}
     square = grid([np.arange(9.0), np.arange(-4.0, 5.0)], lambda x: x[:, 1] > 0, "quadrilateral")
@@ -167,7 +167,7 @@ def test_open_joints_are_gaps(cell, bodies):
     """Beds go on below and above open heads; heads end at open beds, where bricks would touch a fill at a corner only."""
     base = wall(2, 3, BRICK, 0.125, cell=cell)
     eps, length, free = {"BED": 0.02, "HEAD": 0.01}, lengths(base), {}
-    n_T = int((base.split_mesh.valence == 3).sum())
+    n_T = int((base.split_mesh.component_counts == 3).sum())
     for gap in eps:
         opened = inflate(base, eps, bodies=bodies, gaps=[gap])
         region_areas = areas(opened)
@@ -175,7 +175,7 @@ def test_open_joints_are_gaps(cell, bodies):
         cut = eps["BED"] * eps["HEAD"] / 2 * n_T if bodies == "extended" else 0.0
         assert region_areas.pop(f"LAYER/{layer}") == pytest.approx(eps[layer] * length[layer] - cut, rel=1e-10)
         assert list(region_areas.values()) == pytest.approx([n_T * 0.02 * 0.01 / 2] if gap == "HEAD" else [])
-        assert opened.band.of_seam == {layer: (f"LAYER/{layer}",)}
+        assert opened.band.regions_of_seam == {layer: (f"LAYER/{layer}",)}
         assert opened.band.faces == (f"{layer}/UPPER_FACE", f"{layer}/LOWER_FACE")
         assert np.array_equal(np.unique(opened.cells), np.arange(len(opened.points)))
         sides = opened.table.index(np.concatenate([opened.facets[f"{gap}/{face}_FACE"] for face in ("UPPER", "LOWER")]))
@@ -223,7 +223,7 @@ def test_incompressible_layers_have_one_pressure():
     for law in (Incompressible(0.5), LinearElastic(500.0, 0.5)):
         state = solve(structure.full({"BED": ThinLayer(law, eps, at=1.0), "HEAD": ThinLayer(law, eps, at=1.0)}), 1.0)
         w, model = surface.jump(state), state.model
-        layers = model.dx(model.domain.cell_values(*model.domain.joint.band.regions))
+        layers = model.dx(model.domain.region_tags(*model.domain.joint.band.regions))
         rows.append([state.integral(ufl.div(state.u) * layers), state.energies()["bodies"], surface.norm(w)])
     assert abs(rows[0][0]) < 1e-12 * rows[0][2]
     assert rows[0][1:] == pytest.approx(rows[1][1:], rel=0.02)
@@ -308,7 +308,7 @@ def test_refused_models():
         (elastic, stacked, None, r"S branches at \(.*sublayers"),
     ):
         refused(InputError, message, bricks.full, {"BED": bed, "HEAD": head}, junctions=chosen)
-    assert bricks.full({"BED": tilted, "HEAD": Gap(eps)}).domain.joint.band.aligned == ("LAYER/JUNCTIONS",)
+    assert bricks.full({"BED": tilted, "HEAD": Gap(eps)}).domain.joint.band.aligned_junctions == ("LAYER/JUNCTIONS",)
     refused(InputError, r"the gap's width eps is 0.0; allowed: > 0", lambda: Gap(0.0))
     refused(InputError, "the seam 'HEAD' has no layer", lambda: bricks.full({"BED": elastic}))
     band = bricks.full({"BED": tilted, "HEAD": elastic}, junctions="HEAD").domain.joint.band

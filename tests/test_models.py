@@ -163,7 +163,7 @@ def test_forms_whose_tags_overlap():
     loads = forces(model.form(model.external_work(v, 0.0)))
     assert forces(model.form(residual))[free] == pytest.approx(0 * free, abs=1e-11 * np.abs(loads).max())
 
-    x, (low, high) = ufl.SpatialCoordinate(model.domain.mesh), model.domain.cell_values("LOWER", "UPPER")
+    x, (low, high) = ufl.SpatialCoordinate(model.domain.mesh), model.domain.region_tags("LOWER", "UPPER")
     several = [
         x[0] * v[0] * model.dx((low, high), metadata={"quadrature_degree": 4}),
         x[1] ** 4 * v[1] * model.dx(high),
@@ -188,7 +188,7 @@ def test_a_form_keeps_the_time_it_was_taken_at():
         now, half = ([np.interp(at, [0, 1, 3], values) for values in ((0, 2, 2), (1, 1, 5))] for at in (t, t / 2))
         expected = np.trapezoid(np.sin(t * s), s) * (now[0] - 3 * now[1]) + half[0] - 3 * half[1]
         assert fem.assemble_scalar(form) == pytest.approx(expected, rel=1e-4)
-    first, last = model.constraints.values(0.5), model.constraints.values(2.0)
+    first, last = model.constraints.bc_values(0.5), model.constraints.bc_values(2.0)
     assert (first.max(), last.max()) == pytest.approx((0.5, 2.0))
 
 

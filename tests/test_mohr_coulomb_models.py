@@ -8,9 +8,9 @@ import ufl
 
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
 from geometry import block
-from studies.fig3_mohr_coulomb import R_X, glue
-from studies.problems import MORTAR, sheared
-from studies.rates import COULOMB, FLOOR, bar
+from studies.fig3_mohr_coulomb import R_X, glue_law
+from studies.problems import MORTAR_LAW, sheared
+from studies.rates import COULOMB, FLOOR, fig2_bar
 from tests import closed_forms
 from tests.columns_in_time import check_balance, check_same
 from tests.own_laws import layer_of
@@ -125,7 +125,7 @@ def test_three_dimensions(name):
 @pytest.mark.long
 def test_order_1_and_the_floor_that_coulombs_law_leaves():
     """Blocks that are sheared to and fro: |t_T| <= C - tan(Omega) t_N on S is not the limit."""
-    (joint, setup), law, times = sheared(1 / 8), MORTAR, (0.5, 1.0, 1.5)
+    (joint, setup), law, times = sheared(1 / 8), MORTAR_LAW, (0.5, 1.0, 1.5)
     plates, rows = Structure(joint, **setup), {"right": [], "wrong": []}
     for eps in (1 / 64, 1 / 128):
         full = march(plates.full(ThinLayer(law, eps, at=1.0)), times)
@@ -143,8 +143,8 @@ def test_newton_is_quadratic(capfd):
 
     The shear force on S is that of an independent code.
     """
-    joint, setup = bar((8.0, 4.0, 0.4))
-    model = Structure(joint, **setup).interface(ThinLayer(glue(0.0), 1.0))
+    joint, setup = fig2_bar((8.0, 4.0, 0.4))
+    model = Structure(joint, **setup).interface(ThinLayer(glue_law(0.0), 1.0))
     state = solve(model, options={"snes_monitor": None})
     norms = [float(line.split()[-1]) for line in capfd.readouterr().out.splitlines() if "SNES Function norm" in line]
     assert state.report.iterations <= 7

@@ -73,7 +73,7 @@ def test_shares_of_sublayers_that_yield(name):
         assert np.einsum("i,kij->kj", fractions, shares[done]) == pytest.approx(0, abs=1e-14)
         first, tractions = 6, []
         for i, sublayer in enumerate(laws):
-            memory = q[:, first : first + material(sublayer).memory]
+            memory = q[:, first : first + material(sublayer).memory_size]
             first += memory.shape[1]
             ends = new + jump_strain(shares[:, i], n), e + jump_strain(old[:, i], n)
             tractions.append(traction(respond(sublayer, *ends, memory, n).stress, n)[done])

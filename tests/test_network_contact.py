@@ -20,7 +20,7 @@ from thinlayer import Springs, Structure, Surface, ThinLayer, march, piecewise, 
 from thinlayer.errors import LimitLoad, LooseBody
 from thinlayer.solving.contact import condensation
 from thinlayer.solving.contact.condensation import Condensation
-from thinlayer.solving.contact.condensed import MAX_COARSE_RATIO, every_second
+from thinlayer.solving.contact.condensed import MAX_COARSE_RATIO, every_second_point
 
 pytestmark = pytest.mark.few(5)
 
@@ -117,7 +117,7 @@ def test_multigrid_solves_networks_on_several_ranks(there):
 @pytest.mark.parametrize(("d", "together"), [(2, 400), (3, 5)])
 def test_bodies_are_condensed_one_by_one(d, together, monkeypatch):
     """The same as the Schur complement of the whole, for floating bodies and for one without unknowns that stay."""
-    monkeypatch.setattr(condensation, "MAX_JOINT_UNKNOWNS", together)
+    monkeypatch.setattr(condensation, "MAX_GROUP_UNKNOWNS", together)
     rng = np.random.default_rng(2)
     bodies = []
     for n, floats in ((7, 2), (4, 0), (5, 1)):
@@ -146,7 +146,7 @@ def test_every_second_place_along_curves():
     rng, chain = np.random.default_rng(3), lambda *way: [*pairwise(way)]
     x = np.cumsum(rng.uniform(0.5, 1.5, (22, 2)), axis=0)
     lines = [*chain(*range(7)), *chain(3, 7, 8, 9, 10), *chain(*range(11, 16), 11), *chain(*range(16, 22), 16)]
-    kept, shares, coarser = every_second(x, np.array(lines))
+    kept, shares, coarser = every_second_point(x, np.array(lines))
     assert len(kept) <= MAX_COARSE_RATIO * len(x)
     np.testing.assert_array_equal(shares[kept].toarray(), np.eye(len(kept)))
     for place in np.setdiff1d(np.arange(len(x)), kept):

@@ -50,7 +50,7 @@ def cut_at(joint: Joint, cut) -> Joint:
 
 def counts(joint: Joint) -> dict[int, int]:
     """Number of vertices with each number of components."""
-    number, times = np.unique(joint.split_mesh.valence, return_counts=True)
+    number, times = np.unique(joint.split_mesh.component_counts, return_counts=True)
     return dict(zip(number.tolist(), times.tolist(), strict=True))
 
 
@@ -82,7 +82,7 @@ def test_components_follow_cells_not_numbers():
     bond = wall(2, 3, (1.0, 0.5), 0.25, cell="triangle")
     assert counts(renumbered(bond)) == counts(bond)
     whole = Splitting(bond.cells, bond.cell_type, FacetTable.of(bond.cells, bond.cell_type), np.empty(0, np.int64))
-    assert whole.valence.max() == 1
+    assert whole.component_counts.max() == 1
     assert not whole.components(0).any()
     assert whole.pieces.max() == 0
 

@@ -64,7 +64,7 @@ def test_a_field_of_temperatures():
     w = np.array([[0.0, 0.02, 0.0]] * 3)
     n = np.tile(E2, (3, 1))
     points = material(real)
-    points.set_law_at(x, 3.0)
+    points.set_parameters_at(x, 3.0)
     e = jump_strain(w, n) / EPS
     stress, _, q, _, failed = points.update(range(6), e, 0 * e, np.zeros((3, 2)), n, 1.0, 1.0)
     assert failed == 0

@@ -9,7 +9,7 @@ import pytest
 
 from forms import LinearElastic, Maxwell, Norton
 from studies.problems import FOURIER_LAYER, fourier
-from studies.rates import HARD
+from studies.rates import HARD_LAWS
 from tests import reference
 from tests.orders import observed_orders
 from thinlayer import Structure, Surface, ThinLayer, march, solve
@@ -58,7 +58,7 @@ def test_layer_that_keeps_its_volume(nu):
 
 
 @pytest.mark.few(5)
-@pytest.mark.parametrize("law", HARD.values(), ids=HARD)
+@pytest.mark.parametrize("law", HARD_LAWS.values(), ids=HARD_LAWS)
 def test_layer_with_moduli_held(law):
     eps = (1 / 32, 1 / 128, 1 / 256, 1 / 512)
     errors = list(rows(lambda e: law.scaled(1 / e), eps, "quadrilateral")[0])

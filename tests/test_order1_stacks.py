@@ -7,7 +7,7 @@ import pytest
 
 from forms import Anisotropic, Incompressible, LinearElastic, Maxwell, MohrCoulomb, Stack
 from forms.base import InputError
-from forms.series import in_series
+from forms.series import sublayer_stations
 from geometry import sandwich
 from studies.problems import FOURIER_BODY, FOURIER_LAYER, fourier
 from tests import reference
@@ -52,7 +52,7 @@ MOMENTS = [(TWO, 0.004963, 0.181034, 0.784821), (THREE, -0.095552, -0.160266, No
 @pytest.mark.parametrize(("sublayers", "A", "B", "lateral"), MOMENTS)
 def test_moments(sublayers, A, B, lateral):
     """Means of r Phi_T, of Phi_N and of r, from an independent program; K_N and K_T are those of order 0."""
-    law = in_series(stack(sublayers).sublayers)[0].law
+    law = sublayer_stations(stack(sublayers).sublayers)[0].law
     assert (law.lateral_tangential, law.normal) == pytest.approx((A, B), abs=5e-7)
     assert lateral is None or law.lateral == pytest.approx(lateral, abs=5e-7)
     assert law.mu == pytest.approx(1 / sum(a / mu for a, _, mu in sublayers), rel=1e-14)

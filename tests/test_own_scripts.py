@@ -281,7 +281,7 @@ def test_phases_without_a_joint():
         problem = blocks.solve(terms, [np.array([0.0, -push * 0.1])], 1.0)
         term, memory = problem.compiled["layer"], problem.state.memory["layer"]
         phase = memory[:, list(law.internal).index("phase")]
-        assert term.columns.count == 6
+        assert term.columns.n_columns == 6
         assert np.abs(phase) == pytest.approx(share)
 
 

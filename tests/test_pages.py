@@ -105,7 +105,7 @@ def test_the_first_scripts_are_short():
 
 
 def test_errors_of_the_first_example_are_those_of_a_meshed_layer():
-    case = DescribedCase.of(Description.read(LAP))
+    case = DescribedCase.from_description(Description.read(LAP))
     full, limit = (solve(make(case.layer)) for make in (case.structure.full, case.structure.interface))
     row = compare(full, limit)
     work = [state.energies()["loads"] for state in (full, limit)]

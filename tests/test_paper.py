@@ -21,7 +21,7 @@ def bar(tmp_path_factory):
 
 
 def test_tangential_stiffness_of_the_meshed_layer(bar):
-    x, ratio = bar.stiffness(bar.full(ThinLayer(GLUE, EPS)))
+    x, ratio = bar.stiffness_profile(bar.solve_full(ThinLayer(GLUE, EPS)))
     inner = (x >= 6) & (x <= 30)
     assert pytest.approx(85714.2857, abs=5e-5) == K_T
     assert np.abs(ratio[inner] / K_T - 1).max() < 1e-3
@@ -39,7 +39,7 @@ def test_displacement_of_the_interface_law(bar):
 def test_deviation_with_the_glues_own_moduli(bar):
     """Order 1 from 0.4 to 0.05 mm: the glue stays what it is and its layer gets thinner."""
     eps = (0.4, 0.2, 0.1, 0.05)
-    deviations = [bar.deviation(ThinLayer(GLUE, e), K_T * EPS / e) for e in eps]
+    deviations = [bar.stiffness_deviation(ThinLayer(GLUE, e), K_T * EPS / e) for e in eps]
     assert observed_orders(eps, deviations)[1:] == pytest.approx([1.0] * 3, abs=0.1)
 
 
@@ -51,7 +51,7 @@ def test_deviation_with_moduli_over_thickness_held(bar):
     third of the bar's, and the term in eps^2 is still large.
     """
     eps = (0.05, 0.025, 0.0125)
-    deviations = [bar.deviation(ThinLayer(GLUE, e, at=EPS), K_T) for e in eps]
+    deviations = [bar.stiffness_deviation(ThinLayer(GLUE, e, at=EPS), K_T) for e in eps]
     orders = observed_orders(eps, deviations)[1:]
     assert orders == pytest.approx([1.0] * 2, abs=0.1)
     assert orders[1] > orders[0]

@@ -71,7 +71,7 @@ def test_components_on_the_torus():
     """A bond has one T at each end of a head, and no free ends: 2 x 2 of three components."""
     joint = bond_cell(BRICK, 0.25)
     assert bond(element="Q2").bonded().V.dofmap.index_map.size_global == 256
-    number, times = np.unique(joint.split_mesh.valence, return_counts=True)
+    number, times = np.unique(joint.split_mesh.component_counts, return_counts=True)
     counted = dict(zip(number.tolist(), times.tolist(), strict=True))
     assert {k: v for k, v in counted.items() if k} == {1: 42, 2: 18, 3: 4}
     assert joint.split_mesh.pieces.max() + 1 == 2  # bricks

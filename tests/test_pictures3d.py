@@ -11,7 +11,7 @@ from geometry import block, sandwich
 from tests.refused import refused
 from thinlayer import Structure, ThinLayer, plotting, solve
 from thinlayer.output.paraview.grid import gather_grid
-from thinlayer.output.plotting.scene import DEFAULT_VIEWS, DeformedShape, outer_surface, sharp_edges
+from thinlayer.output.plotting.scene import DEFAULT_TOWARDS, DeformedShape, outer_surface, sharp_edges
 
 BODY = LinearElastic.young(E=100.0, nu=0.3)
 EPS = 0.015
@@ -72,7 +72,7 @@ def test_rigid_base_is_grey_and_stays(pushed, tmp_path):
 def test_view_zoom_and_cut(pulled, tmp_path):
     law = pulled["law"]
     default = picture(tmp_path / "a.png", law)
-    np.testing.assert_array_equal(default, picture(tmp_path / "b.png", law, towards=2 * np.array(DEFAULT_VIEWS[3])))
+    np.testing.assert_array_equal(default, picture(tmp_path / "b.png", law, towards=2 * np.array(DEFAULT_TOWARDS[3])))
     for k, option in enumerate([{"towards": (0, 1, 0)}, {"zoom": (0.2, 0.9, -0.4, 0.4)}, {"cut": True}]):
         other = picture(tmp_path / f"{k}.png", law, **option)
         assert other.shape != default.shape or np.abs(other - default).max() > 0.5

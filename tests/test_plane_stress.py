@@ -37,7 +37,7 @@ L, M = 3.0, 1.7
 NU = L / (2 * (L + M))
 E = 2 * M * (1 + NU)
 N = np.array([0.28, 0.96, 0.0])  # of the layer, where laws know it
-SLOTS = Kinematics().slots(2)  # 11, 22, sqrt2 12
+SLOTS = Kinematics().strain_indices(2)  # 11, 22, sqrt2 12
 ROUNDED = 1e-10
 ROOT = np.random.default_rng(3).normal(size=(6, 6))
 C6 = ROOT @ ROOT.T + 3 * np.eye(6)  # stiff against 13 and 23 strains that 11, 22 and 12 cause
@@ -48,7 +48,7 @@ class Point:
 
     def __init__(self, law):
         self.material = CompiledLaw(MPI.COMM_SELF, law.plane_stress())
-        self.e, self.q = np.zeros((1, 3)), np.zeros((1, self.material.memory))
+        self.e, self.q = np.zeros((1, 3)), np.zeros((1, self.material.memory_size))
 
     def respond(self, e, dt=0.1, theta=1.0):
         """Stress (3,), tangent (3, 3), memory, energies and the number of failed points."""
@@ -167,7 +167,7 @@ def test_a_maxwell_bar_relaxes_and_creeps_as_in_one_dimension():
     point = Point(law)
     for k in range(4):
         point.settle(point.e[0], [sigma, 0, 0], (0, 1, 2), dt if k else 0.0)
-        creep = k * dt * (1 / (3 * M * law.t1) + law._volumetric_rate / (9 * law._bulk))
+        creep = k * dt * (1 / (3 * M * law.t1) + law._volumetric_rate / (9 * law._bulk_modulus))
         assert point.e[0, 0] == pytest.approx(sigma * (1 / E + creep), rel=ROUNDED)
 
 

@@ -52,7 +52,7 @@ def test_sublayers_share_traction_and_add_up_jumps(name, theta):
     assert sum(a * g for a, g in zip(law.fractions, new, strict=True)) == pytest.approx(0.0, abs=EXACT)
     mean, energies, tractions = 0.0, 0.0, []
     for (a, sublayer_law), g_old, g in zip(law.sublayers, old, new, strict=True):
-        memory = material(sublayer_law).memory
+        memory = material(sublayer_law).memory_size
         e, e_old = start.e + jump_strain(g, start.n), start.e_old + jump_strain(g_old, start.n)
         part = respond(sublayer_law, e, e_old, start.q[:, at : at + memory], start.n, DT, theta)
         assert now.q[:, at : at + memory] == pytest.approx(part.q, abs=1e-12)
@@ -70,7 +70,7 @@ def test_elastic_sublayer_over_a_plastic_one_carries_its_limit():
     """The common traction is bounded by the plastic sublayer, the jump goes on in it."""
     law = STACKS["elastic, plastic"]
     t_T = MISES.strength / 3**0.5
-    e, q, tractions = np.zeros((1, 6)), np.zeros((1, material(law).memory)), []
+    e, q, tractions = np.zeros((1, 6)), np.zeros((1, material(law).memory_size)), []
     for w in np.linspace(0.0, 1.0, 21)[1:]:
         old, e = e, jump_strain(np.array([[w, 0, 0]]), E2[None])
         answer = respond(law, e, old, q, E2[None])
@@ -86,7 +86,7 @@ def test_elastic_sublayers_return_to_zero():
     random, law = np.random.default_rng(3), Stack((0.3, LinearElastic(7.0, 3.0)), (0.7, STIFF))
     e, n = random.normal(size=(200, 6)) * 10 ** random.uniform(-6, 0, (200, 1)), random.normal(size=(200, 3))
     n /= np.linalg.norm(n, axis=1)[:, None]
-    there = respond(law, e, 0 * e, np.zeros((200, material(law).memory)), n)
+    there = respond(law, e, 0 * e, np.zeros((200, material(law).memory_size)), n)
     back = respond(law, 0 * e, e, there.q, n)
     assert (there.failed, back.failed) == (0, 0)
     assert np.abs(back.stress).max() < 1e-14
@@ -108,7 +108,7 @@ def test_a_stack_finds_its_shares_for_steps_of_any_size(laws):
         for dt in (1e-3, 1e-1, 10.0):
             n = random.normal(size=(20, 3))
             n /= np.linalg.norm(n, axis=1)[:, None]
-            e, q, stored = np.zeros((20, 6)), np.zeros((20, material(law).memory)), np.zeros(20)
+            e, q, stored = np.zeros((20, 6)), np.zeros((20, material(law).memory_size)), np.zeros(20)
             for _ in range(3):
                 old, e = e, e + size * jump_strain(random.normal(size=n.shape), n)
                 answer = respond(law, e, old, q, n, dt)

@@ -23,7 +23,7 @@ def jumps():
 
 def traction_of(law, jumps, theta=1.0, dt=DT):
     w_old, w, n = jumps
-    q = np.zeros((len(n), material(law).memory))
+    q = np.zeros((len(n), material(law).memory_size))
     return traction(respond(law, jump_strain(w, n), jump_strain(w_old, n), q, n, dt, theta).stress, n)
 
 

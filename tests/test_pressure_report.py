@@ -14,7 +14,7 @@ from tests import reference
 from tests.ranges_told import STIFF, opened, strip_excess, times_too_stiff, with_warnings
 from tests.test_networks import cut_at, on
 from thinlayer import RangeWarning, Structure, Surface, Table, ThinLayer, compare, solve
-from thinlayer.surface.pressure_excess import pressure_excess, resting_sublayers
+from thinlayer.surface.pressure_excess import pressure_excess, sublayer_moduli
 
 HALF_WIDTH = 0.5
 LAYERS = {"LOW": ThinLayer(LinearElastic.shear(3.0, 0.49), 1 / 16, at=1.0)}
@@ -72,7 +72,7 @@ def test_it_does_not_depend_on_cells():
         structure = Structure(sandwich(1.0, 0.3, 0.3, h, **size), body=STIFF, supports={"BOTTOM": 0.0, "TOP": 0.0})
         moved = [0.0, 1e-3, *[0.0] * len(size)]
         faces = opened(structure.interface(ThinLayer(law, eps, at=1.0)), lambda x, w=moved: [k + 0 * x[0] for k in w])
-        assert pressure_excess(faces, *resting_sublayers(faces.layer)).opening == pytest.approx(wanted, rel=0.02)
+        assert pressure_excess(faces, *sublayer_moduli(faces.layer)).opening_error == pytest.approx(wanted, rel=0.02)
 
 
 @pytest.mark.parametrize("nu", [0.3, 0.36, 0.42])
@@ -91,14 +91,14 @@ def test_shear_does_not_hide_it(plates):
     """Slip that takes nearly all of the work leaves the factor, which is told until slip takes the traction, too."""
     eps, law = 1 / 16, LinearElastic.shear(1.0, 0.499).scaled(1 / (1 / 16))
     model = plates.interface(ThinLayer(law, eps, at=1.0))
-    (layer,) = resting_sublayers(model.layers["S"])
-    pure = strip_excess(0.5 / (eps * layer.length))
+    (layer,) = sublayer_moduli(model.layers["S"])
+    pure = strip_excess(0.5 / (eps * layer.decay_length))
     told_with, share = {}, {}
     for slip in (0.0, 0.06, 60.0):
         excess = pressure_excess(opened(model, lambda x, w=slip: (w + 0 * x[0], 1e-3 + 0 * x[0])), layer)
-        assert excess.opening == pytest.approx(pure, rel=5e-3)
-        told_with[slip], share[slip] = excess.reported, excess.traction
-        assert (excess.work < 0.1) == (slip > 0)
+        assert excess.opening_error == pytest.approx(pure, rel=5e-3)
+        told_with[slip], share[slip] = excess.reported, excess.traction_error
+        assert (excess.work_error < 0.1) == (slip > 0)
     soft = pytest.approx(pure, rel=5e-3)
     assert told_with == {0.0: soft, 0.06: soft, 60.0: pytest.approx(0, abs=1e-6)}
     t_T = layer.mu * 60.0 / ((layer.lmbda + 2 * layer.mu) * 1e-3)  # over t_N

@@ -12,7 +12,7 @@ import ufl
 from forms import Anisotropic, BulkLaw, Incompressible, KelvinVoigt, LinearElastic, Maxwell, Stack
 from forms.base import InputError
 from forms.elastic import lame_stress
-from forms.law_tangents import tangent_at_rest, tangent_over
+from forms.law_tangents import tangent_after, tangent_at_rest
 from geometry import sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests import ranges_told
@@ -69,8 +69,8 @@ def test_tangent_over_a_step():
         KelvinVoigt(6.0, 2.5, 0.7, 0.2): (6.0 * (1 + 7 / 3), 2.5 * (1 + 2 / 3)),
     }
     for law, (lmbda, mu) in wanted.items():
-        assert tangent_over(law, n, dt) == pytest.approx(LinearElastic(lmbda, mu).stiffness(n), abs=1e-12 * lmbda)
-    assert tangent_over(Mises(6.0, 2.5, 1.0), n, dt) is None
+        assert tangent_after(law, n, dt) == pytest.approx(LinearElastic(lmbda, mu).stiffness(n), abs=1e-12 * lmbda)
+    assert tangent_after(Mises(6.0, 2.5, 1.0), n, dt) is None
 
 
 # ---------------------------------------------------------------- thick, hard, nearly incompressible

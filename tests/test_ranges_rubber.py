@@ -11,7 +11,7 @@ from geometry import block, sandwich
 from tests.ranges_told import STIFF, excess, strip_excess, times_too_stiff, with_warnings
 from thinlayer import Structure, Surface, ThinLayer, march, solve
 from thinlayer.solving.ranges import warn_of_model
-from thinlayer.surface.pressure_excess import RestingSublayer, pressure_length
+from thinlayer.surface.pressure_excess import SublayerModuli, pressure_decay_length
 
 pytestmark = pytest.mark.few(5)
 
@@ -90,22 +90,22 @@ def test_rubber_is_told_once():
 def test_length_of_the_pressure_in_series():
     """delta^2 = B/c with B int 1/mu the variance of int_0^z dz, over what is nearly incompressible, weighted with 1/mu."""
     eps_over_width = 0.03
-    rubber, soft = RestingSublayer(0.7, 9e3, 9.0, 36.0), RestingSublayer(0.3, 3.0, 2.0, 4.4)
-    length = pressure_length([rubber, soft], 1 / eps_over_width)
+    rubber, soft = SublayerModuli(0.7, 9e3, 9.0, 36.0), SublayerModuli(0.3, 3.0, 2.0, 4.4)
+    length = pressure_decay_length([rubber, soft], 1 / eps_over_width)
     fluidity = 0.7 / 9 + 0.3 / 2
     mean, square = (0.7**2 / 18 + 0.7 * 0.15) / fluidity, (0.7**3 / 27 + 0.7**2 * 0.15) / fluidity
     B, c = fluidity * (square - mean**2), rubber.compliance + soft.compliance
     assert length == pytest.approx((B / c) ** 0.5, rel=2e-3)  # the soft one is hardly stretched
-    assert pressure_length([rubber], 10.0) == pytest.approx(rubber.length)
-    halves = [RestingSublayer(0.35, 9e3, 9.0, 36.0)] * 2
-    assert pressure_length(halves, 10.0) == pytest.approx(rubber.length)
-    shim = RestingSublayer(0.3, 1e8, 1e8, 3e8)  # does not stretch: each half flows by itself
-    assert pressure_length([halves[0], shim, halves[1]], 10.0) == pytest.approx(rubber.length / 2, rel=1e-3)
+    assert pressure_decay_length([rubber], 10.0) == pytest.approx(rubber.decay_length)
+    halves = [SublayerModuli(0.35, 9e3, 9.0, 36.0)] * 2
+    assert pressure_decay_length(halves, 10.0) == pytest.approx(rubber.decay_length)
+    shim = SublayerModuli(0.3, 1e8, 1e8, 3e8)  # does not stretch: each half flows by itself
+    assert pressure_decay_length([halves[0], shim, halves[1]], 10.0) == pytest.approx(rubber.decay_length / 2, rel=1e-3)
     # does not shear; the flow of each half stretches it
-    sheet, h, width = RestingSublayer(0.3, 1.0, 1e8, 5e3), 0.35, 10.0
+    sheet, h, width = SublayerModuli(0.3, 1.0, 1e8, 5e3), 0.35, 10.0
     resistance = 2 * 9 / h + 0.3 * sheet.E_plane * width / (width**3 / 3)  # moves in proportion to the distance: works
     B = 9e3 / 9018 * (h**3 / (6 * 9) + h**2 / resistance)
-    length = pressure_length([halves[0], sheet, halves[1]], width)
+    length = pressure_decay_length([halves[0], sheet, halves[1]], width)
     assert length == pytest.approx((B / (2 * halves[0].compliance + sheet.compliance)) ** 0.5, rel=1e-6)
 
 

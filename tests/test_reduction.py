@@ -140,6 +140,6 @@ def test_models_ask():
     assert refused(InputError, "", wedge.full, "glue").key == "no layer"
     assert wedge.full(thin(elastic(13.0))).layers["S"].thin_layer.order == 1
     tapered = wedge.interface(thin(Rubber(74.0, 1.0), profile=varies), bodies="extended").applicability["S"]
-    ends = PLATES.points[tapered.open_rim.vertices[:, 0], 0]
+    ends = PLATES.points[tapered.loose_rim.vertices[:, 0], 0]
     # in thicknesses of the place
-    assert tapered.pressure_lengths == pytest.approx(0.1 * (1 + ends) * np.sqrt(74.0 / 12))
+    assert tapered.decay_lengths == pytest.approx(0.1 * (1 + ends) * np.sqrt(74.0 / 12))

@@ -11,7 +11,7 @@ from forms import KernelLaw
 from forms.base import InputError, ThinlayerError
 from tests.refused import refused
 from thinlayer import drive
-from thinlayer.system.compilation import _loaded
+from thinlayer.system.compilation import _load_once
 from thinlayer.system.fingerprint import describe, digest
 
 STEP = [{"w_T": 0.01, "w_N": -0.02}]
@@ -63,7 +63,7 @@ def test_a_law_in_c_with_headers(tmp_path):
         law = from_c(5.0, source=source)
         expected = [0.025 * factor, -0.1 * factor]
         assert drive(law, STEP).tractions[0] == pytest.approx(expected, rel=1e-14)
-        _loaded.cache_clear()  # as in another process
+        _load_once.cache_clear()  # as in another process
         assert drive(law, STEP).tractions[0] == pytest.approx(expected, rel=1e-14)
         digests.add(digest(describe(law)))
     assert len(digests) == 2

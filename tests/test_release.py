@@ -15,7 +15,7 @@ import thinlayer
 from forms.base import OPTIONAL_PACKAGES, InputError
 from tests.documents import CLONE
 from tests.refused import refused
-from thinlayer.errors import deprecated
+from thinlayer.errors import warn_of_deprecated
 from thinlayer.running.cli import main
 
 PROJECT = tomllib.loads((CLONE / "pyproject.toml").read_text())["project"]
@@ -65,7 +65,7 @@ def test_what_is_deprecated_is_said_once_at_each_line_of_the_user():
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("default")
         for _ in range(2):
-            deprecated("Bond()", "1.2", "Gap()")
-        deprecated("Bond()", "1.2", "Gap()")
+            warn_of_deprecated("Bond()", "1.2", "Gap()")
+        warn_of_deprecated("Bond()", "1.2", "Gap()")
     assert [str(warning.message) for warning in caught] == ["Bond() is deprecated since thinlayer 1.2; use Gap()"] * 2
     assert {warning.filename for warning in caught} == {__file__}

@@ -17,8 +17,8 @@ from forms.base import InputError
 from studies import rates
 from tests.documents import CLONE
 from tests.refused import refused
-from thinlayer.running.batch import Job, run_all
-from thinlayer.running.markup import formula_of
+from thinlayer.running.batch import Job, run_jobs
+from thinlayer.running.markup import formula_html
 from thinlayer.running.process import CHECK_FAILED, OK, UNFINISHED
 from thinlayer.running.record import Record
 from thinlayer.running.reproduce import Page
@@ -35,8 +35,8 @@ ASKED = """<script>addEventListener("load", () => { document.title = JSON.string
 
 
 def entries(page):
-    rows = [row for part in page.data["sections"] for row in part["rows"]]
-    return rows + [entry for entry in page.data["errata"] if "check" in entry]
+    rows = [row for part in page.paper["sections"] for row in part["rows"]]
+    return rows + [entry for entry in page.paper["errata"] if "check" in entry]
 
 
 def ran(job, checks):
@@ -52,7 +52,7 @@ def page(tmp_path_factory):
     page = Page(tmp_path_factory.mktemp("paper"), quick=True)
     for name, job in page.jobs.items():
         ran(job, {row["check"].replace("*", "any"): 2.0 for row in entries(page) if row["run"] == name})
-    for name in (name for part in page.data["sections"] for name in part["pictures"]):
+    for name in (name for part in page.paper["sections"] for name in part["pictures"]):
         (page.out / name).write_bytes(base64.b64decode(PIXEL) if name.endswith("png") else SQUARE)
     assert page.write(FACTS) == OK
     return page
@@ -70,7 +70,7 @@ def test_every_row_names_a_check_of_a_study():
     for entry in entries(page):
         assert any(text.fullmatch(entry["check"]) for text in texts), entry
         if page.jobs[entry["run"]].study == "rates" and entry["check"].startswith("last observed order of the *,"):
-            assert entry["check"].rpartition(", ")[2] in rates.ROWS, entry
+            assert entry["check"].rpartition(", ")[2] in rates.SWEEPS, entry
 
 
 def test_the_page_is_whole_in_itself(page):
@@ -103,26 +103,26 @@ def test_a_batch_takes_up_what_is_done(tmp_path, monkeypatch, capsys):
     """The longest run is first, one that fails stops no other one; a second batch repeats it, and resumes a killed one."""
     long, bad, short = (Job(name, {}, tmp_path / "out" / name, seconds) for name, seconds in SECONDS.items())
     for job in (long, short):
-        ran(Job(job.study, {}, tmp_path / job.study, job.seconds), {"a number": 2.0})
+        ran(Job(job.study, {}, tmp_path / job.study, job.expected_seconds), {"a number": 2.0})
     script, calls = tmp_path / "python", tmp_path / "calls"
     script.write_text(f'#!/bin/sh\ncd {tmp_path}\necho "$4 $7" >> calls\nmkdir -p $6\ncp $4/run.json $6')
     script.chmod(0o700)
     monkeypatch.setattr("sys.executable", str(script))
-    assert run_all([short, bad, long], tmp_path / "out", 1) == UNFINISHED
+    assert run_jobs([short, bad, long], tmp_path / "out", 1) == UNFINISHED
     assert calls.read_text().split() == ["long", "bad", "short"]
     assert re.search(r"3 of 3  short: all checks hold \(\d+ s, see .*short.log\)", capsys.readouterr().out)
     path = long.folder / "run.json"
     path.write_text(path.read_text().replace('"error": null', '"error": "not finished"'))
-    assert run_all([short, bad, long], tmp_path / "out", 2) == UNFINISHED
+    assert run_jobs([short, bad, long], tmp_path / "out", 2) == UNFINISHED
     assert calls.read_text().split()[3:] in (["long", "--resume", "bad"], ["bad", "long", "--resume"])
-    assert run_all([short, long], tmp_path / "out") == OK
+    assert run_jobs([short, long], tmp_path / "out") == OK
     assert len(calls.read_text().split()) == 6
 
 
 def test_formulas_without_scripts():
     text = "<i>μ\u0304</i><sub>12</sub> &lt; [<i>u\u0307</i>]<sup><i>p</i>\u22122</sup>"
-    assert formula_of(r"\bar\mu_{12} < [\dot u]^{p-2}") == text
-    refused(InputError, r"frac', neither a name of .*signs.toml", formula_of, r"\frac{a}{b}")
+    assert formula_html(r"\bar\mu_{12} < [\dot u]^{p-2}") == text
+    refused(InputError, r"frac', neither a name of .*signs.toml", formula_html, r"\frac{a}{b}")
 
 
 @pytest.mark.parametrize(("value", "status", "verdict"), [(None, UNFINISHED, "missing"), (4.0, CHECK_FAILED, "fails")])

@@ -24,7 +24,7 @@ pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"
 
 
 def closed_form(bearing, lmbda):
-    stiffness = {"strip": formulas.rubber_strip, "disc": formulas.rubber_disc, "annulus": rubber_annulus}[bearing]
+    stiffness = {"strip": formulas.strip_stiffness, "disc": formulas.disc_stiffness, "annulus": rubber_annulus}[bearing]
     return stiffness(lmbda, MU, EPS, *(ANNULUS if bearing == "annulus" else SPANS[bearing][1:]))
 
 
@@ -123,9 +123,9 @@ def test_narrow_or_soft_bearings_have_the_flow_of_an_infinite_layer():
     assert solve(model).reaction("TOP").force[1] / (10 * EPS * OPENING) == pytest.approx(82.427496 * MU / EPS, rel=4e-3)
     strips = rubber(0.499).end_strips()
     assert strips.resistance.c < 0
-    assert strips.of_spread(9.9).resistance.c == 0
-    assert strips.of_spread(10.1) is strips
-    assert rubber(0.45).end_strips().of_spread(1.0) == rubber(0.45).end_strips()
+    assert strips.for_spreading_length(9.9).resistance.c == 0
+    assert strips.for_spreading_length(10.1) is strips
+    assert rubber(0.45).end_strips().for_spreading_length(1.0) == rubber(0.45).end_strips()
     for factor, end_flow in ((0.97, False), (1.03, True)):
         # half-spaces give way to a pressure of wave number k as the layer does where (eps k)^3 = 48 (1 - nu^2) mu/E
         soft = LinearElastic.young(factor * 48 * (1 - 0.3**2) * 1e3 * MU, 0.3)

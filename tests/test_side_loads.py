@@ -37,14 +37,14 @@ def based(eps):
 
 def errors(joint_at, law, loads, monkeypatch):
     """Errors of traction and jump on the inner half of S, of the law and of one whose sides are not drawn in."""
-    right, wrong, shares = [], [], side_loads._load_densities
+    right, wrong, shares = [], [], side_loads._transfer_factors
     for eps in THICKNESSES:
         joint, supports = joint_at(eps)
         setup = Structure(joint, body=BODY, supports=supports, tractions=loads)
         full = solve(setup.full(ThinLayer(law, eps, at=1.0), cells_through=8))
         for rows, drawn in ((right, 1.0), (wrong, 0.0)):
             some = lambda *arguments, drawn=drawn: shares(*arguments) * [1.0, 1.0, 1.0, drawn, drawn]
-            monkeypatch.setattr(side_loads, "_load_densities", some)
+            monkeypatch.setattr(side_loads, "_transfer_factors", some)
             limit = solve(setup.interface(layer(law, eps)))
             row = compare(full, limit, where=lambda x: abs(x[0] - 0.5) < 0.25)
             rows.append([row["error_traction"], row["error_jump"]])
@@ -84,7 +84,7 @@ def test_how_far_an_end_is_drawn_in(nu):
     eps, end = 0.1, free_end(nu)
     joint = sandwich(2.0, 0.05, 0.05, h=1 / 8, h_S=1 / 16, h_ends=eps / 12, cell="quadrilateral")
     law = LinearElastic.shear(1e-9, nu)
-    for component, drawn in (("y", -end.drawn_in), ("x", -end.c_T)):
+    for component, drawn in (("y", -end.inward_displacement), ("x", -end.c_T)):
         bcs = {"BOTTOM": 0, "TOP": {"x": 0.0, "y": 0.0} | {component: 1.0}}
         state = solve(Structure(joint, body=BODY, supports=bcs).full(ThinLayer(law, eps, at=1.0), cells_through=12))
         side = state.model.ds(state.model.domain.values("RIGHT/LAYER"))

@@ -39,7 +39,7 @@ def excesses(history):
     law = history.model.layers["S"].law
     for state in history:
         columns = state.model.quadratures["layer"].columns
-        phase, drive, bound = (columns.mean(state.memory["layer"][:, k]) for k in (0, 2, 3))
+        phase, drive, bound = (columns.column_means(state.memory["layer"][:, k]) for k in (0, 2, 3))
         yield law.excess(np.rint(phase), drive, bound).max()
 
 

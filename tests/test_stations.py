@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from forms import LinearElastic, Stack
 from forms.base import InputError
-from forms.work import Interface, energy, surface
+from forms.work import Interface, energy, s_terms
 
 SUBLAYERS = [(0.3, 400.0, 20.0), (0.3, 20.0, 60.0), (0.4, 60.0, 5.0)]  # fraction, lmbda, mu
 ONE = [(1.0, 60.0, 5.0)]
@@ -86,7 +86,7 @@ def test_energy_of_the_stations(d, sublayers):
     both.interpolate(lambda x: C @ x[:d] + c[:, None])
     above.interpolate(lambda x: A @ x[:d] + b[:, None], cells0=facet.upper)
     laws = [(a, LinearElastic(lmbda, mu)) for a, lmbda, mu in sublayers]
-    terms = surface(Stack(*laws) if len(laws) > 1 else laws[0][1], Interface.between_bodies(facet.dS), EPS, 1)
+    terms = s_terms(Stack(*laws) if len(laws) > 1 else laws[0][1], Interface.between_bodies(facet.dS), EPS, 1)
     pairs = [*zip(facet.places, facet.weights, strict=True)]
     wanted = sum(weight * exact(sublayers, A @ x + b, C + A / 2, A, facet.normal) for x, weight in pairs)
     assert fem.assemble_scalar(fem.form(energy(terms, both + above))) == pytest.approx(wanted, rel=1e-11)
@@ -96,4 +96,4 @@ def test_energy_of_the_stations(d, sublayers):
 def test_functions_need_sides_that_know_them():
     facet, law = Facet(2), LinearElastic(lambda x: 60 + x[0], 40.0)
     with pytest.raises(InputError, match=r"parameters that are functions: use it in a Model"):
-        surface(law, Interface.between_bodies(facet.dS), EPS, 1)
+        s_terms(law, Interface.between_bodies(facet.dS), EPS, 1)

@@ -92,7 +92,7 @@ def test_the_estimate_is_the_error(theta, length):
     """A step is taken if the tolerance is a little above the error of its halves, and not if it is a little below."""
     model = column(StandardSolid(60.0, 40.0, 50.0, 0.6), sandwich(1.0, 0.5, 0.5, 0.5))
     with Solver(model) as solver:
-        begin = solver.step(solver.rest(0.0), 0.0)
+        begin = solver.step(solver.rest_state(0.0), 0.0)
 
         def reached(parts, theta):
             state = begin
@@ -102,7 +102,7 @@ def test_the_estimate_is_the_error(theta, length):
 
         halves, exact = reached(2, theta), reached(64, 0.5)
         estimate = ErrorEstimate(solver.equations)
-        error = float(estimate.differences(exact, halves, estimate.sizes(begin)).max())
+        error = float(estimate.differences(exact, halves, estimate.state_norms(begin)).max())
     assert error > 1e-6
     for factor, taken in ((1.15, True), (0.85, False)):
         history = march(model, Adaptive(length, first=length, tolerance=factor * error), theta=theta)

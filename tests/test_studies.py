@@ -7,11 +7,11 @@ import pytest
 
 from studies import fig8_friction, friction_cost, performance, relaxation
 from studies.by_hand import CHOLESKY, K_N, LOAD, TwoBlocks, by_hand
-from studies.fig4_bar import meet, regression
+from studies.fig4_bar import fit_line, meet_x
 from studies.other_programs import ngsolve, scikit_fem
-from studies.problems import FOURIER_LAYER, of
-from studies.snap import distance
-from studies.sweeping import Row
+from studies.problems import FOURIER_LAYER, layer_fn
+from studies.snap import polygon_distances
+from studies.sweeping import Sweep
 from thinlayer.running.cli import main
 from thinlayer.running.record import Record
 
@@ -30,17 +30,17 @@ def test_figure_8_on_one_mesh_fails_its_checks_with_other_numbers(tmp_path, monk
 
 def test_a_sweep_has_the_errors_of_further_laws(tmp_path):
     """Those of order 0 beside those of order 1."""
-    row = Row(of(FOURIER_LAYER, order=1), h=(1 / 8, 1 / 8), other_layers={"_order0": of(FOURIER_LAYER)})
+    row = Sweep(layer_fn(FOURIER_LAYER, order=1), h=(1 / 8, 1 / 8), other_layers={"_order0": layer_fn(FOURIER_LAYER)})
     with Record("rates", tmp_path, {}) as record:
-        table = row.sweep(record, "elastic", [1 / 16], quick=True, pictured=False)
+        table = row.compare_all(record, "elastic", [1 / 16], quick=True, pictured=False)
     for name in ("error_traction", "error_jump"):
         assert table[f"{name}_order0"][0] > 3 * table[name][0]
 
 
 def test_sweeps_and_failures():
-    assert relaxation.count(8, 15e4, 5e4, 1.8, 1.0) == (90, True)  # independent code: 90, and 621
-    assert relaxation.count(8, 15.0, 5.0, 1.9, 1.0) == (621, True)  # forces balance some sweeps later
-    sweeps, converged = relaxation.count(8, 15e8, 5e8, 1.95, 1.95)
+    assert relaxation.count_sweeps(8, 15e4, 5e4, 1.8, 1.0) == (90, True)  # independent code: 90, and 621
+    assert relaxation.count_sweeps(8, 15.0, 5.0, 1.9, 1.0) == (621, True)  # forces balance some sweeps later
+    sweeps, converged = relaxation.count_sweeps(8, 15e8, 5e8, 1.95, 1.95)
     assert not converged
     assert sweeps < relaxation.MAX_SWEEPS
 
@@ -87,10 +87,10 @@ def test_distance_from_a_polygon():
     """Over the size of each component: 4 and 2 here."""
     polygon = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 2.0]])
     points = np.array([[2.0, 0.0], [2.0, 0.5], [4.4, 1.0], [-0.4, 0.0], [4.0, 2.4]])
-    assert distance(points, polygon) == pytest.approx([0, 0.25, 0.1, 0.1, 0.2], abs=1e-14)
+    assert polygon_distances(points, polygon) == pytest.approx([0, 0.25, 0.1, 0.1, 0.2], abs=1e-14)
 
 
 def test_straight_lines_meet():
     x = np.array([0.0, 1.0, 2.0, 3.0, 4.0])
     y = np.array([1.0, 3.0, 7.0, 6.0, 5.0])  # 1 + 2 x, then 9 - x
-    assert meet(regression(x, y, x < 2), regression(x, y, x > 1)) == pytest.approx(8 / 3, rel=1e-12)
+    assert meet_x(fit_line(x, y, x < 2), fit_line(x, y, x > 1)) == pytest.approx(8 / 3, rel=1e-12)

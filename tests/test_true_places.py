@@ -185,7 +185,7 @@ def test_places_of_bodies():
     whole, layer = quarter(), ThinLayer(GLUE, 1 / 16, order=1, at=1.0)
     full, limit = (solve(make(layer, bodies="extended")) for make in (whole.full, whole.interface))
     for name in ("INNER", "OUTER"):
-        cells = [state.model.dx(state.model.domain.cell_values(name)) for state in (full, limit)]
+        cells = [state.model.dx(state.model.domain.region_tags(name)) for state in (full, limit)]
         volumes = [state.integral(1 * dx) for state, dx in zip((full, limit), cells, strict=True)]
         assert volumes[0] == pytest.approx(volumes[1], rel=1e-13)
     assert limit.applied().force == pytest.approx(full.applied().force, rel=1e-12)

@@ -104,6 +104,6 @@ def test_an_error_of_a_law_within_newtons_method_is_told(monkeypatch):
 
     monkeypatch.setattr(CompiledPart, "tangents", failing)
     with Solver(model) as solver:
-        refused(InputError, "told by a law", lambda: solver.step(solver.rest(0.0), 0.0))
-        assert solver.step(solver.rest(0.0), 0.0).report.residual < 1e-8
+        refused(InputError, "told by a law", lambda: solver.step(solver.rest_state(0.0), 0.0))
+        assert solver.step(solver.rest_state(0.0), 0.0).report.residual < 1e-8
         assert isinstance(solver._solver, NewtonSolver)

@@ -31,7 +31,7 @@ def row(tmp_path):
 
     def of(set_up, nu, eps, mu=None):
         with Record("which_law", tmp_path, {}) as record:
-            return which_law._row(record, set_up, mu or MU * eps, nu, eps)
+            return which_law._error_row(record, set_up, mu or MU * eps, nu, eps)
 
     return of
 
@@ -66,7 +66,7 @@ def test_the_table_of_the_page(row):
         for ends, E_over_mu, label, line in cells:
             if (ends, E_over_mu) != (name, contrast):
                 continue
-            (law,) = (law for law, words in which_law.LAWS.items() if words == label.replace("`", ""))
+            (law,) = (law for law, words in which_law.LAW_NAMES.items() if words == label.replace("`", ""))
             cell = line.split("|")[ratios.index(nu)].strip()
             printed = [None, None] if cell == "-" else [float(number) / 100 for number in cell.split(";")]
             assert errors(table_row, law)[:2] == pytest.approx(printed, rel=0.07), (name, law)

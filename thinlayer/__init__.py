@@ -8,9 +8,9 @@ Scientific Python, `__init__.pyi` has the module of each name.
 import sys
 from os.path import dirname, join, realpath
 
-_PACKAGE_FOLDER = dirname(dirname(realpath(__file__)))  # the folder of our packages
-_is_command = sys.argv[:1] == ["-m"] and "thinlayer" in sys.orig_argv and not sys.flags.safe_path
-if _is_command and realpath(sys.path[0]) != _PACKAGE_FOLDER:
+_PACKAGE_PARENT = dirname(dirname(realpath(__file__)))  # the folder in which our packages lie
+_is_run_with_m = sys.argv[:1] == ["-m"] and "thinlayer" in sys.orig_argv and not sys.flags.safe_path
+if _is_run_with_m and realpath(sys.path[0]) != _PACKAGE_PARENT:
     del sys.path[0]  # `python3 -m thinlayer` imports nothing from the working folder, in which Python would look first
 
 import ast
@@ -24,21 +24,21 @@ from thinlayer.system.version import VERSION as __version__
 _STUB_TEXT = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
 _STUB_IMPORTS = [line for line in ast.parse(_STUB_TEXT).body if isinstance(line, ast.ImportFrom)]
 _MODULE_OF_NAME = {alias.name: str(line.module) for line in _STUB_IMPORTS for alias in line.names}
-_SUBMODULES = {"plotting": "output.plotting", "fields": "output.paraview.writer", "goals": "estimating.goals"}
+_SUBMODULE_PATHS = {"plotting": "output.plotting", "fields": "output.paraview.writer", "goals": "estimating.goals"}
 __all__ = sorted(_MODULE_OF_NAME)
 
 logging.getLogger("thinlayer").addHandler(logging.NullHandler())  # quiet by default
 
 
-def _refuse_others() -> None:
+def _refuse_shadowing_packages() -> None:
     """Raise ImportError if Python would import a user's module `forms` or `geometry` instead of thinlayer's own."""
     for name in ("forms", "geometry"):
-        spec, folder = find_spec(name), join(_PACKAGE_FOLDER, name)
+        spec, folder = find_spec(name), join(_PACKAGE_PARENT, name)
         if spec and spec.origin and dirname(realpath(spec.origin)) != folder:
             raise ImportError(f"{spec.origin} hides thinlayer's own package {name!r}, {folder}; rename the former")
 
 
-_refuse_others()
+_refuse_shadowing_packages()
 
 
 def __dir__() -> list[str]:
@@ -46,10 +46,10 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> object:
-    if name in _SUBMODULES:
+    if name in _SUBMODULE_PATHS:
         from forms.base import import_optional
 
-        return import_optional(f"thinlayer.{_SUBMODULES[name]}")
+        return import_optional(f"thinlayer.{_SUBMODULE_PATHS[name]}")
     if name not in _MODULE_OF_NAME:
         raise AttributeError(f"module 'thinlayer' has no attribute {name!r}")
     return getattr(import_module(_MODULE_OF_NAME[name]), name)

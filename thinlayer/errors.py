@@ -12,9 +12,9 @@ from mpi4py import MPI
 from forms.base import InputError as InputError
 from forms.base import ThinlayerError as ThinlayerError
 from forms.traits import RangeWarning as RangeWarning
-from forms.traits import show_warnings, warn_of_range, warn_outside
+from forms.traits import restore_warnings, warn_caller, warn_of_range
 
-MIN_NAMED_SHARE = 0.005  # least share of the squared jumps at which a message names a seam
+MIN_NAMED_FRACTION = 0.005  # least share of the squared jumps at which a message names a seam
 
 
 def warn(key: str, message: str, comm: MPI.Intracomm) -> None:
@@ -27,49 +27,49 @@ def warn(key: str, message: str, comm: MPI.Intracomm) -> None:
         message: text of the warning.
         comm: communicator of the model.
     """
-    show_warnings()  # before the filters are read
-    shown = warnings.showwarning
+    restore_warnings()  # before the filters are read
+    original_showwarning = warnings.showwarning
     try:
         if comm.rank:
             warnings.showwarning = lambda *_, **__: None
         warn_of_range(key, message)
     finally:
-        warnings.showwarning = shown
+        warnings.showwarning = original_showwarning
 
 
-def deprecated(what: str, since: str, instead: str) -> None:
+def warn_of_deprecated(name: str, since: str, instead: str) -> None:
     """Issue a DeprecationWarning at the user's line: the next major version removes a public name or argument.
 
     Python shows the warning once for each line of a script. For lines of imported modules it does so only with
     `python3 -W default`.
 
     Args:
-        what: the name or argument, as the user writes it.
+        name: the name or argument, as the user writes it.
         since: version that deprecated it.
         instead: what the user should write.
     """
-    warn_outside(DeprecationWarning(f"{what} is deprecated since thinlayer {since}; use {instead}"))
+    warn_caller(DeprecationWarning(f"{name} is deprecated since thinlayer {since}; use {instead}"))
 
 
-def former_names(module: str, now: Mapping[str, Callable[..., object]]) -> Callable[[str], Any]:
+def getattr_with_former_names(module: str, renamed: Mapping[str, Callable[..., object]]) -> Callable[[str], Any]:
     """Make a module's `__getattr__` function, which accepts names of version 1.0 with a DeprecationWarning.
 
     Args:
         module: name of the module, for messages.
-        now: deprecated name -> the function or class that now has another name; the warning tells the user its new
+        renamed: deprecated name -> the function or class that now has another name; the warning tells the user its new
             name.
 
     Returns:
         A function that returns the function or class for a deprecated name, and raises AttributeError for other names.
     """
 
-    def find(name: str) -> Any:
-        if name not in now:
+    def find_present_object(name: str) -> Any:
+        if name not in renamed:
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
-        deprecated(f"{module}.{name}", "1.1", f"{now[name].__module__}.{now[name].__name__}")
-        return now[name]
+        warn_of_deprecated(f"{module}.{name}", "1.1", f"{renamed[name].__module__}.{renamed[name].__name__}")
+        return renamed[name]
 
-    return find
+    return find_present_object
 
 
 class FormerNames:
@@ -86,7 +86,7 @@ class FormerNames:
     def __getattr__(self, name: str) -> Any:
         if name not in self.former_names:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-        deprecated(f"{type(self).__name__}.{name}", "1.1", self.former_names[name])
+        warn_of_deprecated(f"{type(self).__name__}.{name}", "1.1", self.former_names[name])
         return getattr(self, self.former_names[name])
 
 
@@ -107,13 +107,13 @@ class Violation:
     def __str__(self) -> str:
         return f"{self.reason}; {self.remedy}"
 
-    def error(self, what: str = "") -> InputError:
+    def error(self, prefix: str = "") -> InputError:
         """Return an InputError about this condition, for the caller to raise; its `key` is that of the condition.
 
         Args:
-            what: text before the reason and the remedy in the message.
+            prefix: text before the reason and the remedy in the message.
         """
-        error = InputError(f"{what}{self}")
+        error = InputError(f"{prefix}{self}")
         error.key = self.key
         return error
 
@@ -215,12 +215,12 @@ class LimitLoad(SolveError):
     ) -> None:
         self.t, self.failed_at, self.resultant = t, failed_at, tuple(resultant)
         self.growth, self.shares = cause.growth, dict(cause.shares)
-        loads = ", ".join(f"{force:.6g}" for force in resultant)
-        most = ", ".join(f"{name!r} {share:.0%}" for name, share in self.shares.items() if share >= MIN_NAMED_SHARE)
-        seams = f", with jumps at the seams {most}" if most else ""  # which open or slide most
+        loads_text = ", ".join(f"{component:.6g}" for component in resultant)
+        named = ", ".join(f"{name!r} {share:.0%}" for name, share in self.shares.items() if share >= MIN_NAMED_FRACTION)
+        seams_text = f", with jumps at the seams {named}" if named else ""  # which open or slide most
         super().__init__(
             f"limit load: the last equilibrium was found at t = {t:.10g}, where the loads on the bodies add up to "
-            f"({loads}); at t = {failed_at:.10g} none was found (last attempt: {reason}): displacements run away, "
-            f"{self.growth:.3g} times as far as with an elastic layer{seams}. The states before it are kept",
+            f"({loads_text}); at t = {failed_at:.10g} none was found (last attempt: {reason}): displacements run away, "
+            f"{self.growth:.3g} times as far as with an elastic layer{seams_text}. The states before it are kept",
             history,
         )

@@ -21,7 +21,7 @@ from thinlayer.solving.contact.methods import SOLVER_OF_METHOD, default_method
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import DIRECT_OPTIONS, MULTIGRID_OPTIONS, ORDERING_OPTIONS
 from thinlayer.solving.newton import StepSolution
-from thinlayer.solving.petsc import faster_products, require_all_read
+from thinlayer.solving.petsc import faster_products, require_options_read
 from thinlayer.solving.solve import Solver
 from thinlayer.system.table import Row
 
@@ -63,7 +63,7 @@ def friction(work: str, n: int, repeats: int) -> list[Row]:
     bench = Bench(of(n))
     rows = bench.compare(work, repeats, limits[n])
     bench.close()
-    require_all_read("contact", ())
+    require_options_read("contact", ())
     return rows
 
 
@@ -92,7 +92,7 @@ class Bench:
 
     def load(self, sideways: float) -> None:
         """Set the loads, with their x components times a factor."""
-        self.equations.begin(TimeStep(self.solver.rest(0.0), 0.0, 0.0, 1.0))
+        self.equations.begin(TimeStep(self.solver.rest_state(0.0), 0.0, 0.0, 1.0))
         self.equations.external.array[:: self.dim] *= sideways
         self.equations.loads.array[:: self.dim] *= sideways
 

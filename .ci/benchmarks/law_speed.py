@@ -54,7 +54,7 @@ def measure(name: str, points: int, repeats: int) -> dict[str, float | str]:
     material = CompiledLaw(MPI.COMM_SELF, law)
     e = SIZE * random.normal(size=(points, m))
     n = np.tile([0.0, 1.0, 0.0], (points, 1))
-    rest, q = np.zeros_like(e), np.zeros((points, material.memory))
+    rest, q = np.zeros_like(e), np.zeros((points, material.memory_size))
     update = partial(material.update, slots, e, rest, q, n, 1.0, 1.0)
     _, _, _, energies, failed = update()  # warms up
     spent = min(timed(update)[0] for _ in range(repeats))

@@ -25,11 +25,11 @@ from geometry.joint import Joint
 from studies.by_hand import CHOLESKY, K_N, K_T, LOAD, MULTIGRID, NU, E, by_hand
 from studies.friction_cost import NETWORK, WORKS, friction
 from studies.other_programs import MODULES, ngsolve, scikit_fem
-from studies.problems import SNAPPING, WALLS
+from studies.problems import SNAP_LAW, SUPPORTS
 from studies.sweeping import Curves
 from studies.timing import Stages, compared, in_turn, timed
 from thinlayer import ArcLength, Bond, SolveError, Structure, ThinLayer, estimate, goals, march, solve
-from thinlayer.discretisation.coefficient import Load
+from thinlayer.discretisation.coefficient import LoadInput
 from thinlayer.discretisation.layer import SurfaceLaw
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
@@ -82,7 +82,7 @@ def run(record: Record, *, quick: bool = False) -> None:
         record: where to write.
         quick: the smallest meshes, one repeat.
     """
-    table = record.table("table.csv")
+    table = record.new_table("table.csv")
     for part, rows in parts(quick=quick).items():
         for row in rows():
             table.append({name: ({"part": part} | row).get(name) for name in COLUMNS})
@@ -138,11 +138,11 @@ def draw(record: Record) -> None:
 
 
 # ---------------------------------------------------------------- works, most of them in a process of their own
-def blocks(n: int, dim: int, element: str = "P1", load: Load | None = None) -> Structure:
+def blocks(n: int, dim: int, element: str = "P1", load: LoadInput | None = None) -> Structure:
     """Two blocks under a traction, with n cells along each side."""
     joint = sandwich(1.0, 0.5, 0.5, 1 / n, depth=1.0 if dim == 3 else None, structured=True)
     body, tractions = LinearElastic.young(E=E, nu=NU), {"TOP": load or LOAD[:dim]}
-    return Structure(joint, body=body, supports=WALLS, tractions=tractions, element=element)
+    return Structure(joint, body=body, supports=SUPPORTS, tractions=tractions, element=element)
 
 
 def layer(stiffness: float = 1.0, eps: float = 0.01) -> ThinLayer:
@@ -245,7 +245,7 @@ def ranks(n: int, repeats: int) -> Iterable[Row]:
 
 def marches(n: int, repeats: int) -> Iterable[Row]:
     """Rows of steps of marches, and of an estimate, against a linear solve of the same mesh."""
-    flowing, switching = VonMises(K_N - 2 * K_T, K_T, strength=0.3), NonMonotone(*SNAPPING, mixing=0.4)
+    flowing, switching = VonMises(K_N - 2 * K_T, K_T, strength=0.3), NonMonotone(*SNAP_LAW, mixing=0.4)
     works: dict[str, tuple[str, ThinLayer | SurfaceLaw, float, Sequence[float] | ArcLength | None]] = {
         "step of a march that yields": ("P2", ThinLayer(flowing, 0.01, at=1.0), 1.0, TENTHS),
         "step of a march in contact": ("P1", IncrementalCoulomb(K_N, K_T, friction=0.25), -1.0, TENTHS),

@@ -14,7 +14,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from geometry.parallel import ResultType
-from thinlayer.solving.petsc import PREFIX, OptionValue, default_options
+from thinlayer.solving.petsc import PREFIX, OptionValue, set_defaults
 from thinlayer.system.ranks import destroy
 from thinlayer.system.table import Row
 
@@ -99,7 +99,7 @@ def solve_once(A: PETSc.Mat, b: PETSc.Vec, options: Mapping[str, OptionValue]) -
         ksp.setFromOptions()
         ksp.solve(b, x)
 
-    with default_options(options):
+    with set_defaults(options):
         spent, _ = timed(work)
     failed = ksp.getConvergedReason() < 0
     destroy(ksp, x)

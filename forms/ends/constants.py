@@ -47,7 +47,7 @@ class FreeEnd(NamedTuple):
     kappa: float
 
     @property
-    def drawn_in(self) -> float:
+    def inward_displacement(self) -> float:
         """Mean displacement of the end into the layer as the layer opens, divided by the opening w_N.
 
         An infinite layer has the stress lmbda w_N/eps along S, which a free end cannot bear. The end therefore lowers
@@ -78,18 +78,18 @@ def free_end(nu: float) -> FreeEnd:
         InputError: nu is not in [0, 0.5].
     """
     lmbda, s = lame_over_mu(nu), math.sqrt(1 - 2 * nu)
-    fitted: Array = np.asarray(chebyshev.chebval(2 * s - 1, _coefficients()), float)
-    growth, moment, mean, c_T, m_T = map(float, fitted)
+    interpolated: Array = np.asarray(chebyshev.chebval(2 * s - 1, _chebyshev_coefficients()), float)
+    c_N_term, m_N_term, rho_N_term, c_T, m_T = map(float, interpolated)
     if s == 0:
-        return FreeEnd(nu, math.inf, math.inf, math.inf, c_T, m_T, 1 / (1 - math.sqrt(3) * growth))
-    root = math.sqrt(1 / 12 + s * growth)
-    delta, excess = math.sqrt(lmbda / 12), (1 - s**2) * ((1 - s**2) * growth - s / 12) / s
-    c_N, m_N = root * s * lmbda**2 / (lmbda + 2), moment / s**2 * lmbda / (lmbda + 2)
-    kappa = flow_factor(delta, excess / (root * s * lmbda + delta)) if lmbda else 0.0
-    return FreeEnd(nu, c_N, m_N, rho_N=mean / s, c_T=c_T, m_T=m_T, kappa=kappa)
+        return FreeEnd(nu, math.inf, math.inf, math.inf, c_T, m_T, 1 / (1 - math.sqrt(3) * c_N_term))
+    scaled_c_N = math.sqrt(1 / 12 + s * c_N_term)
+    delta, excess = math.sqrt(lmbda / 12), (1 - s**2) * ((1 - s**2) * c_N_term - s / 12) / s
+    c_N, m_N = scaled_c_N * s * lmbda**2 / (lmbda + 2), m_N_term / s**2 * lmbda / (lmbda + 2)
+    kappa = flow_factor(delta, excess / (scaled_c_N * s * lmbda + delta)) if lmbda else 0.0
+    return FreeEnd(nu, c_N, m_N, rho_N=rho_N_term / s, c_T=c_T, m_T=m_T, kappa=kappa)
 
 
-def chebyshev_ratios(n: int) -> Array:
+def chebyshev_poisson_ratios(n: int) -> Array:
     """Return the Poisson's ratios (n,) of the `n` rows of a table, from the largest to the smallest.
 
     In terms of s = sqrt(1 - 2 nu) they are Chebyshev points.
@@ -99,31 +99,31 @@ def chebyshev_ratios(n: int) -> Array:
 
 
 @cache
-def shipped_table() -> dict[str, Array]:
+def free_end_table() -> dict[str, Array]:
     """Return the table of constants in the file `TABLE_FILE`: column name -> values, one for each Poisson's ratio.
 
-    The rows have the order of `chebyshev_ratios`.
+    The rows have the order of `chebyshev_poisson_ratios`.
     """
     return dict(zip(TABLE_COLUMNS, np.loadtxt(TABLE_FILE, delimiter=",", skiprows=1).T, strict=True))
 
 
 @cache
-def _coefficients() -> Array:
+def _chebyshev_coefficients() -> Array:
     """Return Chebyshev coefficients (n, 5), from the table's n rows, for the functions that `free_end` interpolates.
 
     The columns belong to the five functions in `free_end`; in place of the first, y, the column has (y^2 - 1/12)/s. The
     variable of the polynomials is 2 s - 1 with s = sqrt(1 - 2 nu).
     """
-    table = shipped_table()
+    table = free_end_table()
     nu = table["nu"]
     lmbda, s = 2 * nu / (1 - 2 * nu), np.sqrt(1 - 2 * nu)
     M = lmbda + 2
-    growth = ((table["c_N"] * M / (lmbda**2 * s)) ** 2 - 1 / 12) / s
-    values = [growth, table["m_N"] * M * s**2 / lmbda, table["rho_N"] * s, table["c_T"], table["m_T"]]
-    return np.asarray(chebyshev.chebfit(2 * s - 1, np.stack(values, axis=1), len(nu) - 1))
+    c_N_term = ((table["c_N"] * M / (lmbda**2 * s)) ** 2 - 1 / 12) / s
+    function_values = [c_N_term, table["m_N"] * M * s**2 / lmbda, table["rho_N"] * s, table["c_T"], table["m_T"]]
+    return np.asarray(chebyshev.chebfit(2 * s - 1, np.stack(function_values, axis=1), len(nu) - 1))
 
 
-def flow_factor(delta: float, excess: float) -> float:
+def flow_factor(delta: float, excess_loss: float) -> float:
     """Return the factor f on the pressure-driven flow near a free end that gives a prescribed loss of pressure.
 
     x is the distance from the end, and all lengths are divided by the thickness. p(x) is the pressure divided by that
@@ -132,12 +132,12 @@ def flow_factor(delta: float, excess: float) -> float:
 
     Args:
         delta: length over which the pressure evens out; the loss for f = 1.
-        excess: prescribed loss minus delta.
+        excess_loss: prescribed loss minus delta.
     """
 
     def residual(r: float) -> float:
         t = math.tanh(1 / (r * delta))
-        return delta * t * (r**2 - 1) / (t + r) - excess
+        return delta * t * (r**2 - 1) / (t + r) - excess_loss
 
     from scipy.optimize import brentq  # takes a while to import
 

@@ -55,7 +55,7 @@ class CornerField:
 
         return float(brentq(residual, 0.0, 1.0, xtol=1e-15, rtol=1e-14)) if residual(1.0) > 0 else 1.0
 
-    def _values(self, power: float, coefficients: Array, r: Array, angle: Array) -> tuple[Array, Array]:
+    def _power_field(self, power: float, coefficients: Array, r: Array, angle: Array) -> tuple[Array, Array]:
         """Return the displacements and stresses of a field whose displacements are proportional to r^power.
 
         The shear modulus is 1.
@@ -77,28 +77,28 @@ class CornerField:
         stress = np.stack([(trace - deviator.real) / 2, (trace + deviator.real) / 2, deviator.imag / 2], axis=-1)
         return np.stack([u.real, u.imag], axis=-1), stress
 
-    def _mode(self, power: float) -> Array:
+    def _mode_coefficients(self, power: float) -> Array:
         """Return coefficients (4,) with which displacements on the face and tractions on the free side are zero.
 
-        The coefficients are those of `_values`, up to a common factor. `power` is the exponent of the displacements.
+        The coefficients are those of `_power_field`, up to a common factor. `power` is the displacements' exponent.
         """
-        conditions = np.empty((4, 4))
-        for k, unit in enumerate(np.eye(4)):
-            face_u, _ = self._values(power, unit, np.array(1.0), np.array(0.0))
-            _, side_stress = self._values(power, unit, np.array(1.0), np.array(np.pi / 2))
-            conditions[:, k] = [*face_u, side_stress[0], side_stress[2]]
-        return np.asarray(np.linalg.svd(conditions)[2][-1])
+        boundary_matrix = np.empty((4, 4))
+        for k, unit_vector in enumerate(np.eye(4)):
+            face_u, _ = self._power_field(power, unit_vector, np.array(1.0), np.array(0.0))
+            _, side_stress = self._power_field(power, unit_vector, np.array(1.0), np.array(np.pi / 2))
+            boundary_matrix[:, k] = [*face_u, side_stress[0], side_stress[2]]
+        return np.asarray(np.linalg.svd(boundary_matrix)[2][-1])
 
     @cached_property
     def _coefficients(self) -> Array:
-        mode = self._mode(self.exponent)
-        return mode / self._values(self.exponent, mode, np.array(1.0), np.array(0.0))[1][1]
+        coefficients = self._mode_coefficients(self.exponent)
+        return coefficients / self._power_field(self.exponent, coefficients, np.array(1.0), np.array(0.0))[1][1]
 
     @cached_property
     def _dual_coefficients(self) -> Array:
-        return self._mode(-self.exponent)
+        return self._mode_coefficients(-self.exponent)
 
-    def field(self, r: Array, angle: Array) -> tuple[Array, Array]:
+    def unit_field(self, r: Array, angle: Array) -> tuple[Array, Array]:
         """Return displacements and stresses of the singular field whose normal traction on the face is r^(lambda - 1).
 
         Its intensity H is 1, and the shear modulus is 1. Axis 1 points along the face, axis 2 into the layer.
@@ -110,30 +110,30 @@ class CornerField:
         Returns:
             Displacements, with 2 components on a last axis, and stresses s_11, s_22, s_12, with 3 components on it.
         """
-        return self._values(self.exponent, self._coefficients, np.asarray(r), np.asarray(angle))
+        return self._power_field(self.exponent, self._coefficients, np.asarray(r), np.asarray(angle))
 
     @property
-    def shear(self) -> float:
+    def t_ratio(self) -> float:
         """Ratio of the tangential to the normal traction on the face.
 
         A positive tangential traction points away from the corner.
         """
-        return float(self.field(np.array(1.0), np.array(0.0))[1][2])
+        return float(self.unit_field(np.array(1.0), np.array(0.0))[1][2])
 
     @cached_property
-    def _arc(self) -> tuple[Array, Array]:
+    def _arc_rule(self) -> tuple[Array, Array]:
         points, weights = legendre.leggauss(ARC_GAUSS_POINTS)
         return (points + 1) * np.pi / 4, weights * np.pi / 4
 
-    def arc(self, r: float) -> Array:
-        """Return points (n, 2) on an arc of radius `r` around the corner; `strength` needs the fields there.
+    def arc_points(self, r: float) -> Array:
+        """Return points (n, 2) on an arc of radius `r` around the corner; `intensity` needs the fields there.
 
         The first coordinate is the distance from the corner along the face, the second the distance from the face.
         """
-        angles = self._arc[0]
+        angles = self._arc_rule[0]
         return r * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
-    def strength(self, r: float, u: Array, stress: Array) -> float:
+    def intensity(self, r: float, u: Array, stress: Array) -> float:
         """Return the intensity H of the singular field in a solution, from values on an arc around the corner.
 
         H follows from Betti's reciprocity with the dual field, whose displacements are proportional to r^(-lambda). It
@@ -141,15 +141,15 @@ class CornerField:
 
         Args:
             r: radius of the arc.
-            u: displacements (n, 2) at the points of `arc`, minus those of the face, times mu.
-            stress: stresses s_11, s_22, s_12, (n, 3), at the points of `arc`.
+            u: displacements (n, 2) at the points of `arc_points`, minus those of the face, times mu.
+            stress: stresses s_11, s_22, s_12, (n, 3), at the points of `arc_points`.
 
         Returns:
             H, in units of stress times length^(1 - lambda).
         """
-        return self._reciprocal(r, u, stress) / self._reciprocal(1.0, *self.field(np.array(1.0), self._arc[0]))
+        return self._betti_sum(r, u, stress) / self._betti_sum(1.0, *self.unit_field(np.array(1.0), self._arc_rule[0]))
 
-    def _reciprocal(self, r: float, u: Array, stress: Array) -> float:
+    def _betti_sum(self, r: float, u: Array, stress: Array) -> float:
         """Return the integral over an arc of traction times dual displacement minus dual traction times displacement.
 
         "Dual" are the values of the field with displacements proportional to r^(-lambda). The tractions are those on
@@ -157,15 +157,15 @@ class CornerField:
 
         Args:
             r: radius of the arc.
-            u: displacements (n, 2) at the points of `arc`, times mu.
-            stress: stresses s_11, s_22, s_12, (n, 3), at the points of `arc`.
+            u: displacements (n, 2) at the points of `arc_points`, times mu.
+            stress: stresses s_11, s_22, s_12, (n, 3), at the points of `arc_points`.
         """
-        angles, weights = self._arc
-        dual_u, dual_stress = self._values(-self.exponent, self._dual_coefficients, np.array(r), angles)
-        return float(weights @ (_work(stress, angles, dual_u) - _work(dual_stress, angles, u))) * r
+        angles, weights = self._arc_rule
+        dual_u, dual_stress = self._power_field(-self.exponent, self._dual_coefficients, np.array(r), angles)
+        return float(weights @ (_work_density(stress, angles, dual_u) - _work_density(dual_stress, angles, u))) * r
 
 
-def _work(stress: Array, angles: Array, u: Array) -> Array:
+def _work_density(stress: Array, angles: Array, u: Array) -> Array:
     """Return the work (n,) per length of an arc around the corner that the tractions on it do in given displacements.
 
     Args:

@@ -51,8 +51,8 @@ from forms.tensors import Expr, three_dimensional
 if TYPE_CHECKING:
     from forms.rubber import PressureLaw
 
-OPENING_STRIP_LENGTH = 3.0  # largest length, over the thickness, of the strip that is weaker against openings
-MIN_SPREAD = 10.0  # spreading length, over the thickness, from which a pressure grows linearly near an end
+MAX_OPENING_LENGTH = 3.0  # largest length, over the thickness, of the strip that is weaker against openings
+MIN_SPREAD_LENGTH = 10.0  # spreading length, over the thickness, from which a pressure grows linearly near an end
 
 
 class EndStrip(NamedTuple):
@@ -79,15 +79,15 @@ class EndStrips(NamedTuple):
         shear: strip in which the layer is less stiff against shear.
         resistance: strip in which the pressure-driven flow along S meets more resistance, or less if its `c` is
             negative.
-        r_N, r_T: lengths from the end over which stresses along S (r_N) and across S (r_T) are transferred to the
-            faces. 0: at the end itself.
+        reach_N, reach_T: lengths from the end over which stresses along S (reach_N) and across S (reach_T) are
+            transferred to the faces. 0: at the end itself.
     """
 
     opening: EndStrip
     shear: EndStrip
     resistance: EndStrip
-    r_N: float
-    r_T: float
+    reach_N: float
+    reach_T: float
 
     @property
     def longest(self) -> float:
@@ -95,14 +95,14 @@ class EndStrips(NamedTuple):
         return max(strip.length for strip in (self.opening, self.shear, self.resistance) if strip.c)
 
     @classmethod
-    def of(cls, end: FreeEnd) -> EndStrips:
+    def of_end(cls, end: FreeEnd) -> EndStrips:
         """Return the strips that reproduce the missing forces near a free end, and their first moments.
 
-        The strip for openings is at most `OPENING_STRIP_LENGTH` long; the first moment is too small if this bound is
+        The strip for openings is at most `MAX_OPENING_LENGTH` long; the first moment is too small if this bound is
         active.
         """
-        l_N = min(2 * end.m_N / end.c_N, OPENING_STRIP_LENGTH) if end.c_N else OPENING_STRIP_LENGTH
-        return cls(EndStrip(end.c_N, l_N), _of_shear(end), EndStrip(), 2 * end.rho_N, 2 * end.c_T)
+        l_N = min(2 * end.m_N / end.c_N, MAX_OPENING_LENGTH) if end.c_N else MAX_OPENING_LENGTH
+        return cls(EndStrip(end.c_N, l_N), _shear_strip(end), EndStrip(), 2 * end.rho_N, 2 * end.c_T)
 
     @classmethod
     def with_pressure(cls, end: FreeEnd) -> EndStrips:
@@ -110,19 +110,19 @@ class EndStrips(NamedTuple):
 
         This pressure makes the law less stiff against openings near the end, so that no strip for openings is needed.
         """
-        return cls(EndStrip(), _of_shear(end), EndStrip(1 / end.kappa - 1), 0.0, 2 * end.c_T)
+        return cls(EndStrip(), _shear_strip(end), EndStrip(1 / end.kappa - 1), 0.0, 2 * end.c_T)
 
-    def of_spread(self, length: float) -> EndStrips:
+    def for_spreading_length(self, length: float) -> EndStrips:
         """Return the strips for a layer in which a pressure evens out over at most `length` thicknesses along S.
 
         For nu > 0.49 the flow at an end has less resistance than in an infinite layer (kappa > 1). This only holds if
         the pressure grows linearly over many thicknesses, which a narrow S or soft bodies can prevent. If `length` is
-        below `MIN_SPREAD`, the strip `resistance` of such a layer is therefore left out.
+        below `MIN_SPREAD_LENGTH`, the strip `resistance` of such a layer is therefore left out.
         """
-        return self if self.resistance.c >= 0 or length >= MIN_SPREAD else self._replace(resistance=EndStrip())
+        return self if self.resistance.c >= 0 or length >= MIN_SPREAD_LENGTH else self._replace(resistance=EndStrip())
 
 
-def _of_shear(end: FreeEnd) -> EndStrip:
+def _shear_strip(end: FreeEnd) -> EndStrip:
     return EndStrip(end.c_T, 2 * end.m_T / end.c_T)
 
 
@@ -136,7 +136,7 @@ class EndWeights(NamedTuple):
         a_N, a_T: relative loss of stiffness against openings (a_N) and against shear (a_T); >= 0 and < 1.
         f_N, f_T: fraction, from 0 to 1, of the stress along S (f_N) and across S (f_T) that is not yet transferred to
             the faces.
-        flow: factor on the pressure-driven flow along S; > 0.
+        flow_factor: factor on the pressure-driven flow along S; > 0.
     """
 
     m: Expr
@@ -144,9 +144,9 @@ class EndWeights(NamedTuple):
     a_T: Expr
     f_N: Expr
     f_T: Expr
-    flow: Expr
+    flow_factor: Expr
 
-    def sheared(self, faces: Faces) -> tuple[Expr, Expr]:
+    def shear_strains(self, faces: Faces) -> tuple[Expr, Expr]:
         """Return two strains (3, 3), UFL, by which a free end changes the layer's energy in shear.
 
         The first has to be added to the mean strain of an infinite layer. The second is the strain g'' in the docstring
@@ -156,41 +156,42 @@ class EndWeights(NamedTuple):
             faces: displacements of the faces of the layer.
         """
         m, n = three_dimensional(self.m), three_dimensional(faces.n)
-        g, h = 2 * ufl.dot(n, faces.across() * m), 2 * ufl.dot(n, faces.mean * m)
-        root, shear = ufl.sqrt(1 - self.a_T), ufl.sym(ufl.outer(m, n))
-        return ((root - 1) * g + (self.f_T / root - 1) * h) * shear, ufl.sqrt(1 - self.f_T**2) / root * h * shear
+        g, h = 2 * ufl.dot(n, faces.strain_across() * m), 2 * ufl.dot(n, faces.mean_strain_s * m)
+        root, sym_mn = ufl.sqrt(1 - self.a_T), ufl.sym(ufl.outer(m, n))
+        return ((root - 1) * g + (self.f_T / root - 1) * h) * sym_mn, ufl.sqrt(1 - self.f_T**2) / root * h * sym_mn
 
-    def strains(self, faces: Faces, share: Expr) -> tuple[Expr, Expr]:
+    def strains(self, faces: Faces, lmbda_ratio: Expr) -> tuple[Expr, Expr]:
         """Return two strains (3, 3), UFL, whose energies sum to that of the layer's mean strain near a free end.
 
         The energies are those of the isotropic law. Their sum is W in the docstring of this module.
 
         Args:
             faces: displacements of the faces of the layer.
-            share: the ratio lmbda/(lmbda + 2 mu) of the law.
+            lmbda_ratio: the ratio lmbda/(lmbda + 2 mu) of the law.
         """
-        n, across, mean, (e_1, e_2) = three_dimensional(faces.n), faces.across(), faces.mean, self.sheared(faces)
-        e_N, e_S, root = ufl.dot(n, across * n), faces.in_s(mean), ufl.sqrt(1 - self.a_N)
-        trace = share * ufl.tr(e_S) / root
+        n, across, mean = three_dimensional(faces.n), faces.strain_across(), faces.mean_strain_s
+        e_1, e_2 = self.shear_strains(faces)
+        e_N, e_S, root = ufl.dot(n, across * n), faces.in_plane(mean), ufl.sqrt(1 - self.a_N)
+        trace = lmbda_ratio * ufl.tr(e_S) / root
         e_1 += across + mean + (1 / root - 1) * e_S
-        e_1 += ((root - 1) * e_N - (1 - self.f_N) * trace) * faces.normal
-        return e_1, e_2 + ufl.sqrt(1 - self.f_N**2) * trace * faces.normal
+        e_1 += ((root - 1) * e_N - (1 - self.f_N) * trace) * faces.n_dyad
+        return e_1, e_2 + ufl.sqrt(1 - self.f_N**2) * trace * faces.n_dyad
 
 
 def pressure_stations_at_ends(law: PressureLaw, weights: EndWeights) -> list[AnyStation]:
     """Return three stations, near free ends, of the interface law of order 1 of a law with a pressure field on S.
 
     Two are those of `forms.stations.pressure_stations`; of these the first has the changed shear strain and flow. The
-    third one has the second strain of `EndWeights.sheared`.
+    third one has the second strain of `EndWeights.shear_strains`.
 
     Args:
         law: the law.
         weights: changes of the interface law near free ends, UFL on S.
     """
     mean_station, in_plane = pressure_stations(law)
-    sheared = replace(
+    end_station = replace(
         mean_station,
-        strain=lambda law, faces: mean_station.strain(law, faces) + weights.sheared(faces)[0],
-        flow=lambda law: weights.flow * mean_station.flow(law),
+        strain=lambda law, faces: mean_station.strain(law, faces) + weights.shear_strains(faces)[0],
+        mobility=lambda law: weights.flow_factor * mean_station.mobility(law),
     )
-    return [sheared, Station(in_plane.law, 1, lambda law, faces: weights.sheared(faces)[1]), in_plane]
+    return [end_station, Station(in_plane.law, 1, lambda law, faces: weights.shear_strains(faces)[1]), in_plane]

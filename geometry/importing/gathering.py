@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from forms.base import InputError, require
 from geometry.domain import cell_nodes, vertices_of_facets
-from geometry.importing.naming import FileCells, Groups, NamedGroups, SeamSides, SideArgs
+from geometry.importing.naming import FileCells, GroupMasks, NamedGroups, SeamSides, SideArgs
 from geometry.joint import Joint
 from geometry.parallel import Comm, default_comm, on_root
 from geometry.topology import CELL_TYPES, BoolArray, FloatArray, Indices, IntArray, corner_count, geometry_degree
@@ -36,38 +36,39 @@ def gather_joint(mesh: object, names: TagNames | None, scale: float, comm: Comm,
     """
     comm = comm or default_comm()
     mesh, cell_tags, facet_tags = (*(mesh if isinstance(mesh, (tuple, list)) else [mesh]), None, None)[:3]
-    own_part: _Part | Exception
+    own_mesh: _OwnMesh | Exception
     try:
-        own_part = _Part.of(mesh, cell_tags, facet_tags, comm)
+        own_mesh = _OwnMesh.of(mesh, cell_tags, facet_tags, comm)
     except Exception as error:
-        own_part = error  # the other ranks must not wait
-    parts = comm.gather(own_part) or []
-    return on_root(comm, partial(_joint_of, parts, names, None if cell_tags is not None else {BODY: [0]}, scale, sides))
+        own_mesh = error  # the other ranks must not wait
+    parts = comm.gather(own_mesh) or []
+    return on_root(comm, partial(_assemble, parts, names, None if cell_tags is not None else {BODY: [0]}, scale, sides))
 
 
-class _Part(NamedTuple):
+class _OwnMesh(NamedTuple):
     """The cells, nodes and tags of a distributed mesh that one rank has. Nodes are numbered globally.
 
     Attributes:
         type: type of the cells, such as "triangle".
         points: (n, 2 or 3) coordinates of the nodes that the rank owns.
         nodes: (n_cells, k) numbers of the k nodes of each cell that the rank owns.
-        region: (n_cells,) tag of each of these cells; 0 for cells without a tag.
-        tagged: (n_cells,) whether each of these cells has a tag. Without cell tags all count as tagged, with the tag 0.
+        region_tags: (n_cells,) tag of each of these cells; 0 for cells without a tag.
+        is_tagged: (n_cells,) whether each of these cells has a tag. Without cell tags all count as tagged, with the tag
+            0.
         facets: (n_facets, m) numbers of the m vertices of each tagged facet on this rank, ghosts included.
-        tags: (n_facets,) tags of these facets.
+        tags_of_facets: (n_facets,) tags of these facets.
     """
 
     type: str
     points: FloatArray
     nodes: IntArray
-    region: IntArray
-    tagged: BoolArray
+    region_tags: IntArray
+    is_tagged: BoolArray
     facets: IntArray
-    tags: IntArray
+    tags_of_facets: IntArray
 
     @classmethod
-    def of(cls, mesh: dolfinx.mesh.Mesh, cell_tags: object, facet_tags: object, comm: MPI.Intracomm) -> _Part:
+    def of(cls, mesh: dolfinx.mesh.Mesh, cell_tags: object, facet_tags: object, comm: MPI.Intracomm) -> _OwnMesh:
         """Return the cells, nodes and tags that this rank has; raise InputError if mesh or tags cannot form a joint.
 
         Args:
@@ -80,21 +81,21 @@ class _Part(NamedTuple):
             message = f"the mesh is distributed on {mesh.comm.size} ranks, comm has {comm.size}"
             raise InputError(f"{message}; give comm the communicator that the mesh was made with")
         topology, geometry = mesh.topology, mesh.geometry
-        names = [dolfinx.mesh.to_string(cell_type) for cell_type in topology.entity_types[-1]]
-        cell_type, dim, cells = names[0], topology.dim, cell_nodes(mesh)
-        if len(names) > 1 or cell_type not in CELL_TYPES:
-            raise InputError(f"cells are of type {', '.join(names)}; allowed: one of {', '.join(CELL_TYPES)}")
+        type_names = [dolfinx.mesh.to_string(cell_type) for cell_type in topology.entity_types[-1]]
+        cell_type, dim, cells = type_names[0], topology.dim, cell_nodes(mesh)
+        if len(type_names) > 1 or cell_type not in CELL_TYPES:
+            raise InputError(f"cells are of type {', '.join(type_names)}; allowed: one of {', '.join(CELL_TYPES)}")
         geometry_degree(cell_type, cells.shape[1])
-        owned = topology.index_map(dim).size_local
-        region, tagged = np.zeros(owned, np.int64), np.full(owned, cell_tags is None)
-        numbers, values = _tags(mesh, cell_tags, dim, "cell_tags")
-        is_owned = numbers < owned
-        region[numbers[is_owned]], tagged[numbers[is_owned]] = values[is_owned], True
+        n_owned = topology.index_map(dim).size_local
+        region_tags, is_tagged = np.zeros(n_owned, np.int64), np.full(n_owned, cell_tags is None)
+        tagged_cells, cell_values = _tags(mesh, cell_tags, dim, "cell_tags")
+        is_owned = tagged_cells < n_owned
+        region_tags[tagged_cells[is_owned]], is_tagged[tagged_cells[is_owned]] = cell_values[is_owned], True
         facets, tags = _tags(mesh, facet_tags, dim - 1, "facet_tags")
         global_nodes = np.reshape(geometry.index_map().local_to_global(cells.ravel()), cells.shape)
         points = np.asarray(geometry.x[: geometry.index_map().size_local, : geometry.dim], float)
         vertices = vertices_of_facets(mesh, cell_type, facets, global_nodes[:, : corner_count(cell_type)])
-        return cls(cell_type, points, global_nodes[:owned], region, tagged, vertices, tags)
+        return cls(cell_type, points, global_nodes[:n_owned], region_tags, is_tagged, vertices, tags)
 
 
 def _tags(mesh: dolfinx.mesh.Mesh, tags: dolfinx.mesh.MeshTags | None, dim: int, what: str) -> tuple[Indices, IntArray]:
@@ -121,8 +122,8 @@ def _tags(mesh: dolfinx.mesh.Mesh, tags: dolfinx.mesh.MeshTags | None, dim: int,
     return np.asarray(tags.indices), np.asarray(tags.values, np.int64)
 
 
-def _joint_of(
-    parts: list[_Part | Exception], names: TagNames | None, default_tags: Tags | None, scale: float, sides: SideArgs
+def _assemble(
+    parts: list[_OwnMesh | Exception], names: TagNames | None, default_tags: Tags | None, scale: float, sides: SideArgs
 ) -> Joint:
     """Assemble the parts of a mesh from all ranks to a joint.
 
@@ -140,24 +141,24 @@ def _joint_of(
         if isinstance(part, Exception):
             raise part
     (cell_type, *_), *arrays = zip(*parts, strict=True)
-    points, nodes, region, tagged, rows, tags = map(np.concatenate, arrays)
+    points, nodes, region, is_tagged, rows, tags = map(np.concatenate, arrays)
     if not len(nodes):
         raise InputError("the mesh has no cells")
-    order = np.lexsort(points.T[::-1])
-    new = np.argsort(order)
-    nodes, rows = new[nodes], np.sort(new[rows], axis=1)
+    node_order = np.lexsort(points.T[::-1])
+    new_numbers = np.argsort(node_order)
+    nodes, rows = new_numbers[nodes], np.sort(new_numbers[rows], axis=1)
     cell_order = np.lexsort(np.sort(nodes[:, : corner_count(cell_type)], axis=1).T[::-1])
-    cells = FileCells.of(scale * points[order], nodes[cell_order], cell_type, f"{len(nodes)} {cell_type} cells")
-    dim, tags_of = cells.points.shape[1], _by_dimension(names or {})
-    region_masks = _groups(tags_of.get(dim, default_tags), region[cell_order], tagged[cell_order], "cell")
+    cells = FileCells.of(scale * points[node_order], nodes[cell_order], cell_type, f"{len(nodes)} {cell_type} cells")
+    dim, tags_by_dim = cells.points.shape[1], _tags_by_dimension(names or {})
+    region_masks = _group_masks(tags_by_dim.get(dim, default_tags), region[cell_order], is_tagged[cell_order], "cell")
     if not region_masks:
         raise InputError("no cell has a tag")
-    masks = _groups(tags_of.get(dim - 1), tags, np.ones(len(tags), bool), "facet")
-    facets = {name: np.unique(np.searchsorted(cells.used, rows[member]), axis=0) for name, member in masks.items()}
+    masks = _group_masks(tags_by_dim.get(dim - 1), tags, np.ones(len(tags), bool), "facet")
+    facets = {name: np.unique(np.searchsorted(cells.point_numbers, rows[mask]), axis=0) for name, mask in masks.items()}
     return NamedGroups(cells, region_masks, facets, "tags", SeamSides.of(**sides)).joint()
 
 
-def _by_dimension(names: TagNames) -> dict[int, Tags]:
+def _tags_by_dimension(names: TagNames) -> dict[int, Tags]:
     """Return `names` sorted by dimension, as dimension -> {name: tags}.
 
     Args:
@@ -166,32 +167,32 @@ def _by_dimension(names: TagNames) -> dict[int, Tags]:
     Raises:
         InputError: `names` has another form.
     """
-    tags_of: dict[int, Tags] = {}
+    tags_by_dim: dict[int, Tags] = {}
     try:
         for name, (dim, first, *more_tags) in names.items():
             if not isinstance(name, str):
                 raise TypeError
-            tags_of.setdefault(index(dim), {})[name] = [*map(index, (first, *more_tags))]
+            tags_by_dim.setdefault(index(dim), {})[name] = [*map(index, (first, *more_tags))]
     except (AttributeError, TypeError, ValueError):
         raise InputError(f"names is {names!r}; give {{name: (dimension, number of its tags)}}") from None
-    return tags_of
+    return tags_by_dim
 
 
-def _groups(names: Tags | None, values: IntArray, tagged: BoolArray, entity: str) -> Groups:
+def _group_masks(names: Tags | None, values: IntArray, is_tagged: BoolArray, entity: str) -> GroupMasks:
     """Return the groups of entities as name -> (n,) whether each of the n entities is in the group.
 
     Args:
         names: name of a group -> tags of its entities; None: each tag is a group, named by the tag as text.
         values: (n,) tags of the entities.
-        tagged: (n,) whether each entity has a tag.
+        is_tagged: (n,) whether each entity has a tag.
         entity: noun for the entities, for messages.
 
     Raises:
         InputError: no entity has a tag in `names`.
     """
-    tags = [*map(int, np.unique(values[tagged]))]
+    tags = [*map(int, np.unique(values[is_tagged]))]
     names = {str(tag): [tag] for tag in tags} if names is None else names
     for name, tag in ((name, tag) for name, of in names.items() for tag in of if tag not in tags):
         numbers = ", ".join(map(str, tags)) or "none"
         raise InputError(f"names: no {entity} has the tag {tag}, named {name!r}; tags: {numbers}")
-    return {name: tagged & np.isin(values, numbers) for name, numbers in names.items()}
+    return {name: is_tagged & np.isin(values, numbers) for name, numbers in names.items()}

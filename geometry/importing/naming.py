@@ -30,7 +30,7 @@ NODE_TOLERANCE = 1e-9  # largest distance of nodes that count as coincident, ove
 MIN_RELATIVE_JACOBIAN = 1e-12  # largest Jacobian of a cell that counts as degenerate, over size^d
 MIN_JACOBIAN_RATIO = 1e-10  # ratio of the smallest to the largest Jacobian up to which a cell counts as folded
 
-Groups = dict[str, BoolArray]  # name -> which cells are in the group
+GroupMasks = dict[str, BoolArray]  # name -> which cells are in the group
 Names = tuple[str, ...]
 SeamNames = str | Sequence[str] | Mapping[str, object] | None  # names of seams, or name -> its upper side
 
@@ -58,13 +58,13 @@ class FileCells(NamedTuple):
         points: (n_points, d) coordinates of the cells' nodes in d dimensions, lengths.
         nodes: (n_cells, k) row numbers in `points` of the k nodes of each cell, in DOLFINx's order.
         type: "triangle", "quadrilateral", "tetrahedron" or "hexahedron".
-        used: (n_points,) for each row of `points` the number of this point in the imported mesh.
+        point_numbers: (n_points,) for each row of `points` the number of this point in the imported mesh.
     """
 
     points: FloatArray
     nodes: IntArray
     type: str
-    used: IntArray
+    point_numbers: IntArray
 
     @classmethod
     def of(cls, points: FloatArray, nodes: IntArray, cell_type: str, source: str) -> FileCells:
@@ -80,16 +80,16 @@ class FileCells(NamedTuple):
         Raises:
             InputError: nodes without coordinates, or a surface in 3D.
         """
-        used, numbers = np.unique(nodes, return_inverse=True)
-        if used[0] < 0 or used[-1] >= len(points) or not np.isfinite(points[used]).all():
+        point_numbers, numbers = np.unique(nodes, return_inverse=True)
+        if point_numbers[0] < 0 or point_numbers[-1] >= len(points) or not np.isfinite(points[point_numbers]).all():
             raise InputError("the cells have nodes without coordinates")
         dim = lagrange(cell_type, 1).points.shape[1]
-        x = points[used]
-        height = x[:, dim:]
-        if height.size and np.ptp(height) > NODE_TOLERANCE * np.ptp(x, axis=0).max():
-            extent = f"{source} at z = {height.min():g} to {height.max():g}, not in a plane z = const"
-            raise InputError(f"2D mesh in 3D: {extent}; for a solid save its cells too (gmsh: in a Physical Volume)")
-        return cls(x[:, :dim].copy(), numbers.reshape(nodes.shape), cell_type, used)
+        x = points[point_numbers]
+        z = x[:, dim:]
+        if z.size and np.ptp(z) > NODE_TOLERANCE * np.ptp(x, axis=0).max():
+            z_text = f"{source} at z = {z.min():g} to {z.max():g}, not in a plane z = const"
+            raise InputError(f"2D mesh in 3D: {z_text}; for a solid save its cells too (gmsh: in a Physical Volume)")
+        return cls(x[:, :dim].copy(), numbers.reshape(nodes.shape), cell_type, point_numbers)
 
     @property
     def corners(self) -> IntArray:
@@ -197,16 +197,16 @@ def _seam(name: str, rule: object) -> Seam:
     return Seam(lower, upper)
 
 
-def _names_of(regions: object, what: str) -> Names:
+def _names_of(regions: object, argument: str) -> Names:
     """Return the names of regions as a tuple; () for None. Raise InputError for anything else than names.
 
     Args:
         regions: one name, several names, or None.
-        what: name of the argument, for messages.
+        argument: name of the argument, for messages.
     """
     names = (regions,) if isinstance(regions, str) else () if regions is None else regions
     if not (isinstance(names, Sequence) and all(isinstance(name, str) for name in names)):
-        raise InputError(f"{what} is {regions!r}; give the name of a region, or several in a list")
+        raise InputError(f"{argument} is {regions!r}; give the name of a region, or several in a list")
     return tuple(names)
 
 
@@ -215,14 +215,14 @@ class NamedGroups(NamedTuple):
 
     Attributes:
         cells: cells of the mesh.
-        regions: name of a group of cells -> (n_cells,) whether each cell is in this group.
+        region_masks: name of a group of cells -> (n_cells,) whether each cell is in this group.
         facets: name of a group of facets -> (n, k) numbers of the k vertices of each of its n facets.
         source: where the names come from, for messages.
         sides: choice of the facets of S and of the upper side of each seam.
     """
 
     cells: FileCells
-    regions: Groups
+    region_masks: GroupMasks
     facets: dict[str, IntArray]
     source: str
     sides: SeamSides
@@ -235,7 +235,7 @@ class NamedGroups(NamedTuple):
         Raises:
             InputError: cells are degenerate or do not fit together; a name is unknown or ambiguous; S does not fit.
         """
-        named = self._replace(regions=self._disjoint())
+        named = self._replace(region_masks=self._disjoint_regions())
         self.cells.require_sound()
         for name in self.sides.seams or filter(None, [self.sides.S]):
             require_known("set of facets", name, self.facets, self.source)
@@ -243,18 +243,18 @@ class NamedGroups(NamedTuple):
         if not seams:
             surface, seams[S] = named._default_seam()
             facets = {S: surface, **{name: rows for name, rows in facets.items() if name != self.sides.S}}
-        cells, region = self.cells, np.stack(list(named.regions.values())).argmax(axis=0)
-        joint = Joint(cells.points, cells.nodes, cells.type, region, tuple(named.regions), facets, seams)
+        cells, region = self.cells, np.stack(list(named.region_masks.values())).argmax(axis=0)
+        joint = Joint(cells.points, cells.nodes, cells.type, region, tuple(named.region_masks), facets, seams)
         _require_conforming(joint)
         return joint
 
-    def _disjoint(self) -> Groups:
+    def _disjoint_regions(self) -> GroupMasks:
         """Return the groups of cells that become regions.
 
         Raises:
             InputError: a cell is in none of them or in several, or a name is unknown or names cells and facets.
         """
-        regions, cells, default_seam = self.regions, self.cells, self.sides.default_seam
+        regions, cells, default_seam = self.region_masks, self.cells, self.sides.default_seam
         side_names = default_seam.upper + default_seam.lower
         side_names += tuple(name for seam in self.sides.seams.values() for name in seam.lower + seam.upper)
         for name in regions:
@@ -262,13 +262,13 @@ class NamedGroups(NamedTuple):
                 raise InputError(f"{name!r} names both cells and facets; each needs its own name")
         for name in side_names:
             require_known("region", name, regions, self.source)
-        count = np.sum(list(regions.values()), axis=0)
-        cells.refuse(count == 0, f"are in no named group ({self.source}: {', '.join(regions)})")
-        if side_names and (count > 1).any():
+        counts = np.sum(list(regions.values()), axis=0)
+        cells.refuse(counts == 0, f"are in no named group ({self.source}: {', '.join(regions)})")
+        if side_names and (counts > 1).any():
             regions = {name: regions[name] for name in dict.fromkeys(side_names)}
-            count = np.sum(list(regions.values()), axis=0)
-            cells.refuse(count == 0, f"are in none of {', '.join(regions)}; name every region in upper or lower")
-        cells.refuse(count > 1, f"are in several of the groups {', '.join(regions)}; name regions in upper and lower")
+            counts = np.sum(list(regions.values()), axis=0)
+            cells.refuse(counts == 0, f"are in none of {', '.join(regions)}; name every region in upper or lower")
+        cells.refuse(counts > 1, f"are in several of the groups {', '.join(regions)}; name regions in upper and lower")
         return regions
 
     def _default_seam(self) -> tuple[IntArray, Seam]:
@@ -280,14 +280,14 @@ class NamedGroups(NamedTuple):
         Raises:
             InputError: the regions on the two sides are missing or do not meet there, or other facets are named "S".
         """
-        name, default_seam, all_regions = self.sides.S, self.sides.default_seam, tuple(self.regions)
-        lower, upper, regions = default_seam.lower, default_seam.upper, f"regions: {', '.join(all_regions)}"
+        name, default_seam, all_regions = self.sides.S, self.sides.default_seam, tuple(self.region_masks)
+        lower, upper, regions_text = default_seam.lower, default_seam.upper, f"regions: {', '.join(all_regions)}"
         if name != S and S in self.facets:
             raise InputError(f"other facets are named {S!r}; rename them, or give S={S!r}")
         if name is None:
             if not upper or not lower or set(upper) & set(lower):
-                raise InputError(f"S=None is all that is between two bodies; give upper and lower; {regions}")
-            return self._boundary(upper, lower), Seam(lower, upper)
+                raise InputError(f"S=None is all that is between two bodies; give upper and lower; {regions_text}")
+            return self._facets_between(upper, lower), Seam(lower, upper)
         facets, cells = self.facets[name], self.adjacent_cells(name)
         near_regions = self.regions_at(cells)
         if (cells[:, 1] < 0).all() and not lower:
@@ -299,7 +299,7 @@ class NamedGroups(NamedTuple):
             return facets, Seam(lower or upper or all_regions, upper or lower or all_regions, default_seam.direction)
         if not upper:
             remedy = "name the regions above it in upper, or give the direction upwards if one body is on both sides"
-            raise InputError(f"{name!r} lies inside {' and '.join(near_regions)}; {remedy}; {regions}")
+            raise InputError(f"{name!r} lies inside {' and '.join(near_regions)}; {remedy}; {regions_text}")
         return facets, Seam(lower or tuple(region for region in all_regions if region not in upper), upper)
 
     def adjacent_cells(self, name: str) -> IntArray:
@@ -318,9 +318,9 @@ class NamedGroups(NamedTuple):
         Args:
             cells: numbers of the cells; -1 stands for no cell.
         """
-        return [region for region, member in self.regions.items() if member[cells[cells >= 0]].any()]
+        return [region for region, in_region in self.region_masks.items() if in_region[cells[cells >= 0]].any()]
 
-    def _boundary(self, upper: Names, lower: Names) -> IntArray:
+    def _facets_between(self, upper: Names, lower: Names) -> IntArray:
         """Return the facets between two sets of regions; raise InputError if there are none.
 
         Args:
@@ -329,7 +329,7 @@ class NamedGroups(NamedTuple):
         Returns:
             (n, k) numbers of the k vertices of each of the n facets.
         """
-        above, below = (np.any([self.regions[name] for name in side], axis=0) for side in (upper, lower))
+        above, below = (np.any([self.region_masks[name] for name in side], axis=0) for side in (upper, lower))
         table = self.cells.facets_among(np.intersect1d(self.cells.corners[above], self.cells.corners[below]))
         first, second = table.cells[table.cells[:, 1] >= 0].T
         facets = table.vertices[table.cells[:, 1] >= 0][above[first] & below[second] | below[first] & above[second]]
@@ -344,13 +344,13 @@ def _require_conforming(joint: Joint) -> None:
     A node hangs if it lies on a facet of cells whose node it is not.
     """
     points, d, facets, cells = joint.points, joint.dim, joint.table.vertices, joint.table.cells
-    inner = cells[:, 1] >= 0
-    first, *others = points[facets[inner, :d]].swapaxes(0, 1)
-    centres = points[joint.corners].mean(axis=1)[cells[inner]]
-    sides = [np.linalg.det(np.stack([*others, centre], axis=1) - first[:, None]) for centre in centres.swapaxes(0, 1)]
+    is_inner = cells[:, 1] >= 0
+    first, *others = points[facets[is_inner, :d]].swapaxes(0, 1)
+    centres = points[joint.corners].mean(axis=1)[cells[is_inner]]
+    volumes = [np.linalg.det(np.stack([*others, centre], axis=1) - first[:, None]) for centre in centres.swapaxes(0, 1)]
     overlap = "{bad} facets have both cells on one side, the first at {at}: the mesh overlaps itself; mesh anew"
-    refuse(np.sign(sides[0]) == np.sign(sides[1]), points[facets[inner]], overlap)
-    hanging = points[_hanging_nodes(points, facets[~inner])]
+    refuse(np.sign(volumes[0]) == np.sign(volumes[1]), points[facets[is_inner]], overlap)
+    hanging = points[_hanging_nodes(points, facets[~is_inner])]
     disconnected = "{bad} nodes hang on facets of other cells, the first at {at}: these cells are not connected"
     refuse(np.ones(len(hanging), bool), hanging, f"{disconnected}; make the mesh conforming")
 
@@ -366,14 +366,14 @@ def _hanging_nodes(points: FloatArray, facets: IntArray) -> IntArray:
     middles = x.mean(axis=1)
     near = cKDTree(points[vertices]).query_ball_point(middles, np.linalg.norm(x - middles[:, None], axis=2).max(axis=1))
     facet, vertex = np.repeat(np.arange(len(facets)), [*map(len, near)]), vertices[np.concatenate(near).astype(int)]
-    alien = (facets[facet] != vertex[:, None]).all(axis=1)
-    x, vertex = x[facet[alien]], vertex[alien]
-    on = np.zeros(len(vertex), bool)
+    is_foreign = (facets[facet] != vertex[:, None]).all(axis=1)
+    x, vertex = x[facet[is_foreign]], vertex[is_foreign]
+    is_on_facet = np.zeros(len(vertex), bool)
     for triple in combinations(range(x.shape[1]), x.shape[2]):  # the corners of a quadrilateral are unordered
         first, *others = (x[:, k] for k in triple)
         edges, offsets = np.stack(others, axis=1) - first[:, None], points[vertex] - first
-        shares = np.einsum("nj,njk->nk", offsets, np.linalg.pinv(edges))
-        distance = np.linalg.norm(offsets - np.einsum("nk,nkj->nj", shares, edges), axis=1)
-        inside = (shares >= -NODE_TOLERANCE).all(axis=1) & (shares.sum(axis=1) <= 1 + NODE_TOLERANCE)
-        on |= inside & (distance <= NODE_TOLERANCE * np.ptp(points, axis=0).max())
-    return np.unique(vertex[on])
+        barycentric = np.einsum("nj,njk->nk", offsets, np.linalg.pinv(edges))
+        distance = np.linalg.norm(offsets - np.einsum("nk,nkj->nj", barycentric, edges), axis=1)
+        is_inside = (barycentric >= -NODE_TOLERANCE).all(axis=1) & (barycentric.sum(axis=1) <= 1 + NODE_TOLERANCE)
+        is_on_facet |= is_inside & (distance <= NODE_TOLERANCE * np.ptp(points, axis=0).max())
+    return np.unique(vertex[is_on_facet])

@@ -20,7 +20,7 @@ import numpy as np
 from forms.base import InputError, import_optional, is_finite, require
 from geometry.importing import abaqus
 from geometry.importing.gathering import TagNames, gather_joint
-from geometry.importing.naming import FileCells, Groups, NamedGroups, SeamSides, SideArgs
+from geometry.importing.naming import FileCells, GroupMasks, NamedGroups, SeamSides, SideArgs
 from geometry.joint import Joint
 from geometry.parallel import Comm, ResultType, on_root
 from geometry.refusals import refuse
@@ -107,13 +107,13 @@ def read_groups(
     """
     try:
         mesh = _load(path, scale)
-        cells, (source, array) = _cells_of(mesh), _source(mesh)
+        cells, (source, array) = _cells_of(mesh), _group_source(mesh)
         dim = cells.points.shape[1]
-        regions = _groups(mesh, dim, array)
+        regions = _group_masks(mesh, dim, array)
         if not regions:
             example = f'Physical {"Surface" if dim == 2 else "Volume"}("BODY") = {{...}}'
             raise InputError(f"no named groups of cells ({source}); in gmsh: {example}; saved with Mesh.SaveAll = 0")
-        facets = _vertices(mesh, cells, _groups(mesh, dim - 1, array))
+        facets = _group_facets(mesh, cells, _group_masks(mesh, dim - 1, array))
         return function(NamedGroups(cells, regions, facets, source, sides or SeamSides.of()))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
@@ -181,7 +181,7 @@ def _cells_of(mesh: meshio.Mesh) -> FileCells:
     return FileCells.of(mesh.points, cells[:, order], MESHIO_CELLS[kind], types)
 
 
-def _source(mesh: meshio.Mesh) -> tuple[str, str | None]:
+def _group_source(mesh: meshio.Mesh) -> tuple[str, str | None]:
     """Return where the mesh has its named groups: a noun phrase for messages, and the name of the cell data.
 
     These cell data have the number of each cell's group. The name is None if groups are cell sets or there are none.
@@ -202,7 +202,7 @@ def _source(mesh: meshio.Mesh) -> tuple[str, str | None]:
     return (f"numbers in the cell data {arrays[0]!r}", arrays[0]) if arrays else ("no cell sets, no numbers", None)
 
 
-def _groups(mesh: meshio.Mesh, dim: int, array: str | None) -> Groups:
+def _group_masks(mesh: meshio.Mesh, dim: int, array: str | None) -> GroupMasks:
     """Return the nonempty groups of entities as name -> (n,) whether each of the n entities is in the group.
 
     Args:
@@ -210,23 +210,23 @@ def _groups(mesh: meshio.Mesh, dim: int, array: str | None) -> Groups:
         dim: dimension of the entities.
         array: name of the cell data with the number of each entity's group; None: only cell sets are groups.
     """
-    blocks = [k for k, block in enumerate(mesh.cells) if block.dim == dim]
-    groups: Groups = {}
-    if not blocks:
+    block_numbers = [k for k, block in enumerate(mesh.cells) if block.dim == dim]
+    groups: GroupMasks = {}
+    if not block_numbers:
         return groups
     for name, members in mesh.cell_sets.items():
         if not name.startswith("gmsh:"):
-            members_by_block = ((len(mesh.cells[k]), [] if members[k] is None else members[k]) for k in blocks)
-            groups[name] = np.concatenate([np.isin(np.arange(n), part) for n, part in members_by_block])
+            members_by_block = ((len(mesh.cells[k]), [] if members[k] is None else members[k]) for k in block_numbers)
+            groups[name] = np.concatenate([np.isin(np.arange(n), indices) for n, indices in members_by_block])
     if array is not None:
-        numbers = np.concatenate([mesh.cell_data[array][k] for k in blocks]).astype(np.int64)
-        for number in np.unique(numbers):
-            for name in _names(mesh, dim, array, int(number)):
-                groups[name] = groups.get(name, False) | (numbers == number)
+        group_numbers = np.concatenate([mesh.cell_data[array][k] for k in block_numbers]).astype(np.int64)
+        for number in np.unique(group_numbers):
+            for name in _group_names(mesh, dim, array, int(number)):
+                groups[name] = groups.get(name, False) | (group_numbers == number)
     return {name: member for name, member in groups.items() if member.any()}
 
 
-def _names(mesh: meshio.Mesh, dim: int, array: str, number: int) -> Sequence[str]:
+def _group_names(mesh: meshio.Mesh, dim: int, array: str, number: int) -> Sequence[str]:
     """Return the names of one group; () if its number means no group.
 
     Args:
@@ -244,7 +244,7 @@ def _names(mesh: meshio.Mesh, dim: int, array: str, number: int) -> Sequence[str
     return [str(number)] if number >= 0 else ()
 
 
-def _vertices(mesh: meshio.Mesh, cells: FileCells, groups: Groups) -> dict[str, IntArray]:
+def _group_facets(mesh: meshio.Mesh, cells: FileCells, groups: GroupMasks) -> dict[str, IntArray]:
     """Return the groups of facets as name -> (n, k) vertices of each of its n facets, each facet once.
 
     Vertices are row numbers in `cells.points`, ascending in each facet.
@@ -264,10 +264,10 @@ def _vertices(mesh: meshio.Mesh, cells: FileCells, groups: Groups) -> dict[str, 
     odd = [block.type for block in blocks if not block.type.startswith(MESHIO_FACETS[kind])]
     if odd:
         raise InputError(f"the file has {odd[0]} facets, but its {cells.type} cells have {MESHIO_FACETS[kind]} facets")
-    new = positions(cells.used, len(mesh.points))
+    new_numbers = positions(cells.point_numbers, len(mesh.points))
     rows = np.concatenate([block.data[:, : corner_count(kind)] for block in blocks]).astype(np.int64)
-    free, x = (new[rows] < 0).any(axis=1), mesh.points[rows, : cells.points.shape[1]]
-    for name, member in groups.items():
-        text = f"{{bad}} of {member.sum()} facets named {name!r} are not part of the bodies' mesh, the first at {{at}}"
-        refuse(member & free, x, f"{text}; name all bodies, and in gmsh fragment them with it, or embed it")
-    return {name: np.unique(np.sort(new[rows[member]], axis=1), axis=0) for name, member in groups.items()}
+    is_foreign, x = (new_numbers[rows] < 0).any(axis=1), mesh.points[rows, : cells.points.shape[1]]
+    for name, mask in groups.items():
+        text = f"{{bad}} of {mask.sum()} facets named {name!r} are not part of the bodies' mesh, the first at {{at}}"
+        refuse(mask & is_foreign, x, f"{text}; name all bodies, and in gmsh fragment them with it, or embed it")
+    return {name: np.unique(np.sort(new_numbers[rows[mask]], axis=1), axis=0) for name, mask in groups.items()}

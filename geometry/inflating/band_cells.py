@@ -26,48 +26,49 @@ class NodeCopies(NamedTuple):
     All other copies, and the nodes on a rigid base, have new numbers. These follow the numbers of the joint's points.
 
     Attributes:
-        cells: (n_cells, k) numbers of the k nodes of each of the bodies' cells, with copies in place of nodes of S.
+        body_cells: (n_cells, k) numbers of the k nodes of each of the bodies' cells, with copies in place of nodes of
+            S.
         below, above: (n_S, k) numbers of the copies of the k nodes of each facet of S, on its lower and on its upper
             side.
-        new: (n,) for each of the n copies with new numbers, in their order, the node of S that it copies.
-        base: (n,) whether each of these n copies is on a rigid base.
+        copied_nodes: (n,) for each of the n copies with new numbers, in their order, the node of S that it copies.
+        on_base: (n,) whether each of these n copies is on a rigid base.
     """
 
-    cells: IntArray
+    body_cells: IntArray
     below: IntArray
     above: IntArray
-    new: IntArray
-    base: BoolArray
+    copied_nodes: IntArray
+    on_base: BoolArray
 
     @classmethod
     def of(cls, joint: Joint) -> NodeCopies:
         """Return the copies of the nodes of a joint in which S is a surface."""
-        surface, split, n = joint.surface, joint.split_mesh.of_nodes, len(joint.points)
-        base_part = int(split.max(initial=0)) + 1
+        surface, node_components, n = joint.surface, joint.split_mesh.at_nodes, len(joint.points)
+        base_component = int(node_components.max(initial=0)) + 1
         components = np.stack([joint.components_at(cells, surface) for cells in joint.surface_cells.T])
-        sides = surface * (base_part + 1) + np.where(components < 0, base_part, components)
-        nodes, first = np.unique(surface, return_index=True)
-        places = np.nonzero(np.isin(joint.cells, nodes))
-        keys = joint.cells[places] * (base_part + 1) + split[places]
-        copy_keys = np.unique(np.concatenate([keys, sides[0].ravel()]))
-        new = np.setdiff1d(copy_keys, sides[1].ravel()[first], assume_unique=True)
+        side_keys = surface * (base_component + 1) + np.where(components < 0, base_component, components)
+        nodes, first_index = np.unique(surface, return_index=True)
+        s_entries = np.nonzero(np.isin(joint.cells, nodes))
+        keys = joint.cells[s_entries] * (base_component + 1) + node_components[s_entries]
+        copy_keys = np.unique(np.concatenate([keys, side_keys[0].ravel()]))
+        new_keys = np.setdiff1d(copy_keys, side_keys[1].ravel()[first_index], assume_unique=True)
 
         def copy_number(keys: IntArray) -> IntArray:
-            at = np.minimum(np.searchsorted(new, keys), len(new) - 1)
-            return np.where(new[at] == keys, n + at, keys // (base_part + 1))
+            at = np.minimum(np.searchsorted(new_keys, keys), len(new_keys) - 1)
+            return np.where(new_keys[at] == keys, n + at, keys // (base_component + 1))
 
         body_cells = joint.cells.copy()
-        body_cells[places] = copy_number(keys)
-        nodes, component = np.divmod(new, base_part + 1)
-        return cls(body_cells, copy_number(sides[0]), copy_number(sides[1]), nodes, component == base_part)
+        body_cells[s_entries] = copy_number(keys)
+        nodes, component = np.divmod(new_keys, base_component + 1)
+        return cls(body_cells, copy_number(side_keys[0]), copy_number(side_keys[1]), nodes, component == base_component)
 
-    def renumbered(self, number: IntArray) -> NodeCopies:
-        """Return the copies with other numbers in `cells`, `below` and `above`.
+    def renumbered(self, new_no: IntArray) -> NodeCopies:
+        """Return the copies with other numbers in `body_cells`, `below` and `above`.
 
         Args:
-            number: (n_nodes,) new number of each node and copy; -1 for copies on a rigid base that are left out.
+            new_no: (n_nodes,) new number of each node and copy; -1 for copies on a rigid base that are left out.
         """
-        return self._replace(cells=number[self.cells], below=number[self.below], above=number[self.above])
+        return self._replace(body_cells=new_no[self.body_cells], below=new_no[self.below], above=new_no[self.above])
 
 
 @dataclass(frozen=True)
@@ -78,45 +79,45 @@ class NodeLines:
     cells of degree 2 also have a level in the middle of each cell.
 
     Attributes:
-        first_new: number of the first node inside a line; the copies at the ends of lines have smaller numbers.
+        first_inner: number of the first node inside a line; the copies at the ends of lines have smaller numbers.
         ends: (n, 2) numbers of the first and of the other copy of each line.
-        nodes: (n,) the node of S that both are copies of.
+        feet: (n,) the node of S that both are copies of.
         seam_no: (n,) position in `Joint.seams` of the seam of each line.
         heights: for each seam the heights of all levels, as fractions of the thickness from 0 to 1.
     """
 
-    first_new: int
+    first_inner: int
     ends: IntArray
-    nodes: IntArray
+    feet: IntArray
     seam_no: IntArray
     heights: tuple[FloatArray, ...]
 
     @cached_property
-    def top(self) -> IntArray:
+    def last_level(self) -> IntArray:
         """(n,) last level of each line."""
         return np.array([len(heights) - 1 for heights in self.heights])[self.seam_no]
 
     @cached_property
     def start(self) -> IntArray:
         """(n,) number of the node at level 1 of each line; the nodes at its next levels have the next numbers."""
-        return self.first_new + np.cumsum(self.top - 1) - (self.top - 1)
+        return self.first_inner + np.cumsum(self.last_level - 1) - (self.last_level - 1)
 
     @property
-    def size(self) -> int:
+    def n_inner_nodes(self) -> int:
         """Number of all nodes inside lines, without the copies at their ends."""
-        return int((self.top - 1).sum())
+        return int((self.last_level - 1).sum())
 
-    def number(self, lines: IntArray, level: IntArray | int) -> IntArray:
+    def node_numbers(self, lines: IntArray, level: IntArray | int) -> IntArray:
         """Return the numbers of the nodes at given levels of given lines.
 
         Args:
             lines: numbers of the lines, an array of any shape.
             level: level on each line; shapes of `lines` and `level` are broadcast as in numpy.
         """
-        second = np.where(level == self.top[lines], self.ends[lines, 1], self.start[lines] + np.asarray(level) - 1)
-        return np.where(np.asarray(level) == 0, self.ends[lines, 0], second)
+        node = np.where(level == self.last_level[lines], self.ends[lines, 1], self.start[lines] + np.asarray(level) - 1)
+        return np.where(np.asarray(level) == 0, self.ends[lines, 0], node)
 
-    def between(self, values: FloatArray) -> tuple[FloatArray, IntArray]:
+    def interpolate(self, values: FloatArray) -> tuple[FloatArray, IntArray]:
         """Interpolate values at copies linearly to the nodes inside the lines.
 
         Args:
@@ -126,33 +127,33 @@ class NodeLines:
             (m, d) values at the m nodes inside the lines, in the order of their numbers; and (m,) the node of S to
             whose line each belongs.
         """
-        line = np.repeat(np.arange(len(self.top)), self.top - 1)
-        height_start = np.cumsum([0, *map(len, self.heights)])[self.seam_no[line]]
-        level = np.arange(self.first_new, self.first_new + self.size) - self.start[line] + 1
-        z = np.concatenate(self.heights)[height_start + level][:, None]
-        return (1 - z) * values[self.ends[line, 0]] + z * values[self.ends[line, 1]], self.nodes[line]
+        line = np.repeat(np.arange(len(self.last_level)), self.last_level - 1)
+        first_height = np.cumsum([0, *map(len, self.heights)])[self.seam_no[line]]
+        level = np.arange(self.first_inner, self.first_inner + self.n_inner_nodes) - self.start[line] + 1
+        z = np.concatenate(self.heights)[first_height + level][:, None]
+        return (1 - z) * values[self.ends[line, 0]] + z * values[self.ends[line, 1]], self.feet[line]
 
-    def joined(self, ends: IntArray, nodes: IntArray, seam_no: int) -> NodeLines:
+    def with_lines(self, ends: IntArray, feet: IntArray, seam_no: int) -> NodeLines:
         """Return these lines followed by further lines, all with the levels of one seam.
 
         Args:
             ends: (n, 2) numbers of the copies at both ends of each of n further lines.
-            nodes: (n,) the node of S that both are copies of.
+            feet: (n,) the node of S that both are copies of.
             seam_no: position in `Joint.seams` of the seam.
         """
-        kinds = np.append(self.seam_no, np.full(len(nodes), seam_no))
-        return replace(self, ends=np.append(self.ends, ends, axis=0), nodes=np.append(self.nodes, nodes), seam_no=kinds)
+        seams = np.append(self.seam_no, np.full(len(feet), seam_no))
+        return replace(self, ends=np.append(self.ends, ends, axis=0), feet=np.append(self.feet, feet), seam_no=seams)
 
 
 class FacetLines(NamedTuple):
     """Numbers and directions of the lines of nodes through the thickness at the nodes of each facet of S.
 
     Attributes:
-        lines: (n_S, k) number, in `NodeLines`, of the line at each of the k nodes of each facet.
+        line_numbers: (n_S, k) number, in `NodeLines`, of the line at each of the k nodes of each facet.
         is_reversed: (n_S, k) whether this line leads from the facet's upper side to its lower side.
     """
 
-    lines: IntArray
+    line_numbers: IntArray
     is_reversed: BoolArray
 
 
@@ -175,25 +176,25 @@ def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) 
     """
     below, above = copies.below.ravel(), copies.above.ravel()
     line_keys = np.column_stack([joint.surface.ravel(), np.minimum(below, above), np.maximum(below, above)])
-    _, first, at = np.unique(line_keys, axis=0, return_index=True, return_inverse=True)
-    at = at.ravel()
+    _, first, line_no = np.unique(line_keys, axis=0, return_index=True, return_inverse=True)
+    line_no = line_no.ravel()
     ends = np.column_stack([below, above])[first]
-    nodes = joint.surface.ravel()[first]
+    feet = joint.surface.ravel()[first]
     same_copy = "at {at} one body lies on both sides of S, so that the layer has no room there; use the interface model"
-    refuse(ends[:, 0] == ends[:, 1], joint.points[nodes], same_copy)
-    is_reversed = below != ends[at, 0]
+    refuse(ends[:, 0] == ends[:, 1], joint.points[feet], same_copy)
+    is_reversed = below != ends[line_no, 0]
     seam = np.repeat(joint.seam_numbers, joint.surface.shape[1])
-    meetings, example = np.unique(np.column_stack([seam[first][at], seam, is_reversed]), axis=0, return_index=True)
+    meeting, example = np.unique(np.column_stack([seam[first][line_no], seam, is_reversed]), axis=0, return_index=True)
     names, places = list(joint.seams), joint.points[joint.surface.ravel()[example]]
-    for (number, other, reverse), x in zip(meetings, places, strict=True):
+    for (number, other, reverse), x in zip(meeting, places, strict=True):
         levels, other_levels = heights[number], 1 - heights[other][::-1] if reverse else heights[other]
         if len(levels) != len(other_levels) or np.abs(levels - other_levels).max() > HEIGHT_TOLERANCE:
-            sides = "the upper side changes" if number == other else f"{names[number]!r} continues {names[other]!r}"
-            raise InputError(f"{sides} at {place_text(x)}: sublayers do not meet; give equal ones, upwards on one body")
+            text = "the upper side changes" if number == other else f"{names[number]!r} continues {names[other]!r}"
+            raise InputError(f"{text} at {place_text(x)}: sublayers do not meet; give equal ones, upwards on one body")
         if reverse and joint.dim == 3:
             raise InputError(f"the upper side of S changes at {place_text(x)}: in 3D it must be on one side there")
-    lines = NodeLines(len(joint.points) + len(copies.new), ends, nodes, seam[first], tuple(heights))
-    return lines, FacetLines(at.reshape(joint.surface.shape), is_reversed.reshape(joint.surface.shape))
+    lines = NodeLines(len(joint.points) + len(copies.copied_nodes), ends, feet, seam[first], tuple(heights))
+    return lines, FacetLines(line_no.reshape(joint.surface.shape), is_reversed.reshape(joint.surface.shape))
 
 
 def level_heights(degree: int, cells_through: int, fractions: Sequence[float]) -> FloatArray:
@@ -205,22 +206,22 @@ def level_heights(degree: int, cells_through: int, fractions: Sequence[float]) -
             least one.
         fractions: thickness of each sublayer over the layer's, from the lower to the upper face; () for no sublayers.
     """
-    shares = np.asarray(fractions if len(fractions) else [1.0])
-    counts = degree * np.maximum(1, np.rint(cells_through * shares).astype(int))
-    edges = [0.0, *np.cumsum(shares)[:-1], 1.0]
-    heights = [np.linspace(*ends, n + 1)[1:] for ends, n in zip(pairwise(edges), counts, strict=True)]
+    parts = np.asarray(fractions if len(fractions) else [1.0])
+    n_levels = degree * np.maximum(1, np.rint(cells_through * parts).astype(int))
+    bounds = [0.0, *np.cumsum(parts)[:-1], 1.0]
+    heights = [np.linspace(*ends, n + 1)[1:] for ends, n in zip(pairwise(bounds), n_levels, strict=True)]
     return np.concatenate([[0.0], *heights])
 
 
 def band_cells(
-    joint: Joint, lines: NodeLines, footing: FacetLines, rows: IntArray, heights: FloatArray, fractions: Sequence[float]
+    joint: Joint, lines: NodeLines, s_lines: FacetLines, rows: IntArray, heights: FloatArray, fractions: Sequence[float]
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """Return the cells of the layer of one seam, without those at junctions.
 
     Args:
         joint: the joint as drawn, before S is opened.
         lines: all lines of nodes through the thickness.
-        footing: the lines at the nodes of each facet of S.
+        s_lines: the lines at the nodes of each facet of S.
         rows: numbers of the seam's facets among the n_S facets of S.
         heights: heights of the levels of nodes, as fractions of the thickness from 0 to 1.
         fractions: thickness of each sublayer over the layer's, from the lower to the upper face; () for no sublayers.
@@ -234,23 +235,23 @@ def band_cells(
         patterns = _tensor_pattern(joint.cell_type, degree, len(surface))
     else:
         patterns = _simplex_pattern(joint.cell_type, degree, np.argsort(surface[:, : joint.dim], axis=1))
-    edges = np.cumsum(fractions)[:-1] if len(fractions) else np.empty(0)
+    bounds = np.cumsum(fractions)[:-1] if len(fractions) else np.empty(0)
     cells, sublayer, director = [], [], []
     k, top = joint.corners.shape[1], len(heights) - 1
-    for base in range(0, top, degree):
+    for low in range(0, top, degree):
         for facet_nodes, offsets in patterns:
-            at = np.take_along_axis(footing.lines[rows], facet_nodes, axis=1)
-            is_reversed = np.take_along_axis(footing.is_reversed[rows], facet_nodes, axis=1)
-            cells.append(lines.number(at, np.where(is_reversed, top - base - offsets, base + offsets)))
+            line_no = np.take_along_axis(s_lines.line_numbers[rows], facet_nodes, axis=1)
+            is_reversed = np.take_along_axis(s_lines.is_reversed[rows], facet_nodes, axis=1)
+            cells.append(lines.node_numbers(line_no, np.where(is_reversed, top - low - offsets, low + offsets)))
             director.append(np.take_along_axis(normals, facet_nodes[:, :k, None], axis=1))
-            sublayer.append(np.full(len(surface), np.searchsorted(edges, (heights[base] + heights[base + degree]) / 2)))
+            sublayer.append(np.full(len(surface), np.searchsorted(bounds, (heights[low] + heights[low + degree]) / 2)))
     return np.concatenate(cells), np.concatenate(sublayer), np.concatenate(director)
 
 
-Pattern = tuple[IntArray, IntArray]  # (n_S, k) node of each facet of S; (k,) levels above the first
+CellPattern = tuple[IntArray, IntArray]  # (n_S, k) node of each facet of S; (k,) levels above the first
 
 
-def _tensor_pattern(cell_type: str, degree: int, n: int) -> list[Pattern]:
+def _tensor_pattern(cell_type: str, degree: int, n: int) -> list[CellPattern]:
     """Return the places of the nodes of one quadrilateral or hexahedron over each of `n` facets of S.
 
     The facet is the side of the cell where the last reference coordinate is zero.
@@ -264,12 +265,12 @@ def _tensor_pattern(cell_type: str, degree: int, n: int) -> list[Pattern]:
         A list of one pair. First (n, k): for each of the cell's k nodes the position, in the facet, of the facet's node
         below it. Second (k,): number of levels from the facet's side of the cell to each node.
     """
-    cell, facet = lagrange(cell_type, degree).points, lagrange(FACET_TYPES[cell_type], degree).points
-    distance = np.linalg.norm(cell[:, None, :-1] - facet[None], axis=2)
-    return [(np.tile(distance.argmin(axis=1), (n, 1)), np.rint(cell[:, -1] * degree).astype(np.int64))]
+    cell_points, facet_points = lagrange(cell_type, degree).points, lagrange(FACET_TYPES[cell_type], degree).points
+    distance = np.linalg.norm(cell_points[:, None, :-1] - facet_points[None], axis=2)
+    return [(np.tile(distance.argmin(axis=1), (n, 1)), np.rint(cell_points[:, -1] * degree).astype(np.int64))]
 
 
-def _simplex_pattern(cell_type: str, degree: int, order: IntArray) -> list[Pattern]:
+def _simplex_pattern(cell_type: str, degree: int, vertex_order: IntArray) -> list[CellPattern]:
     """Return the places of the nodes of the triangles or tetrahedra over each of n_S facets of S.
 
     The space over a facet, between two levels, is split into d simplices in d dimensions. Let the d vertices of the
@@ -280,23 +281,23 @@ def _simplex_pattern(cell_type: str, degree: int, order: IntArray) -> list[Patte
     Args:
         cell_type: "triangle" or "tetrahedron".
         degree: degree of the cells' geometry.
-        order: (n_S, d) positions, in the facet, of its d vertices sorted by their numbers.
+        vertex_order: (n_S, d) positions, in the facet, of its d vertices sorted by their numbers.
 
     Returns:
         A pair for each simplex. First (n_S, k): for each of its k nodes the position, in the facet, of the facet's node
         below it. Second (k,): number of levels from the lower level to each node.
     """
-    n = order.shape[1]
+    n = vertex_order.shape[1]
     edge_nodes = np.diag(np.arange(n))
-    for number, (i, j) in enumerate(basix.topology(basix.CellType[FACET_TYPES[cell_type]])[1]):
-        edge_nodes[i, j] = edge_nodes[j, i] = n + number
+    for edge_no, (i, j) in enumerate(basix.topology(basix.CellType[FACET_TYPES[cell_type]])[1]):
+        edge_nodes[i, j] = edge_nodes[j, i] = n + edge_no
     patterns = []
     for k in range(n):
-        columns = [order[:, i] for i in (*range(k + 1), *range(k, n))]
-        offsets = [0] * (k + 1) + [degree] * (n - k)
+        node_columns = [vertex_order[:, i] for i in (*range(k + 1), *range(k, n))]
+        level_offsets = [0] * (k + 1) + [degree] * (n - k)
         if degree == 2:
             for p, q in basix.topology(basix.CellType[cell_type])[1]:
-                columns.append(edge_nodes[columns[p], columns[q]])
-                offsets.append((offsets[p] + offsets[q]) // 2)
-        patterns.append((np.column_stack(columns), np.array(offsets)))
+                node_columns.append(edge_nodes[node_columns[p], node_columns[q]])
+                level_offsets.append((level_offsets[p] + level_offsets[q]) // 2)
+        patterns.append((np.column_stack(node_columns), np.array(level_offsets)))
     return patterns

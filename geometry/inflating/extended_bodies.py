@@ -11,13 +11,13 @@ from geometry.inflating.band_cells import NodeCopies
 from geometry.inflating.kept_bodies import THICKNESS_TOLERANCE
 from geometry.joint import Joint
 from geometry.refusals import place_text, refuse
-from geometry.topology import FloatArray, IntArray, facet_normals, is_tensor, lagrange, sum_by_number, weights_between
+from geometry.topology import FloatArray, IntArray, facet_normals, is_tensor, lagrange, mid_node_weights, sum_by_number
 
 SMOOTH_SQUARED_SINE = 0.01  # squared sine below which outer faces around a vertex of S count as one smooth surface
 EXACT_SQUARED_SINE = 1e-10  # the same bound for the bodies' other vertices, which must stay on their outer faces
 MIN_COSINE = 0.1  # smallest cosine of the angle between S's normal and the direction in which its vertices can move
 MIN_FACET_ANGLE = 1e-3  # smallest angle, in radians, between facets of S whose layers have different thicknesses
-CORNER_ERROR = 0.02  # relative error of a thickness beyond which a body has no corner between two layers
+MAX_THICKNESS_ERROR = 0.02  # relative error of a thickness beyond which a body has no corner between two layers
 CG_TOLERANCE = 1e-12  # relative residual of the linear solve for the harmonic motion
 
 
@@ -42,38 +42,38 @@ def face_motion(joint: Joint, copies: NodeCopies, depths: tuple[FloatArray, Floa
         InputError: S is folded; the outer boundary meets S nearly parallel to it; layers of different thickness meet
             nearly in line.
     """
-    upper, has_lower = joint.node_normals, joint.surface_cells[:, 0] >= 0
+    upper_normals, has_lower = joint.node_normals, joint.surface_cells[:, 0] >= 0
     at = np.concatenate([copies.above, copies.below[has_lower]])
-    normals = np.concatenate([upper, -upper[has_lower]])
+    normals = np.concatenate([upper_normals, -upper_normals[has_lower]])
     g = np.concatenate([depths[1], depths[0][has_lower]])
     face_nodes, first, index = np.unique(at, return_index=True, return_inverse=True)
     x = joint.points[np.concatenate([joint.surface, joint.surface[has_lower]]).ravel()[first]]
-    n, count = len(face_nodes), np.bincount(index.ravel())
-    total, along_n = sum_by_number(index, g[..., None] * normals, n), sum_by_number(index, normals, n)
+    n, n_terms = len(face_nodes), np.bincount(index.ravel())
+    g_sum, n_sum = sum_by_number(index, g[..., None] * normals, n), sum_by_number(index, normals, n)
     moment = sum_by_number(index, normals[..., :, None] * normals[..., None, :], n)
-    refuse(np.linalg.norm(along_n, axis=1) < MIN_COSINE * count, x, "S is folded at {at}: a layer would overlap itself")
+    refuse(np.linalg.norm(n_sum, axis=1) < MIN_COSINE * n_terms, x, "S is folded at {at}: a layer would overlap itself")
 
-    thick, thin = np.zeros(n), np.full(n, np.inf)
-    np.maximum.at(thick, index, g)
-    np.minimum.at(thin, index, g)
-    is_uniform = thick - thin <= THICKNESS_TOLERANCE * thick
+    max_g, min_g = np.zeros(n), np.full(n, np.inf)
+    np.maximum.at(max_g, index, g)
+    np.minimum.at(min_g, index, g)
+    is_uniform = max_g - min_g <= THICKNESS_TOLERANCE * max_g
     min_eigenvalue = np.where(is_uniform, MIN_COSINE, MIN_FACET_ANGLE)[:, None] ** 2
-    outer, faces = _outer_moments(joint, copies.cells)
-    eigenvalues, vectors = np.linalg.eigh(outer[face_nodes] / np.maximum(faces[face_nodes], 1)[:, None, None])
+    moments, n_faces = _outer_moments(joint, copies.body_cells)
+    eigenvalues, vectors = np.linalg.eigh(moments[face_nodes] / np.maximum(n_faces[face_nodes], 1)[:, None, None])
     free_projector = (vectors * (eigenvalues < SMOOTH_SQUARED_SINE)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
-    eigenvalues, vectors = np.linalg.eigh(free_projector @ moment @ free_projector / count[:, None, None])
+    eigenvalues, vectors = np.linalg.eigh(free_projector @ moment @ free_projector / n_terms[:, None, None])
     inverse = np.where(eigenvalues > min_eigenvalue, 1 / np.maximum(eigenvalues, min_eigenvalue), 0.0)
-    motion = np.einsum("nik,nk,njk,nj->ni", vectors, inverse, vectors, np.einsum("nij,nj->ni", free_projector, total))
-    motion /= count[:, None]
-    gap = np.einsum("fkd,fkd->fk", motion[index], normals) / g
+    motion = np.einsum("nik,nk,njk,nj->ni", vectors, inverse, vectors, np.einsum("nij,nj->ni", free_projector, g_sum))
+    motion /= n_terms[:, None]
+    gap_ratio = np.einsum("fkd,fkd->fk", motion[index], normals) / g
     min_gap = np.full(n, np.inf)
-    np.minimum.at(min_gap, index, gap)
+    np.minimum.at(min_gap, index, gap_ratio)
     complaint = "an outer face touches S at {at} and is nearly parallel to it, so the body cannot give way there"
     refuse((min_gap < MIN_COSINE) & is_uniform, x, f"bodies='extended': {complaint}; use bodies='kept' if S is planar")
-    error = np.where(is_uniform[index].all(axis=1, keepdims=True), 0.0, np.abs(gap - 1))
-    if error.max() > CORNER_ERROR:
-        at = index.flat[error.argmax()]
-        conflict = f"layers of different thickness, {thin[at]:g} and {thick[at]:g} on one side"
+    gap_error = np.where(is_uniform[index].all(axis=1, keepdims=True), 0.0, np.abs(gap_ratio - 1))
+    if gap_error.max() > MAX_THICKNESS_ERROR:
+        at = index.flat[gap_error.argmax()]
+        conflict = f"layers of different thickness, {min_g[at]:g} and {max_g[at]:g} on one side"
         raise InputError(f"{conflict}, meet nearly in line at {place_text(x[at])}; give them one thickness")
     return face_nodes, motion
 
@@ -91,14 +91,14 @@ def _outer_moments(joint: Joint, cells: IntArray) -> tuple[FloatArray, IntArray]
     Returns:
         (n_nodes, d, d) the sums, in d dimensions, and (n_nodes,) the numbers of their terms.
     """
-    table, outer = joint.table, joint.outer_rows
-    m = facet_normals(joint.points, table.nodes(outer, joint.cells, joint.cell_type), joint.cell_type)
-    nodes, size = table.nodes(outer, cells, joint.cell_type), int(cells.max()) + 1
-    return sum_by_number(nodes, m[..., :, None] * m[..., None, :], size), np.bincount(nodes.ravel(), minlength=size)
+    table, outer_rows = joint.table, joint.outer_rows
+    m = facet_normals(joint.points, table.nodes(outer_rows, joint.cells, joint.cell_type), joint.cell_type)
+    nodes, n_all = table.nodes(outer_rows, cells, joint.cell_type), int(cells.max()) + 1
+    return sum_by_number(nodes, m[..., :, None] * m[..., None, :], n_all), np.bincount(nodes.ravel(), minlength=n_all)
 
 
 def extended_motion(
-    joint: Joint, body_cells: IntArray, n_nodes: int, face_nodes: IntArray, values: FloatArray, fixed: IntArray
+    joint: Joint, body_cells: IntArray, n_nodes: int, face_nodes: IntArray, motions: FloatArray, fixed_nodes: IntArray
 ) -> FloatArray:
     """Return the motion (n_nodes, d) of all nodes of the bodies, if nodes between bodies and layers move as prescribed.
 
@@ -109,29 +109,29 @@ def extended_motion(
         body_cells: (n_cells, k) numbers of the k nodes of its cells, where each body has its own copies of nodes of S.
         n_nodes: number of nodes with copies.
         face_nodes: (n,) numbers of the nodes between bodies and layers.
-        values: (n, d) prescribed motion of these nodes, lengths.
-        fixed: numbers of nodes that do not move, such as nodes of periodic sides.
+        motions: (n, d) prescribed motion of these nodes, lengths.
+        fixed_nodes: numbers of nodes that do not move, such as nodes of periodic sides.
     """
     d, k = joint.dim, joint.corners.shape[1]
     corners = body_cells[:, :k]
     motion = np.zeros((n_nodes, d))
-    motion[face_nodes] = values
-    free = np.setdiff1d(np.unique(corners), np.concatenate([face_nodes, fixed]))
+    motion[face_nodes] = motions
+    free_nodes = np.setdiff1d(np.unique(corners), np.concatenate([face_nodes, fixed_nodes]))
 
-    moments, count = _outer_moments(joint, body_cells)
-    eigenvalues, vectors = np.linalg.eigh(moments[free] / np.maximum(count[free], 1)[:, None, None])
+    moments, n_facets = _outer_moments(joint, body_cells)
+    eigenvalues, vectors = np.linalg.eigh(moments[free_nodes] / np.maximum(n_facets[free_nodes], 1)[:, None, None])
     node, direction = np.nonzero(eigenvalues < EXACT_SQUARED_SINE)
     rows, columns = (node[:, None] * d + np.arange(d)).ravel(), np.repeat(np.arange(len(node)), d)
-    entries, shape = vectors[node, :, direction].ravel(), (len(free) * d, len(node))
-    directions = scipy.sparse.csr_matrix((entries, (rows, columns)), shape=shape)
+    entries, shape = vectors[node, :, direction].ravel(), (len(free_nodes) * d, len(node))
+    basis = scipy.sparse.csr_matrix((entries, (rows, columns)), shape=shape)
     if len(node):
         laplacian = _laplacian(joint.points[joint.corners], corners, joint.cell_type, n_nodes)
-        load = -(laplacian[free] @ motion).ravel()
-        matrix = directions.T @ scipy.sparse.kron(laplacian[free][:, free], np.eye(d), format="csr") @ directions
-        motion[free] = (directions @ _solve(matrix.tocsr(), directions.T @ load)).reshape(-1, d)
+        load = -(laplacian[free_nodes] @ motion).ravel()
+        matrix = basis.T @ scipy.sparse.kron(laplacian[free_nodes][:, free_nodes], np.eye(d), format="csr") @ basis
+        motion[free_nodes] = (basis @ _solve_cg(matrix.tocsr(), basis.T @ load)).reshape(-1, d)
     if body_cells.shape[1] > k:
-        motion[body_cells[:, k:]] = np.einsum("qn,cnd->cqd", weights_between(joint.cell_type), motion[corners])
-        motion[face_nodes] = values
+        motion[body_cells[:, k:]] = np.einsum("qn,cnd->cqd", mid_node_weights(joint.cell_type), motion[corners])
+        motion[face_nodes] = motions
     return motion
 
 
@@ -145,24 +145,24 @@ def _laplacian(x: FloatArray, corners: IntArray, cell_type: str, n: int) -> scip
         n: number of rows and columns of the matrix.
     """
     element = lagrange(cell_type, 1)
-    at = element.points if is_tensor(cell_type) else element.points[:1]
-    reference = element.tabulate(1, at)[1:, :, :, 0]
-    jacobian = np.einsum("tqn,cnd->cqtd", reference, x)
-    gradients = np.einsum("cqdt,tqn->cqnd", np.linalg.inv(jacobian), reference)
-    local = np.einsum("cqnd,cqmd,cq->cnm", gradients, gradients, np.abs(np.linalg.det(jacobian)) / len(at))
+    q_points = element.points if is_tensor(cell_type) else element.points[:1]
+    X_gradients = element.tabulate(1, q_points)[1:, :, :, 0]
+    jacobian = np.einsum("tqn,cnd->cqtd", X_gradients, x)
+    gradients = np.einsum("cqdt,tqn->cqnd", np.linalg.inv(jacobian), X_gradients)
+    matrices = np.einsum("cqnd,cqmd,cq->cnm", gradients, gradients, np.abs(np.linalg.det(jacobian)) / len(q_points))
     k = corners.shape[1]
     rows, columns = np.repeat(corners, k, axis=1).ravel(), np.tile(corners, (1, k)).ravel()
-    return scipy.sparse.coo_matrix((local.ravel(), (rows, columns)), shape=(n, n)).tocsr()
+    return scipy.sparse.coo_matrix((matrices.ravel(), (rows, columns)), shape=(n, n)).tocsr()
 
 
-def _solve(matrix: scipy.sparse.csr_matrix, b: FloatArray) -> FloatArray:
+def _solve_cg(matrix: scipy.sparse.csr_matrix, b: FloatArray) -> FloatArray:
     """Return the solution x of `matrix` x = `b`, with a symmetric positive definite matrix, by conjugate gradients.
 
     Raises:
         InputError: the iteration does not converge.
     """
-    scaled = scipy.sparse.diags(1 / matrix.diagonal())
-    solution, status = scipy.sparse.linalg.cg(matrix, b, rtol=CG_TOLERANCE, atol=0.0, maxiter=50_000, M=scaled)
+    jacobi = scipy.sparse.diags(1 / matrix.diagonal())
+    solution, status = scipy.sparse.linalg.cg(matrix, b, rtol=CG_TOLERANCE, atol=0.0, maxiter=50_000, M=jacobi)
     if status:
         raise InputError("the harmonic motion of the bodies' nodes was not found: the mesh has nearly flat cells")
     return np.asarray(solution)

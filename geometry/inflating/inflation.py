@@ -13,7 +13,7 @@ from geometry.inflating.band_cells import FacetLines, NodeCopies, NodeLines, ban
 from geometry.inflating.corners import JunctionCorners, common_normals, junction_corners
 from geometry.inflating.extended_bodies import extended_motion, face_motion
 from geometry.inflating.filling import JunctionCells, junction_cells
-from geometry.inflating.kept_bodies import NOT_KEPT_MESSAGE, THICKNESS_TOLERANCE, kept_motion, require_room
+from geometry.inflating.kept_bodies import NOT_KEPT_MESSAGE, THICKNESS_TOLERANCE, body_translations, require_room
 from geometry.inflating.layering import Layering, Names, Profiles, Sizes, check_junctions, check_layering, moved_facets
 from geometry.joint import InflatedBand, Joint
 from geometry.periodic import with_periods_of
@@ -81,49 +81,51 @@ def inflate(
     if joint.band is not None:
         raise InputError("this joint is inflated already; inflate the joint it came from")
     periods, joint = joint.periods, replace(joint, periods=None)
-    fixed: IntArray = np.empty(0, np.int64)
+    fixed_nodes: IntArray = np.empty(0, np.int64)
     if periods:
-        fixed = np.unique(np.concatenate(periods.pairs))
-        sides = f"the periodic sides {' and '.join(map(repr, periods.names))}"
+        fixed_nodes = np.unique(np.concatenate(periods.node_pairs))
+        sides = f"the periodic sides {' and '.join(map(repr, periods.side_names))}"
         text = f"S reaches one of {sides}, at {{at}}, which would not match when the layer opens; cut the cell where S"
         advice = "is not, use the interface model, or mesh a large piece that is not periodic"
-        refuse(np.isin(fixed, joint.surface), joint.points[fixed], f"{text} {advice}")
+        refuse(np.isin(fixed_nodes, joint.surface), joint.points[fixed_nodes], f"{text} {advice}")
     layers = Layering.of(joint, eps, profile, cells_through, fractions, junctions, gaps)
     copies = NodeCopies.of(joint)
-    lines, footing = node_lines(joint, copies, layers.heights)
+    lines, s_lines = node_lines(joint, copies, layers.heights)
     check_junctions(joint, lines, layers)
-    lines, junctions_at = junction_corners(joint, lines, footing)
+    lines, polygon_corners = junction_corners(joint, lines, s_lines)
 
-    copy_motion = _motion(joint, copies, layers.thickness, bodies, fixed)
-    line_motion, line_nodes = lines.between(copy_motion)
+    copy_motion = _node_motion(joint, copies, layers.thickness, bodies, fixed_nodes)
+    line_motion, line_s_nodes = lines.interpolate(copy_motion)
     motion = np.concatenate([copy_motion, line_motion])
-    foot = np.concatenate([np.arange(len(joint.points)), copies.new, line_nodes])
+    drawn_nodes = np.concatenate([np.arange(len(joint.points)), copies.copied_nodes, line_s_nodes])
 
-    bands, names = _bands(joint, lines, footing, layers)
-    filler = _BandCells(joint.cells[:0], joint.region[:0], bands.director[:0])
-    if junctions_at:
-        filled = junction_cells(joint, lines, junctions_at, copy_motion, foot[: len(copy_motion)])
-        motion, foot = np.concatenate([motion, filled.values]), np.concatenate([foot, filled.nodes])
-        filler = _junctions(joint, lines, footing, junctions_at, layers.claims, filled)
-    owners = np.unique(filler.region)
+    bands, sublayers = _layer_cells(joint, lines, s_lines, layers)
+    fill = _BandCells(joint.cells[:0], joint.region[:0], bands.director[:0])
+    if polygon_corners:
+        all_fill = junction_cells(joint, lines, polygon_corners, copy_motion, drawn_nodes[: len(copy_motion)])
+        motion, drawn_nodes = np.concatenate([motion, all_fill.values]), np.concatenate([drawn_nodes, all_fill.s_nodes])
+        fill = _kept_junction_cells(joint, lines, s_lines, polygon_corners, layers.junction_priority, all_fill)
+    owner_seams = np.unique(fill.region)
     seams, prefix = list(joint.seams), f"{LAYER}/{JUNCTIONS}"
-    shared = {prefix if len(owners) == 1 else f"{prefix}/{seams[k]}": seams[k] for k in owners}
-    tilted = (filler.director == 0).all(axis=(1, 2))
-    first = len(joint.regions) + sum(map(len, names.values()))
+    fill_regions = {prefix if len(owner_seams) == 1 else f"{prefix}/{seams[k]}": seams[k] for k in owner_seams}
+    tilted = (fill.director == 0).all(axis=(1, 2))
+    first_fill_region = len(joint.regions) + sum(map(len, sublayers.values()))
 
-    cells, is_used = np.concatenate([copies.cells, bands.cells, filler.cells]), np.zeros(len(foot), bool)
+    cells, is_used = np.concatenate([copies.body_cells, bands.cells, fill.cells]), np.zeros(len(drawn_nodes), bool)
     is_used[cells] = True
-    number = np.where(is_used, np.cumsum(is_used) - 1, -1)
-    foot, cells, copies = foot[is_used], number[cells], copies.renumbered(number)
-    points = joint.points[foot] + motion[is_used]
+    new_numbers = np.where(is_used, np.cumsum(is_used) - 1, -1)
+    drawn_nodes, cells, copies = drawn_nodes[is_used], new_numbers[cells], copies.renumbered(new_numbers)
+    points = joint.points[drawn_nodes] + motion[is_used]
     _check_cells(joint, points, cells, len(bands.cells))
-    corners = cells[len(joint.cells) :, : joint.corners.shape[1]]
-    facets, faces = moved_facets(joint, copies, layers, corners, len(bands.cells), foot)
-    regions = (*(name for of_seam in names.values() for name in of_seam), *shared)
-    aligned = tuple(name for name, seam in shared.items() if seams.index(seam) not in filler.region[tilted])
-    director = np.concatenate([bands.director, np.where(tilted[:, None, None], np.eye(joint.dim)[1], filler.director)])
-    band = InflatedBand(layers.eps, bodies, regions, names, shared, aligned, faces, joint, joint.points[foot], director)
-    region = np.concatenate([joint.region, bands.region, first + np.searchsorted(owners, filler.region)])
+    layer_corners = cells[len(joint.cells) :, : joint.corners.shape[1]]
+    facets, faces = moved_facets(joint, copies, layers, layer_corners, len(bands.cells), drawn_nodes)
+    regions = (*(name for of_seam in sublayers.values() for name in of_seam), *fill_regions)
+    aligned = tuple(name for name, seam in fill_regions.items() if seams.index(seam) not in fill.region[tilted])
+    director = np.concatenate([bands.director, np.where(tilted[:, None, None], np.eye(joint.dim)[1], fill.director)])
+    band = InflatedBand(
+        layers.eps, bodies, regions, sublayers, fill_regions, aligned, faces, joint, joint.points[drawn_nodes], director
+    )
+    region = np.concatenate([joint.region, bands.region, first_fill_region + np.searchsorted(owner_seams, fill.region)])
     inflated = Joint(points, cells, joint.cell_type, region, joint.regions + regions, facets, joint.seams, band)
     return with_periods_of(inflated, periods) if periods else inflated
 
@@ -138,17 +140,17 @@ def without_bodies(inflated: Joint) -> Joint:
     assert band is not None
     first_region = len(inflated.regions) - len(band.regions)
     in_layer = inflated.region >= first_region
-    used, cells = np.unique(inflated.cells[in_layer], return_inverse=True)
-    number = positions(used, len(inflated.points))
+    used_nodes, cells = np.unique(inflated.cells[in_layer], return_inverse=True)
+    new_numbers = positions(used_nodes, len(inflated.points))
     table = FacetTable.of(cells[:, : inflated.corners.shape[1]], inflated.cell_type)
     facets: dict[str, IntArray] = {}
-    for name, of_name in inflated.facets.items():
-        rows = number[of_name]
-        rows = rows[(rows >= 0).all(axis=1)]
-        if len(rows := rows[table.index(rows) >= 0]):
-            facets[name] = facets[FacetName.parse(name).continued] = rows
-    points, region = inflated.points[used], inflated.region[in_layer] - first_region
-    new_band = replace(band, reference=band.reference[used])
+    for name, set_facets in inflated.facets.items():
+        layer_facets = new_numbers[set_facets]
+        layer_facets = layer_facets[(layer_facets >= 0).all(axis=1)]
+        if len(layer_facets := layer_facets[table.index(layer_facets) >= 0]):
+            facets[name] = facets[FacetName.parse(name).continued_set] = layer_facets
+    points, region = inflated.points[used_nodes], inflated.region[in_layer] - first_region
+    new_band = replace(band, reference=band.reference[used_nodes])
     return Joint(points, cells, inflated.cell_type, region, band.regions, facets, inflated.seams, new_band)
 
 
@@ -157,7 +159,8 @@ class _BandCells(NamedTuple):
 
     Attributes:
         cells: (n, k) numbers of the k nodes of each cell.
-        region: (n,) number of each cell's region; for cells that `_junctions` returns, the position of a seam instead.
+        region: (n,) number of each cell's region; for cells that `_kept_junction_cells` returns, the position of a seam
+            instead.
         director: (n, m, d) unit normal of S in d dimensions below or above each of a cell's m vertices; zero in
             junctions of layers with different normals.
     """
@@ -167,8 +170,8 @@ class _BandCells(NamedTuple):
     director: FloatArray
 
 
-def _junctions(
-    joint: Joint, lines: NodeLines, footing: FacetLines, corners: JunctionCorners, claims: Names, filled: JunctionCells
+def _kept_junction_cells(
+    joint: Joint, lines: NodeLines, s_lines: FacetLines, corners: JunctionCorners, priority: Names, fill: JunctionCells
 ) -> _BandCells:
     """Return the cells of junctions, except of those where two neighbouring seams are gaps.
 
@@ -177,36 +180,36 @@ def _junctions(
     Args:
         joint: the joint as drawn, before S is opened.
         lines: all lines of nodes through the thickness.
-        footing: the lines at the nodes of each facet of S.
+        s_lines: the lines at the nodes of each facet of S.
         corners: corners of the polygons that open at junctions.
-        claims: names of the seams with cells, in order of priority for the cells of junctions.
-        filled: cells in all junctions.
+        priority: names of the seams with cells, in order of priority for the cells of junctions.
+        fill: cells in all junctions.
     """
-    seams, no_rank = list(joint.seams), len(claims)
-    rank = np.array([claims.index(name) if name in claims else no_rank for name in seams])
-    line_rank = np.full(len(lines.nodes), no_rank)  # the sides that close a polygon have no seam
-    line_rank[: footing.lines.max() + 1] = rank[lines.seam_no[: footing.lines.max() + 1]]
-    best_rank = np.full(int(corners.of.max()) + 1, no_rank)
-    np.minimum.at(best_rank, corners.of, line_rank[corners.sides].min(axis=(1, 2)))
-    owners = np.array([*map(seams.index, claims), -1])[best_rank[corners.of]]
+    seams, no_rank = list(joint.seams), len(priority)
+    rank = np.array([priority.index(name) if name in priority else no_rank for name in seams])
+    line_rank = np.full(len(lines.feet), no_rank)  # the sides that close a polygon have no seam
+    line_rank[: s_lines.line_numbers.max() + 1] = rank[lines.seam_no[: s_lines.line_numbers.max() + 1]]
+    best_rank = np.full(int(corners.junc.max()) + 1, no_rank)
+    np.minimum.at(best_rank, corners.junc, line_rank[corners.sides].min(axis=(1, 2)))
+    owner_seams = np.array([*map(seams.index, priority), -1])[best_rank[corners.junc]]
     is_gap = line_rank == no_rank
     # where a body has a corner between two gaps there are no cells: it would touch them at that corner only
-    is_empty = np.bincount(corners.of, is_gap[corners.sides[:, 0]].all(axis=1)) > 0
-    is_kept = ~is_empty[corners.of][filled.corners]
-    cells, corner = filled.cells[is_kept], filled.corners[is_kept]
-    normals = common_normals(joint, footing, corners, is_gap)[corner]
-    return _BandCells(cells, owners[corner], np.broadcast_to(normals[:, None], (*cells.shape, joint.dim)))
+    is_empty = np.bincount(corners.junc, is_gap[corners.sides[:, 0]].all(axis=1)) > 0
+    is_kept = ~is_empty[corners.junc][fill.corner]
+    cells, corner = fill.cells[is_kept], fill.corner[is_kept]
+    normals = common_normals(joint, s_lines, corners, is_gap)[corner]
+    return _BandCells(cells, owner_seams[corner], np.broadcast_to(normals[:, None], (*cells.shape, joint.dim)))
 
 
-def _bands(
-    joint: Joint, lines: NodeLines, footing: FacetLines, layers: Layering
+def _layer_cells(
+    joint: Joint, lines: NodeLines, s_lines: FacetLines, layers: Layering
 ) -> tuple[_BandCells, dict[str, tuple[str, ...]]]:
     """Return the cells of all layers, without those of junctions, and the names of their regions.
 
     Args:
         joint: the joint as drawn, before S is opened.
         lines: all lines of nodes through the thickness.
-        footing: the lines at the nodes of each facet of S.
+        s_lines: the lines at the nodes of each facet of S.
         layers: checked arguments for the layers.
 
     Returns:
@@ -216,11 +219,11 @@ def _bands(
     bands: list[_BandCells] = []
     names: dict[str, tuple[str, ...]] = {}
     first_region = len(joint.regions)
-    for number, seam in enumerate(joint.seams):
-        if seam not in layers.claims:
+    for seam_no, seam in enumerate(joint.seams):
+        if seam not in layers.junction_priority:
             continue
-        rows, fractions = np.flatnonzero((joint.seam_numbers == number) & layers.with_cells), layers.fractions[seam]
-        cells, sublayer, director = band_cells(joint, lines, footing, rows, layers.heights[number], fractions)
+        facets, fractions = np.flatnonzero((joint.seam_numbers == seam_no) & layers.has_cells), layers.fractions[seam]
+        cells, sublayer, director = band_cells(joint, lines, s_lines, facets, layers.heights[seam_no], fractions)
         layer_name = LAYER if len(joint.seams) == 1 else f"{LAYER}/{seam}"
         names[seam] = tuple(f"{layer_name}/{k + 1}" for k in range(len(fractions))) if len(fractions) else (layer_name,)
         bands.append(_BandCells(cells, first_region + sublayer, director))
@@ -228,7 +231,7 @@ def _bands(
     return _BandCells(*map(np.concatenate, zip(*bands, strict=True))), names
 
 
-def _motion(joint: Joint, copies: NodeCopies, thickness: FloatArray, bodies: str, fixed: IntArray) -> FloatArray:
+def _node_motion(joint: Joint, copies: NodeCopies, thickness: FloatArray, bodies: str, fixed: IntArray) -> FloatArray:
     """Return (n_nodes, d) the motion of all nodes and copies in d dimensions as the layers open, lengths.
 
     Args:
@@ -241,33 +244,33 @@ def _motion(joint: Joint, copies: NodeCopies, thickness: FloatArray, bodies: str
     Raises:
         InputError: the bodies cannot make room in this way.
     """
-    n_nodes = len(joint.points) + len(copies.new)
+    n_nodes = len(joint.points) + len(copies.copied_nodes)
     if bodies == "extended":
         on_base = (joint.surface_cells[:, 0] < 0)[:, None]
         depth_above, depth_below = np.where(on_base, thickness, thickness / 2), np.where(on_base, 0.0, thickness / 2)
-        face_nodes, values = face_motion(joint, copies, (depth_below, depth_above))
-        return extended_motion(joint, copies.cells, n_nodes, face_nodes, values, fixed)
-    for number, name in enumerate(joint.seams):
-        eps = thickness[joint.seam_numbers == number]
+        face_nodes, face_values = face_motion(joint, copies, (depth_below, depth_above))
+        return extended_motion(joint, copies.body_cells, n_nodes, face_nodes, face_values, fixed)
+    for seam_no, name in enumerate(joint.seams):
+        eps = thickness[joint.seam_numbers == seam_no]
         if np.ptp(eps) > THICKNESS_TOLERANCE * eps.max():
             raise InputError(f"the thickness varies along {name}: {NOT_KEPT_MESSAGE}")
-    translation, motion = kept_motion(joint, thickness[:, 0]), np.zeros((n_nodes, joint.dim))
+    translation, motion = body_translations(joint, thickness[:, 0]), np.zeros((n_nodes, joint.dim))
     require_room(joint, translation)
-    motion[copies.cells] = translation[joint.split_mesh.pieces][:, None]
-    motion[len(joint.points) :][copies.base] = translation[-1]
+    motion[copies.body_cells] = translation[joint.split_mesh.pieces][:, None]
+    motion[len(joint.points) :][copies.on_base] = translation[-1]
     return motion
 
 
-def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int) -> None:
+def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_band_cells: int) -> None:
     jacobians = node_jacobians(joint.points, joint.cells, joint.cell_type)
-    after = node_jacobians(points, cells, joint.cell_type)
+    new_jacobians = node_jacobians(points, cells, joint.cell_type)
     n = len(joint.cells)
     complaint = "eps is too large for these bodies: {bad} cells turn inside out, the first at {at}; take a smaller eps"
     remedy = "larger cells there (at sharp ends several times eps), or on planar seams bodies='kept', which keeps cells"
-    refuse((jacobians * after[:n] <= 0).any(axis=1), joint.points[joint.cells], f"{complaint}, {remedy}")
-    folded = np.abs(np.sign(after[n:]).sum(axis=1)) < after.shape[1]
-    place = "the layer" if folded[:n_bands].any() else "a junction of layers"
-    refuse(folded, points[cells[n:]], f"S turns too sharply for eps: {{bad}} cells of {place} are folded, as at {{at}}")
+    refuse((jacobians * new_jacobians[:n] <= 0).any(axis=1), joint.points[joint.cells], f"{complaint}, {remedy}")
+    folded = np.abs(np.sign(new_jacobians[n:]).sum(axis=1)) < new_jacobians.shape[1]
+    where = "the layer" if folded[:n_band_cells].any() else "a junction of layers"
+    refuse(folded, points[cells[n:]], f"S turns too sharply for eps: {{bad}} cells of {where} are folded, as at {{at}}")
 
 
 def with_gaps(joint: Joint, eps: Sizes, *, profile: Profiles = None) -> Joint:
@@ -315,7 +318,7 @@ def offset_to_middle(joint: Joint) -> FloatArray:
         (n_cells, k, d) vectors at the k nodes of each cell, lengths; zero at nodes that are not on S.
     """
     offsets, face_points = np.zeros_like(joint.cell_points), joint.faces()
-    for cells, face in zip(joint.surface_cells.T, face_points, strict=True):
+    for cells, side_points in zip(joint.surface_cells.T, face_points, strict=True):
         at = np.flatnonzero(cells >= 0)
-        offsets[cells[at, None], joint.on_surface(cells)[at]] = (face_points.mean(axis=0) - face)[at]
+        offsets[cells[at, None], joint.on_surface(cells)[at]] = (face_points.mean(axis=0) - side_points)[at]
     return offsets

@@ -11,7 +11,7 @@ from forms.traits import warn_of_range
 from geometry.joint import PLANAR_TOLERANCE, Joint
 from geometry.refusals import place_text, refuse
 from geometry.sheet import Sheet
-from geometry.topology import FloatArray, IntArray, connected, is_tensor, sum_by_number, unique_rows
+from geometry.topology import FloatArray, IntArray, components, is_tensor, sum_by_number, unique_rows
 
 THICKNESS_TOLERANCE = 1e-12  # relative difference of thicknesses that counts as zero
 FLAT_GAP_TOLERANCE = 1e-9  # relative error of the thickness between bodies that are kept
@@ -21,10 +21,10 @@ NORMAL_PENALTY = 1e3  # stiffness across the layers over stiffness along them, i
 MAX_MULTIPLIER_STEPS = 200  # largest number of updates of the multiplier in this problem
 NOT_KEPT_MESSAGE = "the bodies cannot be moved apart in one piece; use bodies='extended'"
 # weights of a facet's vertices: their mean lies above no edge of an aligned grid
-RAY_OFFSETS = np.array([1.0, 1.3, 1.7, 2.3])
+RAY_WEIGHTS = np.array([1.0, 1.3, 1.7, 2.3])
 
 
-def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
+def body_translations(joint: Joint, eps: FloatArray) -> FloatArray:
     """Return the translations of the bodies that open S by the thickness of each layer.
 
     Each piece into which S cuts the joint has one translation.
@@ -45,56 +45,56 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
         InputError: no such translations exist.
     """
     pieces, cells, n, d = joint.split_mesh.pieces, joint.surface_cells, joint.interface_normals, joint.dim
-    count = int(pieces.max()) + 1
-    ends = np.where(cells >= 0, pieces[cells], count)
-    count += bool((cells < 0).any())
+    n_pieces = int(pieces.max()) + 1
+    side_pieces = np.where(cells >= 0, pieces[cells], n_pieces)
+    n_pieces += bool((cells < 0).any())
     complaint = f"one body, as at {{at}}, lies below S and above it: {NOT_KEPT_MESSAGE}"
-    refuse(ends[:, 0] == ends[:, 1], joint.points[joint.corners[cells[:, 1]]], complaint)
+    refuse(side_pieces[:, 0] == side_pieces[:, 1], joint.points[joint.corners[cells[:, 1]]], complaint)
     sheet = Sheet(joint)
     area = np.bincount(sheet.simplices[0], sheet.areas)
-    pairs, at = unique_rows(ends)
-    weight: FloatArray = np.bincount(at, area).astype(float)
-    moment = sum_by_number(at, area[:, None, None] * n[:, :, None] * n[:, None, :], len(pairs))
-    opened = sum_by_number(at, (area * eps)[:, None] * n, len(pairs))
-    values, vectors = np.linalg.eigh(moment / weight[:, None, None])
-    is_normal = values > 10 * PLANAR_TOLERANCE**2
-    inverse = np.where(is_normal, 1 / np.where(is_normal, values, 1.0), 0.0)
-    pair_jump = np.einsum("pik,pk,pjk,pj->pi", vectors, inverse, vectors, opened / weight[:, None])
-    part = connected(pairs[:, 0], pairs[:, 1], count)
-    T = _translations(pairs, part, pair_jump, (vectors * is_normal[:, None, :]) @ np.swapaxes(vectors, 1, 2), weight)
+    pairs, pair_no = unique_rows(side_pieces)
+    areas: FloatArray = np.bincount(pair_no, area).astype(float)
+    moment = sum_by_number(pair_no, area[:, None, None] * n[:, :, None] * n[:, None, :], len(pairs))
+    opening_sum = sum_by_number(pair_no, (area * eps)[:, None] * n, len(pairs))
+    eigenvalues, vectors = np.linalg.eigh(moment / areas[:, None, None])
+    is_normal = eigenvalues > 10 * PLANAR_TOLERANCE**2
+    inverse_values = np.where(is_normal, 1 / np.where(is_normal, eigenvalues, 1.0), 0.0)
+    pair_jump = np.einsum("pik,pk,pjk,pj->pi", vectors, inverse_values, vectors, opening_sum / areas[:, None])
+    group = components(pairs[:, 0], pairs[:, 1], n_pieces)
+    T = _translations(pairs, group, pair_jump, (vectors * is_normal[:, None, :]) @ np.swapaxes(vectors, 1, 2), areas)
 
-    contradictory = "the layers around the bodies at {at} ask for motions that contradict one another"
-    target_gap, mean = (pair_jump[at] * n).sum(axis=1), (np.bincount(at, eps) / np.bincount(at))[at]
+    conflict = "the layers around the bodies at {at} ask for motions that contradict one another"
+    target_gap, mean = (pair_jump[pair_no] * n).sum(axis=1), (np.bincount(pair_no, eps) / np.bincount(pair_no))[pair_no]
     # layers of several thicknesses get the strict tolerance
     tolerance = np.where(np.abs(eps - mean) > FLAT_GAP_TOLERANCE * mean, FLAT_GAP_TOLERANCE, CURVED_GAP_TOLERANCE)
-    pair_check = pair_jump[at], eps, tolerance, "S is not planar, as at {at}"
-    joint_check = T[ends[:, 1]] - T[ends[:, 0]], target_gap, FLAT_GAP_TOLERANCE, contradictory
-    for jump, wanted_gap, allowed, reason in (pair_check, joint_check):
+    pair_check = pair_jump[pair_no], eps, tolerance, "S is not planar, as at {at}"
+    joint_check = T[side_pieces[:, 1]] - T[side_pieces[:, 0]], target_gap, FLAT_GAP_TOLERANCE, conflict
+    for jump, wanted_gap, gap_tolerance, reason in (pair_check, joint_check):
         gap = (jump * n).sum(axis=1)
-        sideways = np.linalg.norm(jump - gap[:, None] * n, axis=1)
-        is_wrong = np.abs(gap - wanted_gap) > allowed * eps + PLANAR_TOLERANCE * sideways
+        slip = np.linalg.norm(jump - gap[:, None] * n, axis=1)
+        is_wrong = np.abs(gap - wanted_gap) > gap_tolerance * eps + PLANAR_TOLERANCE * slip
         refuse(is_wrong, joint.points[joint.surface], f"{reason}: {NOT_KEPT_MESSAGE}")
-    opening = np.einsum("nd,nkd->nk", pair_jump[at], joint.node_normals) / eps[:, None]
-    if np.abs(opening - 1).max() > GAP_WARNING_ERROR:
-        range_text = f"its thickness is {opening.min():.3f} to {opening.max():.3f} of eps with bodies='kept'"
+    gap_ratio = np.einsum("nd,nkd->nk", pair_jump[pair_no], joint.node_normals) / eps[:, None]
+    if np.abs(gap_ratio - 1).max() > GAP_WARNING_ERROR:
+        range_text = f"its thickness is {gap_ratio.min():.3f} to {gap_ratio.max():.3f} of eps with bodies='kept'"
         warn_of_range("curved", f"the meshed layer is curved: {range_text}; use bodies='extended' for a uniform one")
-    on_base, part_above, n_parts = cells[:, 0] < 0, part[ends[:, 1]], int(part.max()) + 1
-    middle = np.where(on_base[:, None], T[ends[:, 1]], (T[ends[:, 0]] + T[ends[:, 1]]) / 2)
-    share = np.where(np.isin(part_above, part_above[on_base]) & ~on_base, 0.0, area)
-    total = np.maximum(np.bincount(part_above, share, n_parts), np.finfo(float).tiny)
-    shift = np.stack([np.bincount(part_above, share * middle[:, k], n_parts) / total for k in range(d)], axis=1)
-    return np.asarray(T - shift[part])
+    on_base, group_above, n_groups = cells[:, 0] < 0, group[side_pieces[:, 1]], int(group.max()) + 1
+    mean_T = np.where(on_base[:, None], T[side_pieces[:, 1]], (T[side_pieces[:, 0]] + T[side_pieces[:, 1]]) / 2)
+    weights = np.where(np.isin(group_above, group_above[on_base]) & ~on_base, 0.0, area)
+    total = np.maximum(np.bincount(group_above, weights, n_groups), np.finfo(float).tiny)
+    shift = np.stack([np.bincount(group_above, weights * mean_T[:, k], n_groups) / total for k in range(d)], axis=1)
+    return np.asarray(T - shift[group])
 
 
-def _translations(pair: IntArray, part: IntArray, jump: FloatArray, P_n: FloatArray, area: FloatArray) -> FloatArray:
+def _translations(pairs: IntArray, group: IntArray, jump: FloatArray, P_n: FloatArray, area: FloatArray) -> FloatArray:
     """Return the translations of pieces that have prescribed jumps normal to S and the least jumps along S.
 
     Pieces in one connected part may still be translated together: the result fixes this arbitrarily. The method is an
     augmented Lagrangian, which also converges for redundant constraints.
 
     Args:
-        pair: (n, 2) numbers of the pieces below and above each of n layers.
-        part: (n_pieces,) number of the connected part of the joint that each piece is in.
+        pairs: (n, 2) numbers of the pieces below and above each of n layers.
+        group: (n_pieces,) number of the connected part of the joint that each piece is in.
         jump: (n, d) prescribed jump across each layer in d dimensions, lengths.
         P_n: (n, d, d) projector onto the directions in which each layer prescribes the jump. For a plane layer this is
             its normal; a bent layer has several normals.
@@ -103,22 +103,22 @@ def _translations(pair: IntArray, part: IntArray, jump: FloatArray, P_n: FloatAr
     Returns:
         (n_pieces, d) translation of each piece, lengths.
     """
-    (n, d), count = jump.shape, len(part)
-    low, up = (scipy.sparse.csr_matrix((np.ones(n), (np.arange(n), end)), shape=(n, count)) for end in pair.T)
-    jumps = scipy.sparse.kron(up - low, np.eye(d), format="csr")
+    (n, d), n_pieces = jump.shape, len(group)
+    low, up = (scipy.sparse.csr_matrix((np.ones(n), (np.arange(n), end)), shape=(n, n_pieces)) for end in pairs.T)
+    jump_matrix = scipy.sparse.kron(up - low, np.eye(d), format="csr")
     stiffness = NORMAL_PENALTY * P_n + (area / area.mean())[:, None, None] * (np.eye(d) - P_n)
-    blocks = scipy.sparse.bsr_matrix((stiffness, np.arange(n), np.arange(n + 1)), shape=(n * d, n * d))
-    anchor = np.zeros(count)
-    anchor[np.unique(part, return_index=True)[1]] = NORMAL_PENALTY
-    matrix = jumps.T @ blocks @ jumps + scipy.sparse.kron(scipy.sparse.diags(anchor), np.eye(d))
-    factors = scipy.sparse.linalg.splu(matrix.tocsc())
-    T, multiplier = np.zeros((count, d)), np.zeros((n, d))
+    block_stiffness = scipy.sparse.bsr_matrix((stiffness, np.arange(n), np.arange(n + 1)), shape=(n * d, n * d))
+    anchors = np.zeros(n_pieces)
+    anchors[np.unique(group, return_index=True)[1]] = NORMAL_PENALTY
+    matrix = jump_matrix.T @ block_stiffness @ jump_matrix + scipy.sparse.kron(scipy.sparse.diags(anchors), np.eye(d))
+    lu = scipy.sparse.linalg.splu(matrix.tocsc())
+    T, multiplier = np.zeros((n_pieces, d)), np.zeros((n, d))
     for _ in range(MAX_MULTIPLIER_STEPS):
-        residual = jump - np.einsum("nij,nj->ni", P_n, T[pair[:, 1]] - T[pair[:, 0]])
+        residual = jump - np.einsum("nij,nj->ni", P_n, T[pairs[:, 1]] - T[pairs[:, 0]])
         if np.abs(residual).max() <= 10 * np.finfo(float).eps * np.abs(jump).max():
             break
         multiplier += residual
-        T = factors.solve(jumps.T @ (NORMAL_PENALTY * multiplier).ravel()).reshape(count, d)
+        T = lu.solve(jump_matrix.T @ (NORMAL_PENALTY * multiplier).ravel()).reshape(n_pieces, d)
     return T
 
 
@@ -131,30 +131,30 @@ def require_room(joint: Joint, translation: FloatArray) -> None:
             base if there is one, lengths.
     """
     table, cells = joint.table, joint.surface_cells
-    outer = np.union1d(np.flatnonzero(table.cells[:, 1] < 0), joint.surface_rows)
-    piece = joint.split_mesh.pieces[table.cells[outer, 0]]
-    below = np.where(cells[:, 0] >= 0, joint.split_mesh.pieces[cells[:, 0]], len(translation) - 1)
-    piece[np.searchsorted(outer, joint.surface_rows)] = below
-    x = joint.points[table.vertices[outer]]
+    outer_rows = np.union1d(np.flatnonzero(table.cells[:, 1] < 0), joint.surface_rows)
+    piece = joint.split_mesh.pieces[table.cells[outer_rows, 0]]
+    piece_below = np.where(cells[:, 0] >= 0, joint.split_mesh.pieces[cells[:, 0]], len(translation) - 1)
+    piece[np.searchsorted(outer_rows, joint.surface_rows)] = piece_below
+    x = joint.points[table.vertices[outer_rows]]
     low, high = np.full_like(translation, np.inf), np.full_like(translation, -np.inf)
     np.minimum.at(low, piece, x.min(axis=1))
     np.maximum.at(high, piece, x.max(axis=1))
     min_motion = FLAT_GAP_TOLERANCE * np.abs(translation).max()  # largest relative motion of bodies that move together
     for body in range(len(translation) - 1):
-        lengths = np.linalg.norm(translation[body] - translation[body + 1 :], axis=1)
+        distances = np.linalg.norm(translation[body] - translation[body + 1 :], axis=1)
         gap = np.maximum(low[body + 1 :] - high[body], low[body] - high[body + 1 :]).max(axis=1)  # of bounding boxes
-        for other in body + 1 + np.flatnonzero((gap <= lengths) & (lengths > min_motion)):
-            direction, eps = translation[body] - translation[other], float(lengths[other - body - 1])
+        for other in body + 1 + np.flatnonzero((gap <= distances) & (distances > min_motion)):
+            direction, eps = translation[body] - translation[other], float(distances[other - body - 1])
             for moving, fixed, sign in ((body, other, 1.0), (other, body, -1.0)):
-                corners = table.vertices[outer[piece == moving]]
-                weights = RAY_OFFSETS[: corners.shape[1]] / RAY_OFFSETS[: corners.shape[1]].sum()
+                corners = table.vertices[outer_rows[piece == moving]]
+                weights = RAY_WEIGHTS[: corners.shape[1]] / RAY_WEIGHTS[: corners.shape[1]].sum()
                 probes = np.concatenate([joint.points[np.unique(corners)], weights @ joint.points[corners]])
-                hit = _first_hit(joint, probes, outer[piece == fixed], sign * direction / eps, eps)
+                hit = _first_hit(joint, probes, outer_rows[piece == fixed], sign * direction / eps, eps)
                 if hit is not None:
                     raise InputError(f"no room for a layer of thickness {eps:g} at {place_text(hit)}: bodies overlap")
 
 
-def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, direction: FloatArray, eps: float) -> FloatArray | None:
+def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, direction: FloatArray, length: float) -> FloatArray | None:
     """Return the coordinates (d,) of one of the points `x` that passes through a facet while all move along a line.
 
     None means that no point passes through a facet.
@@ -164,25 +164,25 @@ def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, direction: FloatArra
         x: (n, d) coordinates of the points in d dimensions.
         rows: row numbers in `joint.table` of the facets, which do not move.
         direction: (d,) unit vector along which the points move.
-        eps: length by which they move.
+        length: length by which they move.
     """
     nodes = joint.table.nodes(rows, joint.corners, joint.cell_type)
     if is_tensor(joint.cell_type) and joint.dim == 3:
         nodes = np.concatenate([nodes[:, [0, 1, 2]], nodes[:, [3, 1, 2]]])
     facets = joint.points[nodes]
     tolerance = 1e-9 * joint.size
-    start, heights = x @ direction, facets @ direction
-    low, high = start.min(initial=np.inf) + tolerance, start.max(initial=-np.inf) + eps
-    is_near = (heights.max(axis=1) > low) & (heights.min(axis=1) < high)
+    point_heights, facet_heights = x @ direction, facets @ direction
+    low, high = point_heights.min(initial=np.inf) + tolerance, point_heights.max(initial=-np.inf) + length
+    is_near = (facet_heights.max(axis=1) > low) & (facet_heights.min(axis=1) < high)
     plane_axes = np.linalg.svd(direction[None])[2][1:]
-    for facet, height in zip(facets[is_near] @ plane_axes.T, heights[is_near], strict=True):
+    for facet, height in zip(facets[is_near] @ plane_axes.T, facet_heights[is_near], strict=True):
         edges = (facet[1:] - facet[0]).T
         if abs(np.linalg.det(edges)) < tolerance ** (joint.dim - 1):
             continue  # the facet is parallel to the motion
         weights = np.linalg.solve(edges, (x @ plane_axes.T - facet[0]).T).T
-        gap = height[0] + weights @ (height[1:] - height[0]) - start
+        gap = height[0] + weights @ (height[1:] - height[0]) - point_heights
         is_inside = (weights > 1e-9).all(axis=1) & (weights.sum(axis=1) < 1 - 1e-9)
-        hit = np.flatnonzero(is_inside & (gap > tolerance) & (gap < eps))
+        hit = np.flatnonzero(is_inside & (gap > tolerance) & (gap < length))
         if len(hit):
             return np.asarray(x[hit[0]], float)
     return None

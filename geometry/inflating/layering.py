@@ -13,7 +13,7 @@ from geometry.joint import Joint, Profile
 from geometry.refusals import place_text, refuse, require_known
 from geometry.seam import BASE, LAYER, LOWER_FACE, UPPER_FACE, FacetName
 from geometry.sheet import continued_ridges
-from geometry.topology import BoolArray, FacetTable, FloatArray, IntArray, keys_of_ridges
+from geometry.topology import BoolArray, FacetTable, FloatArray, IntArray, facet_ridge_keys
 
 BODY_CHOICES = ("kept", "extended")
 MIN_THICKNESS = 1e-11  # smallest thickness of a meshed layer, over the size of its joint
@@ -25,14 +25,14 @@ Profiles = Profile | Mapping[str, Profile | None] | None
 
 
 def value_by_seam(
-    joint: Joint, value: ValueType | Mapping[str, ValueType], what: str, *default: ValueType
+    joint: Joint, value: ValueType | Mapping[str, ValueType], argument: str, *default: ValueType
 ) -> dict[str, ValueType]:
     """Return name of a seam -> its value, for all seams of a joint.
 
     Args:
         joint: the joint with the seams.
         value: one value for all seams, or {name of a seam: value}.
-        what: name of the argument, for messages.
+        argument: name of the argument, for messages.
         default: at most one value, for seams that `value` does not name; without it, each seam must be named.
 
     Raises:
@@ -41,22 +41,24 @@ def value_by_seam(
     if not isinstance(value, Mapping):
         return dict.fromkeys(joint.seams, value)
     for name in value:
-        require_known("seam", name, joint.seams, what)
+        require_known("seam", name, joint.seams, argument)
     missing = [name for name in joint.seams if name not in value]
     if missing and not default:
-        raise InputError(f"the seam {missing[0]!r} has no {what}; give {what}={{{missing[0]!r}: ..., ...}}")
+        raise InputError(f"the seam {missing[0]!r} has no {argument}; give {argument}={{{missing[0]!r}: ..., ...}}")
     return {name: value[name] if name in value else default[0] for name in joint.seams}
 
 
-def check_layering(n_cells: int, bodies: str) -> None:
-    """Raise InputError unless the arguments `n_cells` (`cells_through`) and `bodies` of `inflate` are allowed.
+def check_layering(cells_through: int, bodies: str) -> None:
+    """Raise InputError unless the arguments `cells_through` and `bodies` of `inflate` are allowed.
 
     Args:
-        n_cells: number of cells through the thickness, a whole number >= 1.
+        cells_through: number of cells through the thickness, a whole number >= 1.
         bodies: "kept" or "extended".
     """
     require_known("way to make room for the layer (bodies=...)", bodies, BODY_CHOICES)
-    require(is_integer(n_cells, 1), "cells_through", n_cells, "the layer needs a whole number >= 1 of cells")
+    require(
+        is_integer(cells_through, 1), "cells_through", cells_through, "the layer needs a whole number >= 1 of cells"
+    )
 
 
 class Layering(NamedTuple):
@@ -68,18 +70,18 @@ class Layering(NamedTuple):
             for no sublayers.
         heights: for each seam the heights of the levels of nodes, as fractions of the thickness from 0 to 1.
         thickness: (n_S, k) thickness at the k nodes of each facet of S, lengths.
-        varying: names of the seams with a profile.
-        claims: names of the seams that get cells, in order of priority for the cells of junctions.
-        with_cells: (n_S,) whether the seam of each facet of S gets cells; False in gaps.
+        varying_seams: names of the seams with a profile.
+        junction_priority: names of the seams that get cells, in order of priority for the cells of junctions.
+        has_cells: (n_S,) whether the seam of each facet of S gets cells; False in gaps.
     """
 
     eps: dict[str, float]
     fractions: dict[str, Sequence[float]]
     heights: list[FloatArray]
     thickness: FloatArray
-    varying: tuple[str, ...]
-    claims: list[str]
-    with_cells: BoolArray
+    varying_seams: tuple[str, ...]
+    junction_priority: list[str]
+    has_cells: BoolArray
 
     @classmethod
     def of(
@@ -107,26 +109,26 @@ class Layering(NamedTuple):
         in_gaps = np.isin(np.array([*joint.seams])[joint.seam_numbers], list(gaps))
         if in_gaps.all():
             raise InputError("all seams are gaps: there is no layer to mesh; use the interface model")
-        sizes = value_by_seam(joint, eps, "eps")
-        shares: dict[str, Sequence[float]] = value_by_seam(joint, fractions, "fractions", ())
+        eps_of = value_by_seam(joint, eps, "eps")
+        sublayers: dict[str, Sequence[float]] = value_by_seam(joint, fractions, "fractions", ())
         profiles: dict[str, Profile | None] = value_by_seam(joint, profile, "profile", None)
         too_thin = f"the coordinates of bodies of size {joint.size:.3g} do not resolve it; use the interface model"
-        for name, size in sizes.items():
-            which, some = "" if len(joint.seams) == 1 else f" of {name!r}", shares[name]
+        for name, size in eps_of.items():
+            which, part = "" if len(joint.seams) == 1 else f" of {name!r}", sublayers[name]
             require(is_finite(size) and size > 0, f"the layer's thickness eps{which}", size, "it must be > 0")
             require(size >= MIN_THICKNESS * joint.size, f"the layer's thickness eps{which}", size, too_thin)
-            if len(some) and not (all(map(is_finite, some)) and min(some) > 0 and abs(sum(some) - 1) <= 1e-12):
-                raise InputError(f"the fractions {tuple(some)}{which} of sublayers must be numbers > 0 and add up to 1")
+            if len(part) and not (all(map(is_finite, part)) and min(part) > 0 and abs(sum(part) - 1) <= 1e-12):
+                raise InputError(f"the fractions {tuple(part)}{which} of sublayers must be numbers > 0 and add up to 1")
         if joint.tip is not None:
             tip = f"S ends inside the bodies (near {place_text(joint.tip)})"
             raise InputError(f"{tip}: the layer has no room at its tip and cannot be meshed; use the interface model")
-        by_node = np.stack([size * joint.relative_thickness(profiles[name], name) for name, size in sizes.items()])
-        thickness = by_node[joint.seam_numbers[:, None], joint.surface]
-        heights = [level_heights(joint.degree, through, some) for some in shares.values()]
-        varying = tuple(name for name in joint.seams if profiles[name] is not None)
-        claims = [name for name in dict.fromkeys([*junctions, *joint.seams]) if name not in gaps]
-        sizes = {name: float(size) for name, size in sizes.items()}
-        return cls(sizes, shares, heights, thickness, varying, claims, ~in_gaps)
+        at_nodes = np.stack([size * joint.relative_thickness(profiles[name], name) for name, size in eps_of.items()])
+        thickness = at_nodes[joint.seam_numbers[:, None], joint.surface]
+        heights = [level_heights(joint.degree, through, part) for part in sublayers.values()]
+        varying_seams = tuple(name for name in joint.seams if profiles[name] is not None)
+        junction_priority = [name for name in dict.fromkeys([*junctions, *joint.seams]) if name not in gaps]
+        eps_of = {name: float(size) for name, size in eps_of.items()}
+        return cls(eps_of, sublayers, heights, thickness, varying_seams, junction_priority, ~in_gaps)
 
 
 def check_junctions(joint: Joint, lines: NodeLines, layers: Layering) -> None:
@@ -139,20 +141,24 @@ def check_junctions(joint: Joint, lines: NodeLines, layers: Layering) -> None:
         lines: all lines of nodes through the thickness, at the nodes of S.
         layers: checked arguments for the layers.
     """
-    meeting = np.flatnonzero(np.bincount(lines.nodes)[lines.nodes] > 1)
-    names, x = np.array([*joint.seams])[lines.seam_no[meeting]], joint.points[lines.nodes[meeting]]
+    junction_lines = np.flatnonzero(np.bincount(lines.feet)[lines.feet] > 1)
+    names, x = np.array([*joint.seams])[lines.seam_no[junction_lines]], joint.points[lines.feet[junction_lines]]
     with_sublayers = [name for name, fractions in layers.fractions.items() if len(fractions)]
-    for reason, of_seams in (
+    for reason, bad_seams in (
         ("the sublayers of one layer have no place in the others", with_sublayers),
-        ("junctions are meshed between layers of uniform thickness only", list(layers.varying)),
+        ("junctions are meshed between layers of uniform thickness only", list(layers.varying_seams)),
         ("junctions are meshed between straight-sided cells only", [*joint.seams] if joint.degree == 2 else []),
     ):
-        refuse(np.isin(names, of_seams), x, f"S branches at {{at}}: {reason}; use the interface model")
-    refuse(lines.top[meeting] % 2 > 0, x, "layers meet at {at} and need an even number of cells (cells_through) there")
+        refuse(np.isin(names, bad_seams), x, f"S branches at {{at}}: {reason}; use the interface model")
+    refuse(
+        lines.last_level[junction_lines] % 2 > 0,
+        x,
+        "layers meet at {at} and need an even number of cells (cells_through) there",
+    )
 
 
 def moved_facets(
-    joint: Joint, copies: NodeCopies, layers: Layering, cells: IntArray, n_bands: int, foot: IntArray
+    joint: Joint, copies: NodeCopies, layers: Layering, cells: IntArray, n_band_cells: int, drawn_nodes: IntArray
 ) -> tuple[dict[str, IntArray], tuple[str, ...]]:
     """Return the facet sets of the joint with meshed layers.
 
@@ -161,41 +167,41 @@ def moved_facets(
         copies: copies of its nodes, one on each body.
         layers: checked arguments for the layers.
         cells: (n, m) numbers of the m vertices of each of the layers' cells, those of junctions last.
-        n_bands: number of the layers' cells that are not in junctions.
-        foot: (n_nodes,) for each node of the joint with layers the node of the joint as drawn that it comes from. For
-            copies and for nodes inside layers this is a node of S.
+        n_band_cells: number of the layers' cells that are not in junctions.
+        drawn_nodes: (n_nodes,) for each node of the joint with layers the node of the joint as drawn that it comes
+            from. For copies and for nodes inside layers this is a node of S.
 
     Returns:
         Name of a set -> (n, k) numbers of the k vertices of each of its n facets; and the names of the sets of facets
         between bodies and layers.
     """
-    is_filled, order = layers.with_cells, np.argsort(joint.surface[:, : joint.table.vertices.shape[1]], axis=1)
-    above, below = (np.take_along_axis(side, order, axis=1) for side in (copies.above, copies.below))
+    has_cells, vertex_order = layers.has_cells, np.argsort(joint.surface[:, : joint.table.vertices.shape[1]], axis=1)
+    above, below = (np.take_along_axis(side, vertex_order, axis=1) for side in (copies.above, copies.below))
     on_base = joint.surface_cells[:, 0] < 0
     new_facets: dict[str, IntArray] = {}
-    faces: list[str] = []
-    for number, seam in enumerate(joint.seams):
-        of_seam, has_seams = joint.seam_numbers == number, len(joint.seams) > 1
-        face_facets = {UPPER_FACE: above} if on_base[of_seam].any() else {UPPER_FACE: above, LOWER_FACE: below}
-        named = {str(FacetName(seam, name)) if has_seams else name: side[of_seam] for name, side in face_facets.items()}
+    face_sets: list[str] = []
+    for seam_no, seam in enumerate(joint.seams):
+        in_seam, has_seams = joint.seam_numbers == seam_no, len(joint.seams) > 1
+        face_facets = {UPPER_FACE: above} if on_base[in_seam].any() else {UPPER_FACE: above, LOWER_FACE: below}
+        named = {str(FacetName(seam, name)) if has_seams else name: side[in_seam] for name, side in face_facets.items()}
         new_facets |= named
-        faces += named if is_filled[of_seam].any() else ()
-    if (on_base & is_filled).any():
-        new_facets[BASE] = below[on_base & is_filled]
+        face_sets += named if has_cells[in_seam].any() else ()
+    if (on_base & has_cells).any():
+        new_facets[BASE] = below[on_base & has_cells]
     table = FacetTable.of(cells, joint.cell_type)
-    outer = table.cells[:, 1] < 0
-    outer[table.index(np.concatenate([above[is_filled], below[is_filled]]))] = False
-    sides, of_band = table.vertices[outer], table.cells[outer, 0] < n_bands
-    s_vertices = foot[sides]
-    below_sides, is_upright = keys_of_ridges(s_vertices, joint.dim - 1), (s_vertices == s_vertices[:, :1]).all(axis=1)
+    is_outer = table.cells[:, 1] < 0
+    is_outer[table.index(np.concatenate([above[has_cells], below[has_cells]]))] = False
+    outer_facets, in_band = table.vertices[is_outer], table.cells[is_outer, 0] < n_band_cells
+    s_vertices = drawn_nodes[outer_facets]
+    below_keys, is_upright = facet_ridge_keys(s_vertices, joint.dim - 1), (s_vertices == s_vertices[:, :1]).all(axis=1)
     for name, facets in joint.facets.items():
         if name in joint.seams:
             continue
         rows = joint.table.index(facets)
-        new_facets[name] = joint.table.nodes(rows, copies.cells[:, : joint.corners.shape[1]], joint.cell_type)
-        on = np.isin(below_sides, continued_ridges(joint, facets)).any(axis=1)
+        new_facets[name] = joint.table.nodes(rows, copies.body_cells[:, : joint.corners.shape[1]], joint.cell_type)
+        continues = np.isin(below_keys, continued_ridges(joint, facets)).any(axis=1)
         # in 3D the end of a junction continues the same sets as its layers
-        on |= is_upright & np.isin(s_vertices[:, 0], s_vertices[on & of_band])
-        if on.any():
-            new_facets[str(FacetName(name, LAYER))] = sides[on]
-    return new_facets, tuple(faces)
+        continues |= is_upright & np.isin(s_vertices[:, 0], s_vertices[continues & in_band])
+        if continues.any():
+            new_facets[str(FacetName(name, LAYER))] = outer_facets[continues]
+    return new_facets, tuple(face_sets)

@@ -26,7 +26,7 @@ from geometry.shapes.sizing import (
     require_width,
     scaled_length,
 )
-from geometry.topology import FACET_TYPES, FloatArray, IntArray, corner_count, is_tensor, weights_between
+from geometry.topology import FACET_TYPES, FloatArray, IntArray, corner_count, is_tensor, mid_node_weights
 
 GMSH_FAMILIES = {"interval": "line", "quadrilateral": "quadrangle"}  # gmsh's names, where they differ from DOLFINx
 SIZE_GROWTH = 0.3  # growth of the cell size per unit of distance from a refined place
@@ -43,8 +43,8 @@ class Drawing(NamedTuple):
         gradings: tag of each curve around these surfaces -> the sizes of cells along it.
         seams: name of a seam -> choice of its upper side. {}: one seam "S"; the last of `bodies` is above it, and all
             others are below.
-        circles: for a polar grid, the numbers of the two coordinates in the circles' plane, and the radius (a length)
-            up to which cells stay straight. None for other shapes.
+        polar_core: for a polar grid, the numbers of the two coordinates in the circles' plane, and the radius (a
+            length) up to which cells stay straight. None for other shapes.
     """
 
     bodies: dict[str, list[int]]
@@ -52,22 +52,22 @@ class Drawing(NamedTuple):
     base_tags: list[int]
     gradings: dict[int, Grading]
     seams: Mapping[str, Seam] = {}
-    circles: tuple[list[int], float] | None = None
+    polar_core: tuple[list[int], float] | None = None
 
 
-class SizeLengths(NamedTuple):
+class SizeRules(NamedTuple):
     """Lengths, and formulas in gmsh's language, from which the cell sizes of a shape follow.
 
     Attributes:
         min_width: the default cell size is a fraction of this length, such as a tenth.
         span: length of S in 2D, of the longest curve around S in 3D.
-        distance: distance from S in a shape in 3D, a formula in x, y and z.
+        distance_formula: distance from S in a shape in 3D, a formula in x, y and z.
         limit: upper bound of the cell size besides h, a formula in x, y and z; "": none.
     """
 
     min_width: float
     span: float
-    distance: str = "0"
+    distance_formula: str = "0"
     limit: str = ""
 
 
@@ -75,18 +75,18 @@ class SizeLengths(NamedTuple):
 class Shape(ABC):
     """A joint that gmsh can draw and mesh, described by its dimensions.
 
-    All numbers among the fields of subclasses are lengths, except those named in `angles`.
+    All numbers among the fields of subclasses are lengths, except those named in `angle_fields`.
 
     Attributes:
-        cells: requested cell sizes and types.
-        angles: names of the fields that are angles, in radians.
+        meshing: requested cell sizes and types.
+        angle_fields: names of the fields that are angles, in radians.
     """
 
-    cells: MeshOptions
-    angles: ClassVar[tuple[str, ...]] = ()
+    meshing: MeshOptions
+    angle_fields: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
-        self.cells.check(self.lengths, self.dim)
+        self.meshing.check(self.lengths, self.dim)
 
     @property
     def dim(self) -> int:
@@ -100,13 +100,13 @@ class Shape(ABC):
 
     @property
     @abstractmethod
-    def extent(self) -> SizeLengths:
+    def size_rules(self) -> SizeRules:
         """Lengths from which the default cell size and the growth of cells away from S follow."""
 
     def scaled(self, factor: float) -> Self:
         """Return the shape with all lengths, including cell sizes, multiplied by `factor`."""
-        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in self.angles}
-        return replace(self, **{name: _scaled(value, factor) for name, value in values.items()})
+        field_values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in self.angle_fields}
+        return replace(self, **{name: _scaled(value, factor) for name, value in field_values.items()})
 
     @abstractmethod
     def draw(self) -> Drawing:
@@ -115,19 +115,19 @@ class Shape(ABC):
     @property
     def kind(self) -> str:
         """Type of the cells, such as "triangle"; by default the simplex of the shape's dimension."""
-        return self.cells.cell or CELL_TYPES_OF_DIM[self.dim][0]
+        return self.meshing.cell or CELL_TYPES_OF_DIM[self.dim][0]
 
     @property
-    def gridded(self) -> bool:
+    def is_grid(self) -> bool:
         """Whether the mesh is a grid of quadrilaterals or hexahedra, or of simplices that divide these."""
-        return self.cells.structured or is_tensor(self.kind)
+        return self.meshing.structured or is_tensor(self.kind)
 
     @property
     def sizes(self) -> tuple[float, float, float]:
         """Largest cell size h, cell size h_S at S, and h_ends at the ends of S, lengths, with defaults filled in."""
-        h = float(self.cells.h or self.extent.min_width / DEFAULT_CELLS_ACROSS[self.dim])
-        h_S = float(self.cells.h_S or h)
-        return h, h_S, float(self.cells.h_ends or h_S)
+        h = float(self.meshing.h or self.size_rules.min_width / DEFAULT_CELLS_ACROSS[self.dim])
+        h_S = float(self.meshing.h_S or h)
+        return h, h_S, float(self.meshing.h_ends or h_S)
 
     def build(self) -> Joint:
         """Mesh the shape with gmsh and return the joint.
@@ -139,11 +139,11 @@ class Shape(ABC):
             InputError: the thinnest part or the default cell size is too small for gmsh.
         """
         size = max(self.lengths.values())
-        require_width("the thinnest part", self.extent.min_width, size)
-        if self.cells.h is None and self.sizes[0] < MIN_SIZE_RATIO * size:
+        require_width("the thinnest part", self.size_rules.min_width, size)
+        if self.meshing.h is None and self.sizes[0] < MIN_SIZE_RATIO * size:
             raise InputError(f"the default cell size h is {self.sizes[0]:g}; give h, from {MIN_SIZE_RATIO * size:g} on")
-        digits = UNIT_DECADES * floor(log10(size) / UNIT_DECADES)
-        return self.scaled(10.0**-digits)._build(10.0**digits)
+        exponent = UNIT_DECADES * floor(log10(size) / UNIT_DECADES)
+        return self.scaled(10.0**-exponent)._build(10.0**exponent)
 
     def _build(self, unit: float) -> Joint:
         """Return the joint of this shape, drawn and meshed as it is, with all coordinates then multiplied by `unit`."""
@@ -154,13 +154,13 @@ class Shape(ABC):
             drawing = self.draw()
             *lower_names, upper_name = drawing.bodies
             drawing = drawing._replace(seams=drawing.seams or {S: Seam(tuple(lower_names), (upper_name,))})
-            if self.gridded:
+            if self.is_grid:
                 self._set_grid(drawing)
             else:
                 self._set_sizes([tag for name in drawing.seams for tag in drawing.facets[name]])
             gmsh.model.mesh.generate(self.dim)
-            if self.cells.degree > 1:
-                gmsh.model.mesh.setOrder(self.cells.degree)
+            if self.meshing.degree > 1:
+                gmsh.model.mesh.setOrder(self.meshing.degree)
             joint = self._read(drawing, unit)
         finally:
             gmsh.finalize()
@@ -177,12 +177,12 @@ class Shape(ABC):
         Returns:
             Tag of each surface -> [tag of its volume, tag of the surface at the far end].
         """
-        kernel, layers = gmsh.model.geo, grading.layers
-        grid = dict(numElements=[1] * len(layers), heights=layers, recombine=is_tensor(self.kind))
-        swept = kernel.extrude([(2, tag) for tag in surfaces], *way, **(grid if self.gridded else {}))
+        kernel, layers = gmsh.model.geo, grading.cell_ends
+        grid_options = dict(numElements=[1] * len(layers), heights=layers, recombine=is_tensor(self.kind))
+        swept = kernel.extrude([(2, tag) for tag in surfaces], *way, **(grid_options if self.is_grid else {}))
         kernel.synchronize()
-        volumes = [k for k, (dim, _) in enumerate(swept) if dim == 3]
-        return {tag: [swept[k][1], swept[k - 1][1]] for tag, k in zip(surfaces, volumes, strict=True)}
+        volume_indices = [k for k, (dim, _) in enumerate(swept) if dim == 3]
+        return {tag: [swept[k][1], swept[k - 1][1]] for tag, k in zip(surfaces, volume_indices, strict=True)}
 
     def _set_grid(self, drawing: Drawing) -> None:
         """Prescribe a grid of quadrilaterals, or of triangles that halve them, on the surfaces `drawing.base_tags`.
@@ -195,7 +195,7 @@ class Shape(ABC):
         for curve, grading in drawing.gradings.items():
             grading.set_on_curve(curve)
         for surface in drawing.base_tags:
-            gmsh.model.mesh.setTransfiniteSurface(surface, self.cells.arrangement)
+            gmsh.model.mesh.setTransfiniteSurface(surface, self.meshing.arrangement)
             if is_tensor(self.kind):
                 gmsh.model.mesh.setRecombine(2, surface)
 
@@ -208,24 +208,24 @@ class Shape(ABC):
         h, h_S, h_ends = self.sizes
         field = gmsh.model.mesh.field
         boundary = gmsh.model.getBoundary([(self.dim - 1, tag) for tag in s_entities], combined=False, oriented=False)
-        ends = [tag for (_, tag), count in Counter(boundary).items() if count != 2]
+        end_tags = [tag for (_, tag), count in Counter(boundary).items() if count != 2]
         formulas = []
-        for dim, entities, size in ((self.dim - 1, s_entities, h_S), (self.dim - 2, ends, h_ends)):
-            distance = f"({self.extent.distance})"
+        for dim, entities, size in ((self.dim - 1, s_entities, h_S), (self.dim - 2, end_tags, h_ends)):
+            distance = f"({self.size_rules.distance_formula})"
             if dim < 2:  # gmsh measures the distance from curves and points of its built-in kernel, not from surfaces
-                nearest = field.add("Distance")
-                field.setNumbers(nearest, ("PointsList", "CurvesList")[dim], entities)
-                field.setNumber(nearest, "Sampling", min(20000, int(4 * self.extent.span / size)))
-                distance = f"F{nearest}"
+                distance_field = field.add("Distance")
+                field.setNumbers(distance_field, ("PointsList", "CurvesList")[dim], entities)
+                field.setNumber(distance_field, "Sampling", min(20000, int(4 * self.size_rules.span / size)))
+                distance = f"F{distance_field}"
             if entities:
                 formulas.append(f"{size!r} + {SIZE_GROWTH!r} * {distance}")
-        bounds = []
-        for formula in [*formulas, *filter(None, [self.extent.limit])]:
-            bounds.append(field.add("MathEval"))
-            field.setString(bounds[-1], "F", formula)
-        smallest = field.add("Min")
-        field.setNumbers(smallest, "FieldsList", bounds)
-        field.setAsBackgroundMesh(smallest)
+        size_fields = []
+        for formula in [*formulas, *filter(None, [self.size_rules.limit])]:
+            size_fields.append(field.add("MathEval"))
+            field.setString(size_fields[-1], "F", formula)
+        min_field = field.add("Min")
+        field.setNumbers(min_field, "FieldsList", size_fields)
+        field.setAsBackgroundMesh(min_field)
         gmsh.option.setNumber("Mesh.MeshSizeMax", h)
         for option in ("ExtendFromBoundary", "FromPoints", "FromCurvature"):
             gmsh.option.setNumber(f"Mesh.MeshSize{option}", 0)
@@ -240,31 +240,31 @@ class Shape(ABC):
             unit: factor by which all coordinates are multiplied.
         """
         nodes, x, _ = gmsh.model.mesh.getNodes()
-        bodies = [self._elements(self.kind, tags) for tags in drawing.bodies.values()]
+        body_elements = [self._elements(self.kind, tags) for tags in drawing.bodies.values()]
         facet_type = FACET_TYPES[self.kind]
         facets = {name: self._elements(facet_type, tags) for name, tags in drawing.facets.items()}
-        order = dolfinx.cpp.io.perm_gmsh(dolfinx.mesh.to_type(self.kind), bodies[0].shape[1])
+        node_order = dolfinx.cpp.io.perm_gmsh(dolfinx.mesh.to_type(self.kind), body_elements[0].shape[1])
         is_used = np.zeros(int(nodes.max()) + 1, bool)
-        for body in bodies:
+        for body in body_elements:
             is_used[body] = True
-        places, new_number = np.empty((len(is_used), self.dim)), np.cumsum(is_used) - 1
-        places[nodes] = x.reshape(-1, 3)[:, : self.dim]
-        points, cells = places[is_used], new_number[np.concatenate(bodies)[:, order]]
-        if is_tensor(self.kind) and self.cells.degree == 2 and drawing.circles:
-            points = curve_grid(points, cells, self.kind, *drawing.circles)
-        region = np.repeat(np.arange(len(bodies)), [len(body) for body in bodies])
+        all_points, new_number = np.empty((len(is_used), self.dim)), np.cumsum(is_used) - 1
+        all_points[nodes] = x.reshape(-1, 3)[:, : self.dim]
+        points, cells = all_points[is_used], new_number[np.concatenate(body_elements)[:, node_order]]
+        if is_tensor(self.kind) and self.meshing.degree == 2 and drawing.polar_core:
+            points = curved_points(points, cells, self.kind, *drawing.polar_core)
+        region = np.repeat(np.arange(len(body_elements)), [len(body) for body in body_elements])
         facets = {name: new_number[rows[:, : corner_count(facet_type)]] for name, rows in facets.items()}
         return partial(Joint, points * unit, cells, self.kind, region, tuple(drawing.bodies), facets, drawing.seams)
 
-    def _elements(self, kind: str, tags: Sequence[int]) -> IntArray:
+    def _elements(self, cell_type: str, tags: Sequence[int]) -> IntArray:
         """Return (n, k) gmsh's numbers of the k nodes of each element of one type on some entities, in gmsh's order.
 
         Args:
-            kind: type of the elements, such as "triangle".
+            cell_type: type of the elements, such as "triangle".
             tags: tags of the entities.
         """
         mesh = gmsh.model.mesh
-        number = mesh.getElementType(GMSH_FAMILIES.get(kind, kind), self.cells.degree)
+        number = mesh.getElementType(GMSH_FAMILIES.get(cell_type, cell_type), self.meshing.degree)
         rows = np.concatenate([mesh.getElementsByType(number, tag)[1] for tag in tags])
         return rows.reshape(-1, mesh.getElementProperties(number)[3])
 
@@ -302,8 +302,8 @@ class Prism(Shape):
         swept = self.sweep(plane.base_tags, (0.0, 0.0, self.depth), Grading.of(self.depth, h_ends, h_S, symmetric=True))
         facets = {name: swept_surfaces(curves, plane.base_tags) for name, curves in plane.facets.items()}
         bodies = {name: [swept[tag][0] for tag in tags] for name, tags in plane.bodies.items()}
-        ends = {"BACK": plane.base_tags, "FRONT": [front for _, front in swept.values()]}
-        return plane._replace(bodies=bodies, facets=facets | ends)
+        end_sides = {"BACK": plane.base_tags, "FRONT": [front for _, front in swept.values()]}
+        return plane._replace(bodies=bodies, facets=facets | end_sides)
 
 
 def _scaled(value: Any, factor: float) -> Any:
@@ -317,7 +317,7 @@ def _scaled(value: Any, factor: float) -> Any:
     if isinstance(value, MeshOptions):
         return value.scaled(factor)
     if isinstance(value, tuple):
-        return tuple(_scaled(part, factor) for part in value)
+        return tuple(_scaled(item, factor) for item in value)
     if isinstance(value, np.ndarray):
         return value * factor
     return scaled_length(value, factor) if is_number(value) else value
@@ -333,7 +333,7 @@ def swept_surfaces(curves: Sequence[int], surfaces: Sequence[int]) -> list[int]:
     return [int(tag) for curve in curves for tag in gmsh.model.getAdjacencies(1, curve)[0] if tag not in surfaces]
 
 
-def plane_surface(sides: Sequence[int]) -> int:
+def add_plane_surface(sides: Sequence[int]) -> int:
     """Add a plane surface to the gmsh model and return its tag.
 
     Args:
@@ -343,7 +343,7 @@ def plane_surface(sides: Sequence[int]) -> int:
     return int(kernel.addPlaneSurface([kernel.addCurveLoop(sides)]))
 
 
-def curve_grid(points: FloatArray, cells: IntArray, kind: str, axes: list[int], r_core: float) -> FloatArray:
+def curved_points(points: FloatArray, cells: IntArray, cell_type: str, axes: list[int], r_core: float) -> FloatArray:
     """Return the points of a polar grid of degree 2, with nodes between vertices moved onto circles about the axis.
 
     Towards the core of the grid, nodes move less, and inside the core not at all. gmsh itself curves only cells that
@@ -352,17 +352,17 @@ def curve_grid(points: FloatArray, cells: IntArray, kind: str, axes: list[int], 
     Args:
         points: (n_points, d) coordinates in d dimensions, lengths.
         cells: (n_cells, n_nodes) numbers of the nodes of each cell, vertices first.
-        kind: "quadrilateral" or "hexahedron".
+        cell_type: "quadrilateral" or "hexahedron".
         axes: numbers of the two coordinates in the circles' plane.
         r_core: radius of the core, a length; 0: there is no core, and all nodes move onto their circles.
 
     Returns:
         (n_points, d) coordinates, lengths.
     """
-    corners = corner_count(kind)
+    n_corners = corner_count(cell_type)
     radius = np.hypot(*points[:, axes].T)
     new_radius = radius.copy()
-    new_radius[cells[:, corners:]] = radius[cells[:, :corners]] @ weights_between(kind).T
+    new_radius[cells[:, n_corners:]] = radius[cells[:, :n_corners]] @ mid_node_weights(cell_type).T
     weight = np.clip((radius - r_core) / (radius.max() - r_core), 0.0, 1.0) if r_core else 1.0
     points = points.copy()
     points[:, axes] *= (1 + weight * (new_radius / np.where(radius > 0, radius, 1.0) - 1))[:, None]

@@ -10,7 +10,7 @@ from typing import ClassVar, NamedTuple
 
 from forms.base import InputError, is_finite
 from geometry.seam import S
-from geometry.shapes.drawing import Drawing, Prism, Shape, SizeLengths, plane_surface, swept_surfaces
+from geometry.shapes.drawing import Drawing, Prism, Shape, SizeRules, add_plane_surface, swept_surfaces
 from geometry.shapes.sizing import Grading, gmsh, require_width
 
 MAX_CELL_ANGLE = 0.3  # largest angle of a cell about the axis, in radians
@@ -34,7 +34,7 @@ class PolarLines(NamedTuple):
     patches: list[list[int]]
 
     @classmethod
-    def drawn(cls, radii: Sequence[float], angle: float, plane: str, *, chords: bool = False) -> PolarLines:
+    def draw_polar(cls, radii: Sequence[float], angle: float, plane: str, *, chords: bool = False) -> PolarLines:
         """Draw arcs, spokes and the surfaces between them in the current gmsh model, and return their tags.
 
         Args:
@@ -50,18 +50,18 @@ class PolarLines(NamedTuple):
             x, y = radius * cos(turn), radius * sin(turn)
             return kernel.addPoint(*((x, y, 0.0) if plane == "xy" else (x, 0.0, y)))
 
-        def neighbours(row: Sequence[int]) -> list[tuple[int, int]]:
-            return list(pairwise([*row, row[0]][: n + 1]))
+        def chain_pairs(tags: Sequence[int]) -> list[tuple[int, int]]:
+            return list(pairwise([*tags, tags[0]][: n + 1]))
 
         centre = add_point(0.0, 0.0)
         angles = [angle * k / n for k in range(n if is_circle(angle) else n + 1)]
         points = [[add_point(radius, theta) for theta in angles] for radius in radii]
-        arcs = [[kernel.addCircleArc(a, centre, b) for a, b in neighbours(row)] for row in points[chords:]]
+        arcs = [[kernel.addCircleArc(a, centre, b) for a, b in chain_pairs(row)] for row in points[chords:]]
         if chords:
-            arcs.insert(0, [kernel.addLine(a, b) for a, b in neighbours(points[0])])
-        spokes = [[kernel.addLine(a, b) for a, b in zip(*rows, strict=True)] for rows in pairwise(points)]
-        rings = [zip(*both, neighbours(ring), strict=True) for ring, both in zip(spokes, pairwise(arcs), strict=True)]
-        patches = [[plane_surface([start, far, -end, -near]) for near, far, (start, end) in ring] for ring in rings]
+            arcs.insert(0, [kernel.addLine(a, b) for a, b in chain_pairs(points[0])])
+        spokes = [[kernel.addLine(a, b) for a, b in zip(*circles, strict=True)] for circles in pairwise(points)]
+        rings = [zip(*both, chain_pairs(ring), strict=True) for ring, both in zip(spokes, pairwise(arcs), strict=True)]
+        patches = [[add_plane_surface([start, far, -end, -near]) for near, far, (start, end) in ring] for ring in rings]
         return cls(arcs, spokes, patches)
 
 
@@ -78,7 +78,7 @@ class Rings(Prism):
     interface: float
     outer: float
     angle: float
-    angles: ClassVar[tuple[str, ...]] = ("angle",)
+    angle_fields: ClassVar[tuple[str, ...]] = ("angle",)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -93,16 +93,16 @@ class Rings(Prism):
         return {"inner": self.inner, "interface": self.interface, "outer": self.outer, **super().lengths}
 
     @property
-    def extent(self) -> SizeLengths:
+    def size_rules(self) -> SizeRules:
         """Lengths from which the cell sizes follow.
 
         `limit` bounds the angle that a cell subtends at the axis, at any radius, so that about 20 cells or more go
         round a circle.
         """
-        thin = min(self.interface - self.inner, self.outer - self.interface, self.depth or self.outer)
+        width = min(self.interface - self.inner, self.outer - self.interface, self.depth or self.outer)
         r = "sqrt(x*x + y*y)"
         to_s = f"abs({r} - {float(self.interface)!r})"
-        return SizeLengths(thin, max(self.angle * self.interface, self.depth or 0.0), to_s, f"{MAX_CELL_ANGLE!r} * {r}")
+        return SizeRules(width, max(self.angle * self.interface, self.depth or 0.0), to_s, f"{MAX_CELL_ANGLE!r} * {r}")
 
     def draw_plane(self) -> Drawing:
         """Draw both rings in the current gmsh model and return their entities, with cell sizes for a polar grid.
@@ -110,23 +110,23 @@ class Rings(Prism):
         Radial lines divide the rings. Cells of a polar grid grow from h_S at S to h away from it. Along S they grow
         from h_ends at its ends to h_S.
         """
-        web = PolarLines.drawn((self.inner, self.interface, self.outer), self.angle, "xy")
+        polar = PolarLines.draw_polar((self.inner, self.interface, self.outer), self.angle, "xy")
         gmsh.model.geo.synchronize()
         h, h_S, h_ends = self.sizes
-        curves = dict(zip(("INSIDE", S, "OUTSIDE"), web.arcs, strict=True))
+        curves = dict(zip(("INSIDE", S, "OUTSIDE"), polar.arcs, strict=True))
         if not is_circle(self.angle):
-            curves |= {"START": [ring[0] for ring in web.spokes], "END": [ring[-1] for ring in web.spokes]}
-        inner, outer = web.spokes
+            curves |= {"START": [ring[0] for ring in polar.spokes], "END": [ring[-1] for ring in polar.spokes]}
+        inner, outer = polar.spokes
         gradings = dict.fromkeys(inner, Grading.of(self.interface - self.inner, h_S, h, backwards=True))
         gradings |= dict.fromkeys(outer, Grading.of(self.outer - self.interface, h_S, h))
         arc_h = min(h_S, MAX_CELL_ANGLE * self.interface)
-        last = len(web.arcs[0]) - 1
-        length = self.angle * self.interface / (last + 1)
-        for k, arcs in enumerate(zip(*web.arcs, strict=True)):
-            end_size = min(h_ends, arc_h) if k in (0, last) and not is_circle(self.angle) else arc_h
-            gradings |= dict.fromkeys(arcs, Grading.of(length, end_size, arc_h, backwards=k == last))
-        bodies = dict(zip(("INNER", "OUTER"), web.patches, strict=True))
-        return Drawing(bodies, curves, list(chain.from_iterable(web.patches)), gradings, circles=([0, 1], 0.0))
+        last_arc = len(polar.arcs[0]) - 1
+        arc_length = self.angle * self.interface / (last_arc + 1)
+        for k, arcs in enumerate(zip(*polar.arcs, strict=True)):
+            end_size = min(h_ends, arc_h) if k in (0, last_arc) and not is_circle(self.angle) else arc_h
+            gradings |= dict.fromkeys(arcs, Grading.of(arc_length, end_size, arc_h, backwards=k == last_arc))
+        bodies = dict(zip(("INNER", "OUTER"), polar.patches, strict=True))
+        return Drawing(bodies, curves, list(chain.from_iterable(polar.patches)), gradings, polar_core=([0, 1], 0.0))
 
 
 @dataclass(frozen=True)
@@ -162,15 +162,15 @@ class Discs(Shape):
         return {"radius": self.radius, "height of LOWER": self.lower, "height of UPPER": self.upper}
 
     @property
-    def extent(self) -> SizeLengths:
+    def size_rules(self) -> SizeRules:
         """Lengths from which the cell sizes follow.
 
         `limit` bounds the angle that a cell at the outer circle subtends at the axis, so that about 20 cells or more go
         round it. If there is a hole, this holds at any radius.
         """
         radius = "sqrt(x*x + z*z)" if self.hole else repr(float(self.radius))
-        thinnest = min(self.radius - self.hole, self.lower, self.upper)
-        return SizeLengths(thinnest, tau * self.radius, "abs(y)", f"{MAX_CELL_ANGLE!r} * {radius}")
+        min_width = min(self.radius - self.hole, self.lower, self.upper)
+        return SizeRules(min_width, tau * self.radius, "abs(y)", f"{MAX_CELL_ANGLE!r} * {radius}")
 
     def draw(self) -> Drawing:
         """Draw both cylinders in the current gmsh model and return their entities, with cell sizes for a grid.
@@ -179,23 +179,23 @@ class Discs(Shape):
         there is no hole. Along S its cells grow from h_ends at the circles that bound S to h_S.
         """
         h, h_S, h_ends = self.sizes
-        r_core = CORE_RADIUS_RATIO * self.radius if self.gridded and not self.hole else 0.0
-        start = self.hole or r_core
-        web = PolarLines.drawn((start, self.radius) if start else (self.radius,), tau, "xz", chords=r_core > 0)
-        disc = list(chain.from_iterable(web.patches)) + ([] if self.hole else [plane_surface(web.arcs[0])])
+        r_core = CORE_RADIUS_RATIO * self.radius if self.is_grid and not self.hole else 0.0
+        inner = self.hole or r_core
+        polar = PolarLines.draw_polar((inner, self.radius) if inner else (self.radius,), tau, "xz", chords=r_core > 0)
+        disc = list(chain.from_iterable(polar.patches)) + ([] if self.hole else [add_plane_surface(polar.arcs[0])])
         gmsh.model.geo.synchronize()
         low = self.sweep(disc, (0.0, -self.lower, 0.0), Grading.of(self.lower, h_S, h))
         high = self.sweep(disc, (0.0, self.upper, 0.0), Grading.of(self.upper, h_S, h))
-        hole = {"HOLE": swept_surfaces(web.arcs[0], disc)} if self.hole else {}
-        facets = {S: disc, "SIDE": swept_surfaces(web.arcs[-1], disc)} | hole
+        hole_facets = {"HOLE": swept_surfaces(polar.arcs[0], disc)} if self.hole else {}
+        facets = {S: disc, "SIDE": swept_surfaces(polar.arcs[-1], disc)} | hole_facets
         facets |= {name: [end for _, end in swept.values()] for name, swept in (("BOTTOM", low), ("TOP", high))}
         bodies = {name: [volume for volume, _ in swept.values()] for name, swept in (("LOWER", low), ("UPPER", high))}
         arc_h = min(h_S, MAX_CELL_ANGLE * self.radius)
-        gradings = dict.fromkeys(chain.from_iterable(web.arcs), Grading.of(self.radius * pi / 2, arc_h, arc_h))
+        gradings = dict.fromkeys(chain.from_iterable(polar.arcs), Grading.of(self.radius * pi / 2, arc_h, arc_h))
         # with a hole there are circles at both ends of the spokes
-        radial = Grading.of(self.radius - start, h_ends, h_S, symmetric=bool(self.hole), backwards=not self.hole)
-        gradings |= dict.fromkeys(chain.from_iterable(web.spokes), radial)
-        return Drawing(bodies, facets, disc, gradings, circles=([0, 2], r_core))
+        radial = Grading.of(self.radius - inner, h_ends, h_S, symmetric=bool(self.hole), backwards=not self.hole)
+        gradings |= dict.fromkeys(chain.from_iterable(polar.spokes), radial)
+        return Drawing(bodies, facets, disc, gradings, polar_core=([0, 2], r_core))
 
 
 @dataclass(frozen=True)
@@ -217,7 +217,7 @@ class Fibre(Shape):
         if self.gap <= 0:
             argument = "radius" if self.is_round else "smaller half side"
             raise InputError(f"radius is {self.radius}; it must be less than the {argument} of the matrix")
-        if self.gridded and not self.is_round:
+        if self.is_grid and not self.is_round:
             raise InputError(f"{self.kind!r} needs a matrix with an outer circle; in a rectangle use 'triangle'")
 
     @property
@@ -237,7 +237,7 @@ class Fibre(Shape):
         return {"radius": self.radius} | dict(zip(names, self.around, strict=True))
 
     @property
-    def extent(self) -> SizeLengths:
+    def size_rules(self) -> SizeRules:
         """Lengths from which the cell sizes follow.
 
         `limit` bounds the angle that a cell outside the fibre subtends at the origin, so that about 20 cells or more go
@@ -245,7 +245,7 @@ class Fibre(Shape):
         """
         radius = repr(float(self.radius))
         limit = f"{MAX_CELL_ANGLE!r} * ({radius} + abs(sqrt(x*x + y*y) - {radius}))"
-        return SizeLengths(min(self.radius, self.gap), tau * self.radius, limit=limit)
+        return SizeRules(min(self.radius, self.gap), tau * self.radius, limit=limit)
 
     def draw(self) -> Drawing:
         """Draw fibre and matrix in the current gmsh model and return their entities, with cell sizes for a grid.
@@ -255,22 +255,22 @@ class Fibre(Shape):
         """
         h, h_S, _ = self.sizes
         r_core = CORE_RADIUS_RATIO * self.radius
-        radii = (*([r_core] if self.gridded else []), self.radius, *(self.around if self.is_round else ()))
-        web = PolarLines.drawn(radii, tau, "xy", chords=self.gridded)
-        fibre = [*(web.patches[0] if self.gridded else ()), plane_surface(web.arcs[0])]
-        circle = web.arcs[int(self.gridded)]
-        sides, matrix = ({"OUTSIDE": web.arcs[-1]}, web.patches[-1]) if self.is_round else self._rectangle(circle)
+        radii = (*([r_core] if self.is_grid else []), self.radius, *(self.around if self.is_round else ()))
+        polar = PolarLines.draw_polar(radii, tau, "xy", chords=self.is_grid)
+        fibre = [*(polar.patches[0] if self.is_grid else ()), add_plane_surface(polar.arcs[0])]
+        circle = polar.arcs[int(self.is_grid)]
+        sides, matrix = ({"OUTSIDE": polar.arcs[-1]}, polar.patches[-1]) if self.is_round else self._draw_matrix(circle)
         gmsh.model.geo.synchronize()
         gradings: dict[int, Grading] = {}
-        if self.gridded:
+        if self.is_grid:
             arc_h = min(h_S, MAX_CELL_ANGLE * self.radius)
-            gradings = dict.fromkeys(chain.from_iterable(web.arcs), Grading.of(self.radius * pi / 2, arc_h, arc_h))
-            gradings |= dict.fromkeys(web.spokes[0], Grading.of(self.radius - r_core, h_S, h_S))
-            gradings |= dict.fromkeys(web.spokes[1], Grading.of(self.gap, h_S, h))
+            gradings = dict.fromkeys(chain.from_iterable(polar.arcs), Grading.of(self.radius * pi / 2, arc_h, arc_h))
+            gradings |= dict.fromkeys(polar.spokes[0], Grading.of(self.radius - r_core, h_S, h_S))
+            gradings |= dict.fromkeys(polar.spokes[1], Grading.of(self.gap, h_S, h))
         bodies, circles = {"FIBRE": fibre, "MATRIX": matrix}, ([0, 1], r_core)
-        return Drawing(bodies, {S: circle} | sides, fibre + matrix, gradings, circles=circles)
+        return Drawing(bodies, {S: circle} | sides, fibre + matrix, gradings, polar_core=circles)
 
-    def _rectangle(self, hole: Sequence[int]) -> tuple[dict[str, list[int]], list[int]]:
+    def _draw_matrix(self, hole: Sequence[int]) -> tuple[dict[str, list[int]], list[int]]:
         """Draw the matrix as a rectangle about the origin with a hole, in the current gmsh model.
 
         Args:

@@ -76,19 +76,19 @@ def scaled_length(length: float, factor: float) -> float:
     return length if factor == 1 else float(f"{length * factor:.15g}")
 
 
-def require_width(part_name: str, size: float, largest: float) -> None:
+def require_width(part_name: str, width: float, largest: float) -> None:
     """Raise InputError if a part of a shape is so thin that gmsh could merge points on its two sides.
 
     The least width is 1e-6 of the shape's largest length.
 
     Args:
         part_name: name of the part, for the message.
-        size: its width, a length.
+        width: its width, a length.
         largest: largest length of the shape.
     """
-    if size < (least := MIN_LENGTH_RATIO * largest):
+    if width < (least := MIN_LENGTH_RATIO * largest):
         raise InputError(
-            f"{part_name} is {size:g}; allowed: at least {least:g} ({MIN_LENGTH_RATIO:g} of the largest length)"
+            f"{part_name} is {width:g}; allowed: at least {least:g} ({MIN_LENGTH_RATIO:g} of the largest length)"
         )
 
 
@@ -185,11 +185,11 @@ class Grading(NamedTuple):
         """
         if first == last:
             return cls(max(1, round(round(length / first, COUNT_DECIMALS))), first, last, symmetric, backwards)
-        graded = length / 2 if symmetric else length
-        if max(first, last) >= graded:
-            first, last = min(first, graded / 2), min(last, graded / 2)
+        span = length / 2 if symmetric else length
+        if max(first, last) >= span:
+            first, last = min(first, span / 2), min(last, span / 2)
         ratio = last / first
-        n = 2 if ratio == 1 else max(2, round(1 + np.log(ratio) / np.log((graded - first) / (graded - last))))
+        n = 2 if ratio == 1 else max(2, round(1 + np.log(ratio) / np.log((span - first) / (span - last))))
         return cls(2 * n if symmetric else n, first, last, symmetric, backwards)
 
     @property
@@ -199,15 +199,15 @@ class Grading(NamedTuple):
         return float((self.last / self.first) ** (1 / steps)) if self.first != self.last else 1.0
 
     @property
-    def layers(self) -> list[float]:
+    def cell_ends(self) -> list[float]:
         """End of each cell along the line, as increasing fractions of the line's length; the last is 1."""
         k = np.arange(self.n)
         sizes = self.growth ** (np.minimum(k, k[::-1]) if self.symmetric else k[::-1] if self.backwards else k)
         return [*(np.cumsum(sizes) / sizes.sum())[:-1].tolist(), 1.0]
 
-    def along(self, length: float) -> FloatArray:
+    def positions(self, length: float) -> FloatArray:
         """Return (n + 1,) positions of the ends of the n cells along a line of this `length`, from 0 to `length`."""
-        return length * np.array([0.0, *self.layers])
+        return length * np.array([0.0, *self.cell_ends])
 
     def set_on_curve(self, curve: int) -> None:
         """Prescribe these cells on the curve of the current gmsh model that has the tag `curve`."""

@@ -20,10 +20,10 @@ from forms.tensors import average_lame
 from geometry.refusals import place_text
 from geometry.sheet import Rim, straight_ends
 from geometry.topology import BoolArray, FloatArray
-from thinlayer.discretisation.boundary import lies_across_axis
+from thinlayer.discretisation.boundary import can_shift_along
 from thinlayer.discretisation.layer import SeamLayer, ThinLayer, law_with_numbers
 from thinlayer.discretisation.prescribed_strains import SINGULARITY_TOLERANCE
-from thinlayer.discretisation.sides import FLAT_SQUARED_COSINE, FacetWeights, constrained_directions, side_kinds
+from thinlayer.discretisation.sides import FLAT_SQUARED_COSINE, FacetWeights, held_projectors, side_kinds
 from thinlayer.errors import Violation
 
 MIN_STIFFNESS_CONTRAST = 40.0  # least Young's modulus of the bodies over the layer's mu
@@ -32,7 +32,7 @@ MIN_RADIUS_RATIO = 4.0
 MESH_REMEDY = "use order=0, or mesh the layer (structure.full)"
 GOALS_REMEDY = "and compare goals: goal.value(state, model)"
 # 48 (1 - nu^2): (eps k)^3 E/mu at which half-spaces are as compliant as the layer under a pressure of wave number k
-BENDING_FACTOR = 44.0
+BODY_COMPLIANCE_FACTOR = 44.0
 
 
 class Applicability:
@@ -47,28 +47,28 @@ class Applicability:
     def __init__(self, layer: SeamLayer, bodies: str = "kept") -> None:
         self.layer, self.bodies = layer, bodies
 
-    def why_not(self, question: str) -> Violation | None:
+    def why_not(self, use: str) -> Violation | None:
         """Return the first condition that the layer violates for a use; None if it violates none.
 
         The result is the same on all ranks.
 
         Args:
-            question: the use, a key of `CONDITIONS_OF_USE`, such as "interface law", or "mesh" for a meshed layer.
+            use: the use, a key of `CONDITIONS_OF_USE`, such as "interface law", or "mesh" for a meshed layer.
 
         Raises:
             InputError: a parameter of the law or the thickness profile is out of range, or the law does not exist in
                 the joint's dimension.
         """
-        return next((violation for condition in CONDITIONS_OF_USE[question] for violation in condition(self)), None)
+        return next((violation for condition in CONDITIONS_OF_USE[use] for violation in condition(self)), None)
 
-    def require(self, question: str, what: str = "") -> None:
+    def require(self, use: str, what: str = "") -> None:
         """Raise InputError for the first condition that the layer violates for a use; pass if it violates none.
 
         Args:
-            question: the use, a key of `CONDITIONS_OF_USE`, such as "interface law" or "mesh".
+            use: the use, a key of `CONDITIONS_OF_USE`, such as "interface law" or "mesh".
             what: first words of the message.
         """
-        if violation := self.why_not(question):
+        if violation := self.why_not(use):
             raise violation.error(what)
 
     @cached_property
@@ -83,8 +83,8 @@ class Applicability:
             return "of a thickness that varies"
         if not self.layer.sheet.planar:
             return "on a curved S"
-        is_across = lies_across_axis(self.layer.structure.kinematics, self.layer.sheet.mean_normal[None])
-        return None if is_across else "on an S that is not across the axis of revolution, and so curved,"
+        can_shift = can_shift_along(self.layer.structure.kinematics, self.layer.sheet.mean_normal[None])
+        return None if can_shift else "on an S that is not across the axis of revolution, and so curved,"
 
     # ---------------------------------------------------------------- sides
     def rim(self, *kinds: str) -> Rim:
@@ -94,10 +94,10 @@ class Applicability:
         supports constrain it: "free", "symmetric", "antisymmetric", "held" (clamped) or "oblique". `side_kinds` defines
         them.
         """
-        return self.layer.sheet.rim[np.isin(self._kinds, kinds)]
+        return self.layer.sheet.rim[np.isin(self._side_kinds, kinds)]
 
     @cached_property
-    def _kinds(self) -> npt.NDArray[np.str_]:
+    def _side_kinds(self) -> npt.NDArray[np.str_]:
         return side_kinds(self.layer)
 
     @cached_property
@@ -109,7 +109,7 @@ class Applicability:
         return self.rim("free", "oblique")
 
     @cached_property
-    def open_rim(self) -> Rim:
+    def loose_rim(self) -> Rim:
         """Ridges of S at which no support prevents the layer's side from moving outward along S.
 
         The side is the layer's own boundary there. Loads on it act on the layer, and a pressure in the layer falls to
@@ -118,48 +118,48 @@ class Applicability:
         return self.rim("free", "antisymmetric", "oblique")
 
     @cached_property
-    def neglected(self) -> Rim:
+    def uncorrected_rim(self) -> Rim:
         """Ridges of all free ends if the interface law does not correct free ends; no ridges if it does."""
         return self.free_rim[np.full(len(self.free_rim.vertices), self.why_not("ends") is not None)]
 
     @cached_property
-    def pressure_lengths(self) -> FloatArray:
-        """Lengths (n,) over which the pressure of a law of order 1 decays at the n ridges of `open_rim`.
+    def decay_lengths(self) -> FloatArray:
+        """Lengths (n,) over which the pressure of a law of order 1 decays at the n ridges of `loose_rim`.
 
         They are eps sqrt(lmbda/(12 mu)) with the layer's thickness eps at the ridge, and infinite for an incompressible
         law.
         """
-        thin, joint, at = self.layer.as_thin_layer, self.layer.sheet.joint, self.open_rim.vertices
-        laws = self.law.at_places(joint.points[at].mean(axis=1).T) if self.law.fields else [self.law] * len(at)
-        squares = np.array([12 * law.parameters()["mu"] * law.volume_compliance for law in laws])
-        thickness_ratio = joint.relative_thickness(thin.profile, self.layer.name)[at].mean(axis=1)
+        thin, joint, ridges = self.layer.as_thin_layer, self.layer.sheet.joint, self.loose_rim.vertices
+        laws = self.law.at_places(joint.points[ridges].mean(axis=1).T) if self.law.fields else [self.law] * len(ridges)
+        inverse_squares = np.array([12 * law.parameters()["mu"] * law.volume_compliance for law in laws])
+        thickness_ratio = joint.relative_thickness(thin.profile, self.layer.name)[ridges].mean(axis=1)
         with np.errstate(divide="ignore"):
-            return np.asarray(thin.eps * thickness_ratio / np.sqrt(squares))
+            return np.asarray(thin.eps * thickness_ratio / np.sqrt(inverse_squares))
 
     @property
-    def is_coarse(self) -> BoolArray:
-        """Mask (n,) of the n ridges of `open_rim` at which a cell of S is longer than the decay length of the pressure.
+    def coarse_rim(self) -> BoolArray:
+        """Mask (n,) of the n ridges of `loose_rim` at which a cell of S is longer than the decay length of the pressure.
 
         The interface law does not set its pressure to zero at these ridges: the pressure would be too small over a
         whole cell.
         """
-        return np.asarray(self.open_rim.depth > self.pressure_lengths)
+        return np.asarray(self.loose_rim.depth > self.decay_lengths)
 
     # ---------------------------------------------------------------- better laws
-    def next_order(self) -> ThinLayer:
+    def layer_of_order_1(self) -> ThinLayer:
         """Return the layer with an interface law of order 1, by which the error of its present law is estimated.
 
         The layer must meet the conditions of the use "estimate", see `why_not`. A `LinearElastic` law with lmbda > 0
         becomes `Rubber` with the same moduli, which has a pressure as additional unknown. It stays `LinearElastic` in
         plane stress, with functions as parameters, or if the correction of free ends is known. This is so if there are
-        ridges in `open_rim` and Poisson's ratio is at most `MAX_FREE_END_NU`. The correction needs no mesh as fine as
+        ridges in `loose_rim` and Poisson's ratio is at most `MAX_FREE_END_NU`. The correction needs no mesh as fine as
         that of the pressure.
         """
-        law, has_open_rim = self.layer.as_thin_layer.law, len(self.open_rim.vertices) > 0
+        law, has_free_outward = self.layer.as_thin_layer.law, len(self.loose_rim.vertices) > 0
         plane_stress = self.layer.structure.plane == "stress"  # no pressure builds up there
         if isinstance(law, LinearElastic) and not (plane_stress or law.fields) and law.lmbda > 0:
-            known_ends = has_open_rim and poisson_ratio(law) <= MAX_FREE_END_NU + MODULUS_RATIO_TOLERANCE
-            law = law if known_ends else Rubber(law.lmbda, law.mu)
+            corrects_ends = has_free_outward and poisson_ratio(law) <= MAX_FREE_END_NU + MODULUS_RATIO_TOLERANCE
+            law = law if corrects_ends else Rubber(law.lmbda, law.mu)
         return replace(self.layer.as_thin_layer, law=law, order=1)
 
     # ---------------------------------------------------------------- ends
@@ -178,33 +178,35 @@ class Applicability:
         return self.law.end_strips()
 
     @cached_property
-    def contrast(self) -> float:
+    def E_over_mu(self) -> float:
         """Ratio of the least initial Young's modulus of the bodies beside the seam to the layer's shear modulus."""
-        return softest_body(self.layer) / float(parameter_numbers(self.law.parameters()["mu"]))
+        return softest_body_modulus(self.layer) / float(parameter_numbers(self.law.parameters()["mu"]))
 
     @property
-    def width(self) -> float:
+    def relative_width(self) -> float:
         """Area of the seam over the total length of its free ends, as a multiple of the layer's thickness."""
         return float(self.layer.sheet.areas.sum() / self.free_rim.length.sum()) / self.layer.eps
 
     @cached_property
-    def all_weights(self) -> FacetWeights:
+    def unchecked_weights(self) -> FacetWeights:
         """Relative losses of stiffness on the seam's facets near free ends, also if strips of several ends overlap.
 
         The layer must meet all other conditions of the use "ends", see `why_not`.
         """
         assert self.strips is not None
-        strips = self.strips.of_spread(min(self.width, (self.contrast / BENDING_FACTOR) ** (1 / 3)))
+        strips = self.strips.for_spreading_length(
+            min(self.relative_width, (self.E_over_mu / BODY_COMPLIANCE_FACTOR) ** (1 / 3))
+        )
         sheet, eps = self.layer.sheet, self.layer.eps
-        return FacetWeights.of(straight_ends(self.free_rim, sheet), sheet, eps, strips)
+        return FacetWeights.of_ends(straight_ends(self.free_rim, sheet), sheet, eps, strips)
 
     @cached_property
     def weights(self) -> FacetWeights | None:
         """Relative losses of stiffness on the seam's facets near free ends; None if no end is free or corrected."""
-        return None if self.why_not("ends") or not len(self.free_rim.vertices) else self.all_weights
+        return None if self.why_not("ends") or not len(self.free_rim.vertices) else self.unchecked_weights
 
 
-def softest_body(seam_layer: SeamLayer) -> float:
+def softest_body_modulus(seam_layer: SeamLayer) -> float:
     """Return the least initial Young's modulus of the bodies beside a seam; infinite if no stiffness is known.
 
     Moduli of anisotropic laws are averaged over all directions.
@@ -212,12 +214,12 @@ def softest_body(seam_layer: SeamLayer) -> float:
     joint, n, moduli = seam_layer.structure.joint, seam_layer.sheet.mean_normal, [np.inf]
     cells = np.unique(joint.surface_cells[seam_layer.sheet.facets])
     cells = cells[cells >= 0]
-    for number in np.unique(joint.region[cells]):
-        law = seam_layer.structure.body_laws[joint.regions[number]]
-        centres = joint.points[joint.corners[cells[joint.region[cells] == number]]].mean(axis=1)
-        tangents = [declared_or_computed_tangent(sample, n) for sample in law.samples(centres.T)]
-        lame = [average_lame(C) for C in tangents if C is not None]
-        moduli += [mu * (3 * lmbda + 2 * mu) / (lmbda + mu) for lmbda, mu in lame]
+    for region_number in np.unique(joint.region[cells]):
+        law = seam_layer.structure.body_laws[joint.regions[region_number]]
+        centres = joint.points[joint.corners[cells[joint.region[cells] == region_number]]].mean(axis=1)
+        tangents = [declared_or_computed_tangent(local_law, n) for local_law in law.laws_at_extremes(centres.T)]
+        lame_pairs = [average_lame(C) for C in tangents if C is not None]
+        moduli += [mu * (3 * lmbda + 2 * mu) / (lmbda + mu) for lmbda, mu in lame_pairs]
     return float(min(moduli))
 
 
@@ -238,11 +240,11 @@ def _law_conditions(r: Applicability) -> Iterator[Violation]:
         yield Violation("element", f"an incompressible layer needs elements P2 or Q2, not {element}", "give them")
     if seam_layer.thin_layer:  # a user's function may fail on one rank only
         structure.joint.relative_thickness(seam_layer.thin_layer.profile, seam_layer.name)
-    for sample in seam_layer.samples:
-        sample.initial_tangents.require_stable()
+    for sample_layer in seam_layer.samples:
+        sample_layer.initial_tangents.require_stable()
 
 
-def _next_order_conditions(r: Applicability) -> Iterator[Violation]:
+def _order_1_conditions(r: Applicability) -> Iterator[Violation]:
     """Check that the layer `r.layer` can have an interface law of order 1; yield each violated condition.
 
     A layer of order 0 violates none. Conditions at tips and junctions of the seam come last.
@@ -259,21 +261,21 @@ def _next_order_conditions(r: Applicability) -> Iterator[Violation]:
         yield Violation("bent", f"order=1 {r.bend_text} needs bodies at their true places", remedy)
     if r.bend_text and len(thin.law.sublayers) > 1:
         yield Violation("bent stack", f"order=1 of a Stack {r.bend_text}: shares of the jump turn along S", MESH_REMEDY)
-    yield from filter(None, (sample.initial_tangents.locks() for sample in r.layer.samples))
+    yield from filter(None, (sample_layer.initial_tangents.locking_violation() for sample_layer in r.layer.samples))
     if sheet.tip is not None:
         reason = f"order=1 has gradients at the tip, and {r.layer} ends at {place_text(sheet.tip)}, inside the bodies"
         yield Violation("tip", reason, "use order=0")
-    if sheet.junction is not None:
+    if sheet.junction_point is not None:
         reason = f"order=1 leaves out what junctions add, and {r.layer} meets another one, or branches, at "
-        yield Violation("junction", reason + place_text(sheet.junction), MESH_REMEDY)
+        yield Violation("junction", reason + place_text(sheet.junction_point), MESH_REMEDY)
 
 
 def _meshed_layer_conditions(r: Applicability) -> Iterator[Violation]:
     if r.layer.law.traits.softens and r.layer.law.traits.phases:
         reason = f"the stress of {r.layer.law!r} falls as strains grow: all strain would gather in one row of cells"
         yield Violation("softens", reason, "take mixing=1, or NonMonotoneUnrelaxed with one phase for each column")
-    n, tangents = r.layer.sheet.mean_normal, [sample.initial_tangents for sample in r.layer.samples]
-    for law in (law for initial in tangents for _, law, _ in initial.sublayers if law.traits.softens):
+    n, sample_tangents = r.layer.sheet.mean_normal, [sample_layer.initial_tangents for sample_layer in r.layer.samples]
+    for law in (law for tangents in sample_tangents for _, law, _ in tangents.sublayers if law.traits.softens):
         C = tangent_at_rest(law, n)
         if C is None or np.linalg.eigvals(acoustic_tensor(C, n)).real.min() <= 0:  # it supports inner nodes
             reason = f"{type(law).__name__} softens, and its stiffness at rest is not known, or not positive"
@@ -291,8 +293,8 @@ def _support_conditions(r: Applicability) -> Iterator[Violation]:
     The side is the layer's own boundary at an end of S. Such a support has a name of the kind "NAME/LAYER": the part of
     the facet set NAME on this side.
     """
-    sheet, layer_only = r.layer.sheet, constrained_directions(r.layer) - constrained_directions(r.layer, of_layer=False)
-    if len(ridges := sheet.rim.vertices[np.abs(layer_only).max(axis=(1, 2)) > FLAT_SQUARED_COSINE]):
+    sheet, only_layer_held = r.layer.sheet, held_projectors(r.layer) - held_projectors(r.layer, of_layer=False)
+    if len(ridges := sheet.rim.vertices[np.abs(only_layer_held).max(axis=(1, 2)) > FLAT_SQUARED_COSINE]):
         reason = f"a support holds the side of {r.layer} alone, at {place_text(sheet.joint.points[ridges[0, 0]])}"
         yield Violation("held alone", reason, "support the bodies too, or mesh the layer")
 
@@ -323,25 +325,25 @@ def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
         if R < MIN_RADIUS_RATIO * (1 - MODULUS_RATIO_TOLERANCE):
             yield Violation("radius", f"free ends have a radius of {R:.3g} thicknesses; allowed: {MIN_RADIUS_RATIO:g}")
     if r.strips is None:
-        allowed = f"LinearElastic with nu from 0 to {MAX_FREE_END_NU:g}, Rubber and Incompressible, by numbers"
-        yield Violation("no constants", f"free ends are not known of this {r.layer.law_name}: they are of {allowed}")
+        known_laws = f"LinearElastic with nu from 0 to {MAX_FREE_END_NU:g}, Rubber and Incompressible, by numbers"
+        yield Violation("no constants", f"free ends are not known of this {r.layer.law_name}: they are of {known_laws}")
         return
-    yield from _straight_end_conditions(r, r.contrast)
-    if r.layer.has_pressure_flow and r.is_coarse.any():
-        at, fall = place_text(joint.points[r.open_rim[r.is_coarse].vertices[0, 0]]), r.pressure_lengths.min()
-        reason = f"cells at free ends must not be longer than the fall of the pressure there, {fall:.3g}, as at {at}"
+    yield from _straight_end_conditions(r, r.E_over_mu)
+    if r.layer.has_pressure_flow and r.coarse_rim.any():
+        at, decay = place_text(joint.points[r.loose_rim[r.coarse_rim].vertices[0, 0]]), r.decay_lengths.min()
+        reason = f"cells at free ends must not be longer than the fall of the pressure there, {decay:.3g}, as at {at}"
         yield Violation("coarse", reason, "make them shorter (h_ends=...)")
-    if r.width < r.strips.longest:
-        reason = f"its area over the length of free ends is {r.width:.3g} thicknesses"
+    if r.relative_width < r.strips.longest:
+        reason = f"its area over the length of free ends is {r.relative_width:.3g} thicknesses"
         yield Violation("short", f"S is short: {reason}; allowed: {r.strips.longest:.3g}")
-    if r.all_weights.overlap:
+    if r.unchecked_weights.overlap:
         yield Violation("overlap", f"strips of {r.strips.longest * thin.eps:.3g} along free ends lie on one another")
 
 
-def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Violation]:
+def _straight_end_conditions(r: Applicability, E_over_mu: float) -> Iterator[Violation]:
     """Check that the layer `r.layer` is flat, with straight free ends, and much softer than the bodies.
 
-    Yield each violated condition. `contrast` is Young's modulus of the softest body over the shear modulus of the
+    Yield each violated condition. `E_over_mu` is Young's modulus of the softest body over the shear modulus of the
     layer.
     """
     sheet = r.layer.sheet
@@ -350,8 +352,8 @@ def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Viol
     for ridge in r.rim("oblique").vertices[:1]:
         at = place_text(sheet.joint.points[ridge[0]])
         yield Violation("oblique", f"something holds the layer's side at {at} neither along S nor across it")
-    if contrast < MIN_STIFFNESS_CONTRAST * (1 - MODULUS_RATIO_TOLERANCE):
-        reason = f"E of a body is {contrast:.4g} times mu of the layer; allowed: at least {MIN_STIFFNESS_CONTRAST:g}"
+    if E_over_mu < MIN_STIFFNESS_CONTRAST * (1 - MODULUS_RATIO_TOLERANCE):
+        reason = f"E of a body is {E_over_mu:.4g} times mu of the layer; allowed: at least {MIN_STIFFNESS_CONTRAST:g}"
         yield Violation("contrast", f"faces must be rigid beside free ends: {reason}")
     try:
         straight_ends(r.free_rim, sheet)
@@ -394,7 +396,7 @@ def _subproblem_conditions(r: Applicability) -> Iterator[Violation]:
         law_remedy = "take mixing=1, or NonMonotoneUnrelaxed, and " * (traits.phases and traits.softens)
         reason = f"{law_name} has phases, or a stress that falls as strains grow"
         yield Violation("phases", reason, f"{law_remedy}mesh the layer (structure.full)")
-    elif traits.constrained and not r.law.volume_compliance and not len(r.open_rim.vertices):
+    elif traits.constrained and not r.law.volume_compliance and not len(r.loose_rim.vertices):
         reason = f"{law_name} between faces, with no side that is free, bears a pressure that these do not tell"
         yield Violation("closed", reason, "take Rubber with Poisson's ratio 0.4999")
 
@@ -404,9 +406,9 @@ def _neumann_conditions(r: Applicability) -> Iterator[Violation]:
 
     Forces on the layer's faces then do not determine its displacements, if it is meshed without bodies.
     """
-    slots = r.layer.structure.kinematics.slots(r.layer.structure.joint.dim)
-    tangents = [C for s in r.layer.samples for _, _, C in s.initial_tangents.sublayers if C is not None]
-    for C in (C[np.ix_(slots, slots)] for C in tangents):
+    components = r.layer.structure.kinematics.strain_indices(r.layer.structure.joint.dim)
+    tangents = [C for layer in r.layer.samples for _, _, C in layer.initial_tangents.sublayers if C is not None]
+    for C in (C[np.ix_(components, components)] for C in tangents):
         singular_values = np.linalg.svd(C, compute_uv=False)
         if singular_values[-1] <= SINGULARITY_TOLERANCE * singular_values[0]:
             reason = f"{r.layer.law_name} has strains without stresses, as springs have along S, and moves in itself"
@@ -445,7 +447,7 @@ def _corner_conditions(r: Applicability) -> Iterator[Violation]:
         return
     if r.layer.structure.plane == "axisymmetric":
         yield Violation("radius", "free ends of a body of revolution are curved")
-    yield from _straight_end_conditions(r, softest_body(r.layer) / max(shear_moduli))
+    yield from _straight_end_conditions(r, softest_body_modulus(r.layer) / max(shear_moduli))
 
 
 Condition = Callable[[Applicability], Iterator[Violation]]
@@ -454,7 +456,7 @@ CONDITIONS_OF_USE: dict[str, tuple[Condition, ...]] = {
     "mesh": (_thickness_conditions, _law_conditions, _meshed_layer_conditions),
     "sides": (_support_conditions,),
     "mean strain": (_mean_strain_conditions,),
-    "interface law": (_law_conditions, _next_order_conditions),
+    "interface law": (_law_conditions, _order_1_conditions),
     "ends": (_thickness_conditions, _free_end_law_conditions),
     "estimate": (_thickness_conditions, _support_conditions, _subproblem_conditions, _neumann_conditions),
     "bonded": (_bonded_conditions,),

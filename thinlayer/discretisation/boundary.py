@@ -14,20 +14,20 @@ from geometry.domain import Domain, cell_nodes, cells_of_facets
 from geometry.joint import Joint
 from geometry.refusals import refuse, require_known
 from geometry.seam import LAYER, FacetName, S
-from geometry.topology import BoolArray, Indices, IntArray, connected, facet_normals, sum_by_number
+from geometry.topology import BoolArray, Indices, IntArray, components, facet_normals, sum_by_number
 from thinlayer.system.compat import interpolation_points
 from thinlayer.system.ranks import send
 
 AXIS_NAMES = "xyz"  # names of components and of motions
 AXIS_TOLERANCE = 1e-10  # distance from the axis, over the size of the joint, that counts as zero
-RIGID_NORMAL_TOLERANCE = 1e-9  # largest radial component of a unit normal of an S across the axis of revolution
+RADIAL_NORMAL_TOLERANCE = 1e-9  # largest radial component of a unit normal of an S across the axis of revolution
 CORNER_ANGLE_DEGREES = 30.0  # degrees; facets whose normals differ by less at a node are one smooth surface there
 NORMAL_COMPONENT_TOLERANCE = 1e-12  # a component of a unit normal that counts as rounding
 
 
 def nodes_on_axis(kinematics: Kinematics, joint: Joint) -> BoolArray:
     """Return the mask (n,) of the n points of a joint on the axis of revolution; all False if there is no axis."""
-    return np.asarray(np.abs(kinematics.radius(joint.points)) <= AXIS_TOLERANCE * joint.size)
+    return np.asarray(np.abs(kinematics.axis_distances(joint.points)) <= AXIS_TOLERANCE * joint.size)
 
 
 def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
@@ -36,38 +36,38 @@ def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
     Not allowed are points with x < 0, seams on the axis, and a periodicity in another direction than that of the axis.
     If the kinematics are not axisymmetric, any joint passes.
     """
-    r, on_axis = kinematics.radius(joint.points), nodes_on_axis(kinematics, joint)
+    r, on_axis = kinematics.axis_distances(joint.points), nodes_on_axis(kinematics, joint)
     message = f"plane={kinematics.name!r}: x is the distance from the axis of revolution, and {{bad}} points have x < 0"
     refuse((r < 0) & ~on_axis, joint.points, f"{message}, the first at {{at}}; allowed: x >= 0")
     for name in joint.seams if joint.band is None else ():
         if on_axis[joint.table.vertices[joint.rows_of(name)]].all(axis=1).any():
             raise InputError(f"plane={kinematics.name!r}: the seam {name!r} lies on the axis, where it has no area")
     if joint.periods:
-        radial = np.delete(joint.periods.vectors(joint.points), kinematics.translations(joint.dim), axis=1)
+        radial = np.delete(joint.periods.vectors(joint.points), kinematics.translation_axes(joint.dim), axis=1)
         if np.abs(radial).max(initial=0.0) > AXIS_TOLERANCE * joint.size:
             raise InputError(f"plane={kinematics.name!r}: a structure repeats along the axis (y) alone")
 
 
-def lies_across_axis(kinematics: Kinematics, normals: Array) -> bool:
+def can_shift_along(kinematics: Kinematics, normals: Array) -> bool:
     """Return whether bodies can move along each of n unit normals (n, d) of S without strain; d is the dimension.
 
     In axisymmetry they can only move along the axis, so that S must lie across it. Otherwise the result is True.
     """
-    radial = np.delete(normals, kinematics.translations(normals.shape[1]), axis=1)
-    return bool(np.abs(radial).max(initial=0.0) <= RIGID_NORMAL_TOLERANCE)
+    radial = np.delete(normals, kinematics.translation_axes(normals.shape[1]), axis=1)
+    return bool(np.abs(radial).max(initial=0.0) <= RADIAL_NORMAL_TOLERANCE)
 
 
-def require_shifts(kinematics: Kinematics, joint: Joint) -> None:
+def require_normal_shifts(kinematics: Kinematics, joint: Joint) -> None:
     """Raise InputError unless bodies can move apart along the normals of S without strain.
 
     Bodies that keep their shape do so to make room for a meshed layer. In axisymmetry S must then lie across the axis.
     """
-    if not lies_across_axis(kinematics, joint.interface_normals.reshape(-1, joint.dim)):
+    if not can_shift_along(kinematics, joint.interface_normals.reshape(-1, joint.dim)):
         reason = "bodies='kept' moves them along the normal of S; a body of revolution cannot move away from its axis"
         raise InputError(f"plane={kinematics.name!r}: {reason}; use bodies='extended', or an S across the axis")
 
 
-def boundary_values(
+def boundary_tags(
     domain: Domain, kinematics: Kinematics, name: str, what: str, *, inside: bool = False, side: bool = False
 ) -> tuple[int, ...]:
     """Return the tags, in `domain.facet_tags`, of a named facet set on the outer boundary.
@@ -85,19 +85,19 @@ def boundary_values(
         InputError: no facet set has this name, it has no facets, or its facets are not allowed here.
     """
     joint = domain.joint
-    base = joint.band.base if joint.band else joint
-    names = ", ".join(sorted(base.facets.keys() - {S}))
-    require(isinstance(name, str), f"{what}: a place", name, f"it must be the name of a facet set; known: {names}")
+    drawn_joint = joint.band.drawn_joint if joint.band else joint
+    all_names = ", ".join(sorted(drawn_joint.facets.keys() - {S}))
+    require(isinstance(name, str), f"{what}: a place", name, f"it must be the name of a facet set; known: {all_names}")
     facet_name = FacetName.parse(name)
     refuse_periodic(joint, name, what)
-    if name in base.seams or facet_name.whole == S or not (inside or domain.is_outer(name)):
+    if name in drawn_joint.seams or facet_name.set_name == S or not (inside or domain.is_outer(name)):
         raise InputError(f"{what}: its facets lie inside, or below a layer; take a facet set on the outer boundary")
-    facets = joint.facets.get(name, joint.facets.get(facet_name.whole))
+    facets = joint.facets.get(name, joint.facets.get(facet_name.set_name))
     if not inside and facets is not None and len(facets) and nodes_on_axis(kinematics, joint)[facets].all():
         raise InputError(f"{what}: these facets are the axis of revolution, which is not a boundary")
-    require_known("facet set", name, domain.facet_values, what)
-    if not domain.values(name) and not (side and facet_name.region == LAYER):
-        why = ", as the layer is a surface here: mesh it (structure.full)" * (facet_name.region == LAYER)
+    require_known("facet set", name, domain.set_tags, what)
+    if not domain.values(name) and not (side and facet_name.part_name == LAYER):
+        why = ", as the layer is a surface here: mesh it (structure.full)" * (facet_name.part_name == LAYER)
         raise InputError(f"{what}: this facet set is empty{why}")
     return domain.values(name)
 
@@ -110,7 +110,7 @@ def refuse_periodic(joint: Joint, name: str, what: str) -> None:
         name: name of the facet set.
         what: first words of the message.
     """
-    if joint.periods and FacetName.parse(name).whole in joint.periods.names:
+    if joint.periods and FacetName.parse(name).set_name in joint.periods.side_names:
         remedy = "a periodic cell is loaded by a mean strain, Structure(..., strain=...)"
         raise InputError(f"{what}: this side is identified with another one, the structure goes on there; {remedy}")
 
@@ -138,22 +138,22 @@ def node_normals(domain: Domain, V: fem.FunctionSpace, place: str) -> tuple[IntA
     mesh, d = domain.mesh, domain.joint.dim
     cell_type, points, layout = basix.CellType[domain.joint.cell_type], interpolation_points(V), V.dofmap.dof_layout
     facets = domain.facets(place, layer_sides=True)
-    cells, local = cells_of_facets(mesh, facets)
-    owned = cells < mesh.topology.index_map(d).size_local
-    cells, local, continued = cells[owned], local[owned], _continued_normals(domain, place, facets[owned])
+    cells, in_cell = cells_of_facets(mesh, facets)
+    is_owned = cells < mesh.topology.index_map(d).size_local
+    cells, in_cell, continued = cells[is_owned], in_cell[is_owned], _continued_normals(domain, place, facets[is_owned])
     jacobian = fem.Expression(ufl.Jacobian(mesh), points)
     J = jacobian.eval(mesh, cells).reshape(len(cells), len(points), d, d) if len(cells) else np.empty((0, 1, d, d))
-    outward, corners = basix.cell.facet_outward_normals(cell_type), basix.topology(cell_type)[d - 1]
+    outward, facet_corners = basix.cell.facet_outward_normals(cell_type), basix.topology(cell_type)[d - 1]
     blocks, normals = [np.empty(0, np.int64)], [np.empty((0, d))]
-    for number in range(len(corners)):
-        rows = np.flatnonzero(local == number)
-        nodes = np.array(layout.entity_closure_dofs(d - 1, number))
-        n = np.einsum("cnji,j->cni", np.linalg.inv(J[rows][:, nodes]), outward[number])  # normals transform with J^-T
+    for facet in range(len(facet_corners)):
+        rows = np.flatnonzero(in_cell == facet)
+        nodes = np.array(layout.entity_closure_dofs(d - 1, facet))
+        n = np.einsum("cnji,j->cni", np.linalg.inv(J[rows][:, nodes]), outward[facet])  # normals transform with J^-T
         n /= np.linalg.norm(n, axis=2)[..., None]
         n = np.where(np.isnan(continued[rows]), n.swapaxes(0, 1), continued[rows]).swapaxes(0, 1)
-        x = mesh.geometry.x[cell_nodes(mesh)[cells[rows]][:, corners[number]]]
-        for k, corner in enumerate(corners[number]):
-            n[:, nodes == layout.entity_dofs(0, corner)[0]] *= _weights(x, k)[:, None, None]
+        x = mesh.geometry.x[cell_nodes(mesh)[cells[rows]][:, facet_corners[facet]]]
+        for k, corner in enumerate(facet_corners[facet]):
+            n[:, nodes == layout.entity_dofs(0, corner)[0]] *= _corner_weights(x, k)[:, None, None]
         blocks.append(np.asarray(V.dofmap.list)[cells[rows]][:, nodes].ravel().astype(np.int64))
         normals.append(n.reshape(-1, d))
     return _send_to_owners(domain, V, np.concatenate(blocks), np.concatenate(normals))
@@ -170,16 +170,16 @@ def side_normals(joint: Joint, name: str, ridges: IntArray) -> Array:
     Returns:
         Normals (n, d); NaN at ridges where no facet of the set lies.
     """
-    rows, simplex = joint.facets[name], {2: "triangle", 3: "tetrahedron"}[joint.dim]
-    cells = joint.table.cells[joint.table.index(rows), 0]
-    inward = joint.points[joint.corners[cells]].mean(axis=1) - joint.points[rows].mean(axis=1)
-    normals = facet_normals(joint.points, rows[:, : joint.dim], simplex)[:, 0]
+    facets, cell_type = joint.facets[name], {2: "triangle", 3: "tetrahedron"}[joint.dim]
+    cells = joint.table.cells[joint.table.index(facets), 0]
+    inward = joint.points[joint.corners[cells]].mean(axis=1) - joint.points[facets].mean(axis=1)
+    normals = facet_normals(joint.points, facets[:, : joint.dim], cell_type)[:, 0]
     normals *= -np.sign((normals * inward).sum(axis=1))[:, None]
     out = np.full((len(ridges), joint.dim), np.nan)
     for k, ridge in enumerate(ridges):
-        mean = normals[np.isin(rows, ridge).sum(axis=1) == len(np.unique(ridge))].sum(axis=0)
-        if length := np.linalg.norm(mean):
-            out[k] = mean / length
+        normal_sum = normals[np.isin(facets, ridge).sum(axis=1) == len(np.unique(ridge))].sum(axis=0)
+        if length := np.linalg.norm(normal_sum):
+            out[k] = normal_sum / length
     return out
 
 
@@ -197,48 +197,50 @@ def _continued_normals(domain: Domain, place: str, facets: Indices) -> Array:
     Returns:
         Unit normals (n, d); NaN for facets that are not on a layer's side.
     """
-    joint, band, name = domain.joint, domain.joint.band, FacetName.parse(place).whole
+    joint, band, name = domain.joint, domain.joint.band, FacetName.parse(place).set_name
     out = np.full((len(facets), joint.dim), np.nan)
-    if band is None or name not in band.base.facets or not len(facets):
+    if band is None or name not in band.drawn_joint.facets or not len(facets):
         return out
     numbers = domain.numbers(joint.dim - 1, facets)
-    regions = np.array(joint.regions)[joint.region[joint.table.cells[numbers, 0]]]
-    layer_rows = np.flatnonzero(np.isin(regions, band.regions))
-    _, base_vertices = cKDTree(band.base.points).query(band.reference[joint.table.vertices[numbers[layer_rows]]])
-    ridges, number = np.unique(np.sort(base_vertices, axis=1), axis=0, return_inverse=True)
-    out[layer_rows] = side_normals(band.base, name, ridges)[number.ravel()]
+    region_names = np.array(joint.regions)[joint.region[joint.table.cells[numbers, 0]]]
+    on_layer_side = np.flatnonzero(np.isin(region_names, band.regions))
+    _, base_vertices = cKDTree(band.drawn_joint.points).query(
+        band.reference[joint.table.vertices[numbers[on_layer_side]]]
+    )
+    ridges, ridge_index = np.unique(np.sort(base_vertices, axis=1), axis=0, return_inverse=True)
+    out[on_layer_side] = side_normals(band.drawn_joint, name, ridges)[ridge_index.ravel()]
     return out
 
 
-def _weights(x: Array, k: int) -> Array:
+def _corner_weights(x: Array, k: int) -> Array:
     """Return the weights (n,) of the normals of n facets at their corner number `k`, as `node_normals` defines them.
 
     `x` (n, m, 3) has the coordinates of all m corners of each facet.
     """
-    adjacent = [k ^ 1, k ^ 2] if x.shape[1] == 4 else [j for j in range(x.shape[1]) if j != k]
-    edges = x[:, adjacent] - x[:, k : k + 1]
-    squares = (edges**2).sum(axis=2)
-    if len(adjacent) == 1:
-        return np.asarray(1 / np.sqrt(squares[:, 0]))
-    return np.asarray(np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / squares.prod(axis=1))
+    adjacent_corners = [k ^ 1, k ^ 2] if x.shape[1] == 4 else [j for j in range(x.shape[1]) if j != k]
+    edges = x[:, adjacent_corners] - x[:, k : k + 1]
+    squared_lengths = (edges**2).sum(axis=2)
+    if len(adjacent_corners) == 1:
+        return np.asarray(1 / np.sqrt(squared_lengths[:, 0]))
+    return np.asarray(np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / squared_lengths.prod(axis=1))
 
 
-def _send_to_owners(domain: Domain, V: fem.FunctionSpace, blocks: IntArray, rows: Array) -> tuple[IntArray, Array]:
+def _send_to_owners(domain: Domain, V: fem.FunctionSpace, nodes: IntArray, rows: Array) -> tuple[IntArray, Array]:
     """Send a row of m numbers for each of n nodes to the rank that owns the node. Collective.
 
     Args:
         domain: the distributed mesh.
         V: the space of the nodes.
-        blocks: (n,) local numbers of the nodes (blocks of V); they may repeat.
+        nodes: (n,) local numbers of the nodes (blocks of V); they may repeat.
         rows: (n, m) the numbers.
 
     Returns:
         Local numbers of nodes that this rank owns, and the rows that it receives for them.
     """
     imap = V.dofmap.index_map
-    owners = np.concatenate([np.full(imap.size_local, domain.comm.rank), imap.owners])[blocks]
-    numbers = imap.local_to_global(blocks.astype(np.int32)).astype(float)
-    received = send(domain.comm, owners, np.column_stack([numbers, rows]))
+    owners = np.concatenate([np.full(imap.size_local, domain.comm.rank), imap.owners])[nodes]
+    global_nodes = imap.local_to_global(nodes.astype(np.int32)).astype(float)
+    received = send(domain.comm, owners, np.column_stack([global_nodes, rows]))
     return received[:, 0].astype(np.int64) - imap.local_range[0], received[:, 1:]
 
 
@@ -254,10 +256,10 @@ def smooth_surfaces(normals: Array) -> tuple[IntArray, Array]:
     Returns:
         Number (n,) of each facet's surface, from 0, and unit mean normals (k, d) of the k surfaces.
     """
-    unit = normals / np.linalg.norm(normals, axis=1)[:, None]
-    facet, other = np.nonzero(unit @ unit.T > np.cos(np.deg2rad(CORNER_ANGLE_DEGREES)))
-    _, surface = np.unique(connected(facet, other, len(unit)), return_inverse=True)
-    mean = sum_by_number(surface.ravel(), normals, surface.max() + 1)
-    mean /= np.linalg.norm(mean, axis=1)[:, None]
-    mean[np.abs(mean) < NORMAL_COMPONENT_TOLERANCE] = 0.0
-    return surface.ravel().astype(np.int64), mean / np.linalg.norm(mean, axis=1)[:, None]
+    unit_normals = normals / np.linalg.norm(normals, axis=1)[:, None]
+    facet, other_facet = np.nonzero(unit_normals @ unit_normals.T > np.cos(np.deg2rad(CORNER_ANGLE_DEGREES)))
+    _, surface_number = np.unique(components(facet, other_facet, len(unit_normals)), return_inverse=True)
+    mean_normals = sum_by_number(surface_number.ravel(), normals, surface_number.max() + 1)
+    mean_normals /= np.linalg.norm(mean_normals, axis=1)[:, None]
+    mean_normals[np.abs(mean_normals) < NORMAL_COMPONENT_TOLERANCE] = 0.0
+    return surface_number.ravel().astype(np.int64), mean_normals / np.linalg.norm(mean_normals, axis=1)[:, None]

@@ -18,7 +18,7 @@ from forms.base import Array, InputError, require
 from forms.kinematics import KINEMATICS_BY_NAME, Kinematics
 from forms.law import BulkLaw
 from forms.traction import TractionLaw
-from forms.work import Interface, Term, surface
+from forms.work import Interface, Term, s_terms
 from geometry.domain import cells_of_facets, create_connectivity
 from geometry.refusals import unknown_name_message
 from geometry.topology import BoolArray, Indices
@@ -30,9 +30,9 @@ from thinlayer.discretisation.mesh_functions import Element, SharedDofs, broken_
 from thinlayer.system.compat import interior_facet_entities, interpolate
 from thinlayer.system.ranks import communicator, errors_on_all
 
-Upper = int | set[int] | frozenset[int] | Sequence[float] | None
-TagRules = int | Iterable[int] | Mapping[int, Upper]
-MIN_COSINE = 0.02  # least cosine between a facet's normal and a direction that chooses its upper side
+UpperSideRule = int | set[int] | frozenset[int] | Sequence[float] | None
+TagRules = int | Iterable[int] | Mapping[int, UpperSideRule]
+MIN_NORMAL_COSINE = 0.02  # least cosine between a facet's normal and a direction that chooses its upper side
 
 
 class BrokenMesh:
@@ -91,34 +91,34 @@ class BrokenMesh:
         rules = dict(S) if isinstance(S, Mapping) else dict.fromkeys([S] if isinstance(S, int) else S)
         create_connectivity(mesh, self._dim - 1)
         self._exterior = np.asarray(dolfinx.mesh.exterior_facet_indices(mesh.topology))
-        self._body = self._cell_tags()
-        self._check_cuts(np.concatenate([np.empty(0, np.int32), *(self._owned_facets(tag) for tag in rules)]))
-        self._sides: dict[int, Indices] = {}
-        for tag, upper in rules.items():
+        self._tag_of = self._body_tags_of_cells()
+        self._check_facets_of_S(np.concatenate([np.empty(0, np.int32), *(self._owned_facets(tag) for tag in rules)]))
+        self._entities: dict[int, Indices] = {}
+        for tag, upper_rule in rules.items():
             facets = self._owned_facets(tag)
             counts = len(facets), int(np.isin(facets, self._exterior).sum())
-            total, outer = map(self.comm.allreduce, counts)
-            if not total:
+            n_facets, outer = map(self.comm.allreduce, counts)
+            if not n_facets:
                 tags = np.unique(np.concatenate(self.comm.allgather(np.unique(facet_tags.values))))
                 raise InputError(f"S: no facet has the tag {tag}; there are {', '.join(map(str, tags)) or 'none'}")
-            if outer not in (0, total):
-                raise InputError(f"S: {outer} of {total} facets with tag {tag} lie on the boundary; all or none may")
+            if outer not in (0, n_facets):
+                raise InputError(f"S: {outer} of {n_facets} facets with tag {tag} lie on the boundary; all or none may")
             if not outer:
-                self._sides[tag] = self._oriented_facets(tag, facets, upper)
-        self._base_tags = rules.keys() - self._sides.keys()
-        data = [(tag, rows.ravel()) for tag, rows in sorted(self._sides.items())]  # DOLFINx loses unsorted tags
+                self._entities[tag] = self._oriented_facets(tag, facets, upper_rule)
+        self._base_tags = rules.keys() - self._entities.keys()
+        data = [(tag, rows.ravel()) for tag, rows in sorted(self._entities.items())]  # DOLFINx loses unsorted tags
         self.dS = ufl.Measure("dS", domain=mesh, subdomain_data=data)
-        self._tags = tuple(rules)
+        self._tags_of_S = tuple(rules)
 
     @staticmethod
     def _kinematics(mesh: Mesh, plane: str) -> Kinematics:
         if plane not in KINEMATICS_BY_NAME or (mesh.geometry.dim == 3 and plane != "strain"):
             raise InputError(f"{unknown_name_message('plane', plane, KINEMATICS_BY_NAME)}; in 3D leave it out")
         kinematics, x = KINEMATICS_BY_NAME[plane], mesh.geometry.x
-        behind = communicator(mesh).allreduce(float(kinematics.radius(x).min(initial=0.0)), MPI.MIN)
-        if behind < -AXIS_TOLERANCE * communicator(mesh).allreduce(float(np.abs(x).max(initial=0.0)), MPI.MAX):
-            raise InputError(f"plane={plane!r}: x is the distance from the axis, and the mesh has x = {behind:g} < 0")
-        return kinematics.on(mesh)
+        least_r = communicator(mesh).allreduce(float(kinematics.axis_distances(x).min(initial=0.0)), MPI.MIN)
+        if least_r < -AXIS_TOLERANCE * communicator(mesh).allreduce(float(np.abs(x).max(initial=0.0)), MPI.MAX):
+            raise InputError(f"plane={plane!r}: x is the distance from the axis, and the mesh has x = {least_r:g} < 0")
+        return kinematics.on_mesh(mesh)
 
     # ---------------------------------------------------------------- for users
     def space(self, element: Element) -> fem.FunctionSpace:
@@ -130,15 +130,15 @@ class BrokenMesh:
         if isinstance(element, tuple):
             family, degree, *shape = element
             element = basix.ufl.element(family, self.mesh.basix_cell(), degree, shape=shape[0] if shape else None)
-        body_tags = np.unique(np.concatenate([np.unique(self._body), *self.comm.allgather(np.unique(self._body))]))
-        body_number = np.searchsorted(body_tags, self._body)
-        entity_count = partial(cpp.mesh.cell_num_entities, self.mesh.topology.cell_type)
-        components = [np.tile(body_number, (entity_count(dim), 1)).T for dim in range(self._dim)]
+        body_tags = np.unique(np.concatenate([np.unique(self._tag_of), *self.comm.allgather(np.unique(self._tag_of))]))
+        body_index = np.searchsorted(body_tags, self._tag_of)
+        n_entities = partial(cpp.mesh.cell_num_entities, self.mesh.topology.cell_type)
+        components = [np.tile(body_index, (n_entities(dim), 1)).T for dim in range(self._dim)]
         return broken_space(self.comm, SharedDofs.of_components(self.comm, self.mesh, element, components))
 
     def interface(self, tag: int) -> Interface:
         """Return the two sides of the facets of S with a tag: normal, jumps of functions, and measure of integrals."""
-        self._require(tag)
+        self._require_tag(tag)
         if tag in self._base_tags:
             ds = ufl.Measure("ds", domain=self.mesh, subdomain_data=self.facet_tags)
             return Interface.on_rigid_base(ds(tag), self.kinematics)
@@ -180,7 +180,7 @@ class BrokenMesh:
             with errors_on_all(self.comm):
                 interpolate(relative_thickness, lambda x: profile(x[: self._dim]))
             thickness = thickness * sides.upper(relative_thickness)
-        return [replace(term, law=law_of_terms(term.law, self.mesh)) for term in surface(law, sides, thickness, order)]
+        return [replace(term, law=law_of_terms(term.law, self.mesh)) for term in s_terms(law, sides, thickness, order)]
 
     def contact_surface(self, tag: int, V: fem.FunctionSpace) -> ContactSurface:
         """Return the facets of S with a tag and the cells on their two sides, for a contact law.
@@ -194,28 +194,28 @@ class BrokenMesh:
         Raises:
             InputError: a tag that is not in S; a space on another mesh or with another element.
         """
-        self._require(tag)
-        element, wanted = V.ufl_element(), f"contact laws act at nodes: space(('Lagrange', 1, ({self._dim},)))"
-        fits = V.mesh is self.mesh and element.reference_value_shape == (self._dim,) and element.family_name == "P"
-        fits = fits and element.degree <= (1 if self.mesh.topology.cell_name() == "tetrahedron" else 2)
-        require(fits, "V", V, f"{wanted} of this mesh, or but for tetrahedra of degree 2")
+        self._require_tag(tag)
+        element, allowed = V.ufl_element(), f"contact laws act at nodes: space(('Lagrange', 1, ({self._dim},)))"
+        suitable = V.mesh is self.mesh and element.reference_value_shape == (self._dim,) and element.family_name == "P"
+        suitable = suitable and element.degree <= (1 if self.mesh.topology.cell_name() == "tetrahedron" else 2)
+        require(suitable, "V", V, f"{allowed} of this mesh, or but for tetrahedra of degree 2")
         facets = self._owned_facets(tag)
         on_base = tag in self._base_tags
-        upper, lower = (cells_of_facets(self.mesh, facets)[0], None) if on_base else self._sides[tag][:, [0, 2]].T
+        upper, lower = (cells_of_facets(self.mesh, facets)[0], None) if on_base else self._entities[tag][:, [0, 2]].T
         return ContactSurface(V, self.comm, facets, upper, lower, kinematics=self.kinematics)
 
-    def _require(self, tag: int) -> None:
-        if tag not in self._tags:
-            raise InputError(f"S has no tag {tag}; there are {', '.join(map(str, self._tags))}")
+    def _require_tag(self, tag: int) -> None:
+        if tag not in self._tags_of_S:
+            raise InputError(f"S has no tag {tag}; there are {', '.join(map(str, self._tags_of_S))}")
 
     def _require_no_locking(self, tag: int, law: BulkLaw) -> None:
         """Raise InputError if lmbda/mu is so large somewhere on the facets with a tag that the law of order 1 locks."""
         with errors_on_all(self.comm):
-            for local_law in law.at_places(self._at_vertices(tag)[2]) if law.fields else [law]:
-                if violation := InitialTangents(local_law, np.eye(self._dim)[-1]).locks():
+            for local_law in law.at_places(self._new_vertex_function(tag)[2]) if law.fields else [law]:
+                if violation := InitialTangents(local_law, np.eye(self._dim)[-1]).locking_violation():
                     raise violation.error()
 
-    def _at_vertices(self, tag: int) -> tuple[fem.Function, Indices, Array]:
+    def _new_vertex_function(self, tag: int) -> tuple[fem.Function, Indices, Array]:
         """Return a new function of degree 1 on the mesh, and its dofs at the facets with a tag.
 
         Returns:
@@ -233,7 +233,7 @@ class BrokenMesh:
         """
         expressions = {}
         for name in law.fields:
-            f, dofs, x = self._at_vertices(tag)
+            f, dofs, x = self._new_vertex_function(tag)
             with errors_on_all(self.comm):
                 f.x.array[dofs] = law.fields_at(x)[name]
             f.x.scatter_forward()
@@ -246,35 +246,35 @@ class BrokenMesh:
         facets = self.facet_tags.find(tag)
         return np.sort(facets[facets < self.mesh.topology.index_map(self._dim - 1).size_local])
 
-    def _cell_tags(self) -> Indices:
+    def _body_tags_of_cells(self) -> Indices:
         """Return the tag of the body of each local cell (n_cells,), ghosts included.
 
         Raises:
             InputError: a cell has no tag.
         """
         imap = self.mesh.topology.index_map(self._dim)
-        body, owned = la.vector(imap, dtype=np.int32), self.bodies.indices < imap.size_local
-        body.array[self.bodies.indices[owned]] = self.bodies.values[owned]
-        if n_untagged := self.comm.allreduce(imap.size_local - len(np.unique(self.bodies.indices[owned]))):
+        body_tags, is_owned = la.vector(imap, dtype=np.int32), self.bodies.indices < imap.size_local
+        body_tags.array[self.bodies.indices[is_owned]] = self.bodies.values[is_owned]
+        if n_untagged := self.comm.allreduce(imap.size_local - len(np.unique(self.bodies.indices[is_owned]))):
             raise InputError(f"bodies: {n_untagged} cells have no tag; each cell belongs to a body")
-        body.scatter_forward()
-        return np.asarray(body.array)
+        body_tags.scatter_forward()
+        return np.asarray(body_tags.array)
 
-    def _check_cuts(self, cuts: Indices) -> None:
+    def _check_facets_of_S(self, facets_of_S: Indices) -> None:
         """Raise InputError for missing ghost cells, bodies that meet outside S, and facets of S inside a body.
 
-        `cuts` are the local numbers of the facets of S that this rank owns.
+        `facets_of_S` are the local numbers of the facets of S that this rank owns.
         """
         topology = self.mesh.topology
         inner = np.setdiff1d(np.arange(topology.index_map(self._dim - 1).size_local, dtype=np.int32), self._exterior)
         cell_counts = np.diff(topology.connectivity(self._dim - 1, self._dim).offsets)
-        if n_lacking := self.comm.allreduce(np.count_nonzero(cell_counts[inner] < 2)):
+        if n_without_ghosts := self.comm.allreduce(np.count_nonzero(cell_counts[inner] < 2)):
             remedy = "create it, or a partitioner, with ghost_mode=dolfinx.mesh.GhostMode.shared_facet"
-            raise InputError(f"the mesh has no ghost cells across {n_lacking} facets between ranks; {remedy}")
-        pairs, to_facets = interior_facet_entities(self.mesh, inner), topology.connectivity(self._dim, self._dim - 1)
-        facets = to_facets.array[to_facets.offsets[pairs[:, 0]] + pairs[:, 1]]
-        border = self._body[pairs[:, 0]] != self._body[pairs[:, 2]]
-        cut = np.isin(facets, cuts)
+            raise InputError(f"the mesh has no ghost cells across {n_without_ghosts} facets between ranks; {remedy}")
+        entities, to_facets = interior_facet_entities(self.mesh, inner), topology.connectivity(self._dim, self._dim - 1)
+        facets = to_facets.array[to_facets.offsets[entities[:, 0]] + entities[:, 1]]
+        border = self._tag_of[entities[:, 0]] != self._tag_of[entities[:, 2]]
+        cut = np.isin(facets, facets_of_S)
         self._refuse(facets[border & ~cut], "where two bodies meet are not in S: tag them, or give both one value")
         self._refuse(facets[cut & ~border], "of S lie inside a body: give the bodies on its two sides different values")
 
@@ -284,7 +284,7 @@ class BrokenMesh:
             place = next(p[0] for p in self.comm.allgather(places) if len(p))
             raise InputError(f"{count} facets {what}; one is at ({', '.join(f'{c:g}' for c in place)})")
 
-    def _oriented_facets(self, tag: int, facets: Indices, upper: Upper) -> Indices:
+    def _oriented_facets(self, tag: int, facets: Indices, upper: UpperSideRule) -> Indices:
         """Return for each of n facets between bodies the cell on its upper and the cell on its lower side.
 
         Args:
@@ -295,21 +295,21 @@ class BrokenMesh:
         Returns:
             Rows (n, 4): upper cell, number of the facet in this cell, lower cell, number of the facet in this cell.
         """
-        rows = interior_facet_entities(self.mesh, facets)
-        first_cells, second_cells = rows[:, 0], rows[:, 2]
+        entities = interior_facet_entities(self.mesh, facets)
+        first_cells, second_cells = entities[:, 0], entities[:, 2]
         if upper is None:
-            swap = self._body[first_cells] < self._body[second_cells]
+            is_swapped = self._tag_of[first_cells] < self._tag_of[second_cells]
         elif isinstance(upper, int | np.integer | set | frozenset):
-            above = np.isin(self._body, list(upper) if isinstance(upper, set | frozenset) else [upper])
+            in_upper_bodies = np.isin(self._tag_of, list(upper) if isinstance(upper, set | frozenset) else [upper])
             text = f"with tag {tag} do not have one side in {upper} and the other outside"
-            self._refuse(facets[above[first_cells] == above[second_cells]], text)
-            swap = above[second_cells]
+            self._refuse(facets[in_upper_bodies[first_cells] == in_upper_bodies[second_cells]], text)
+            is_swapped = in_upper_bodies[second_cells]
         else:
-            swap = ~self._points_to(first_cells, tag, facets, np.asarray(upper, float))
-        rows[swap] = rows[swap][:, [2, 3, 0, 1]]
-        return rows
+            is_swapped = ~self._lies_on_side(first_cells, tag, facets, np.asarray(upper, float))
+        entities[is_swapped] = entities[is_swapped][:, [2, 3, 0, 1]]
+        return entities
 
-    def _points_to(self, cells: Indices, tag: int, facets: Indices, direction: Array) -> BoolArray:
+    def _lies_on_side(self, cells: Indices, tag: int, facets: Indices, direction: Array) -> BoolArray:
         """Return a mask (n,) of cells: whether each lies on the side of its facet to which `direction` (d,) points.
 
         `facets` (n,) and `cells` (n,) are local numbers: each facet and one of its cells. `tag` is the facets' tag, for
@@ -323,7 +323,7 @@ class BrokenMesh:
         normals = cpp.mesh.cell_normals(self.mesh._cpp_object, self._dim - 1, facets)[:, : self._dim]
         cosines = normals @ direction / np.linalg.norm(direction)
         text = f"with tag {tag} are parallel to {tuple(map(float, direction))}, which does not tell their upper side"
-        self._refuse(facets[np.abs(cosines) < MIN_COSINE], text)
-        midpoints = dolfinx.mesh.compute_midpoints
-        to_middle = midpoints(self.mesh, self._dim, cells) - midpoints(self.mesh, self._dim - 1, facets)
-        return np.asarray(np.einsum("fk,fk->f", to_middle[:, : self._dim], normals) * cosines > 0)
+        self._refuse(facets[np.abs(cosines) < MIN_NORMAL_COSINE], text)
+        compute_midpoints = dolfinx.mesh.compute_midpoints
+        to_cells = compute_midpoints(self.mesh, self._dim, cells) - compute_midpoints(self.mesh, self._dim - 1, facets)
+        return np.asarray(np.einsum("fk,fk->f", to_cells[:, : self._dim], normals) * cosines > 0)

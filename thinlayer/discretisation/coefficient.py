@@ -27,19 +27,19 @@ from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place_text as at_place
 from geometry.refusals import require_known
-from thinlayer.discretisation.mesh_functions import inflation_shift, places_in_cells, sampled_function
+from thinlayer.discretisation.mesh_functions import inflation_motion, interpolation_places, sampled_function
 from thinlayer.discretisation.time_functions import Clock, TimeConstant, time_constants
 from thinlayer.errors import FormerNames
 from thinlayer.system.compat import interpolate, interpolation_points, ufl_replace
 
 T = TypeVar("T")
 Value = float | Callable[[Expr, Expr], Expr]
-Load = Sequence[float] | Callable[[Expr, Expr], Sequence[Expr]]
+LoadInput = Sequence[float] | Callable[[Expr, Expr], Sequence[Expr]]
 Shape = tuple[int, ...]
-Components = npt.NDArray[np.object_]  # numbers, or UFL scalars
-Nested: TypeAlias = "Expr | float | npt.NDArray[np.object_] | Sequence[Nested]"  # or rows of them
+ComponentArray = npt.NDArray[np.object_]  # numbers, or UFL scalars
+NestedComponents: TypeAlias = "Expr | float | npt.NDArray[np.object_] | Sequence[NestedComponents]"  # or rows of them
 
-FUNCTION_TOLERANCE = 1e-9  # largest relative difference of a function's values for symbols and for numbers
+SYMBOL_VALUE_TOLERANCE = 1e-9  # largest relative difference of a function's values for symbols and for numbers
 NUMPY_DEGREE = 2  # degree of interpolants of numpy functions
 COMPARISON_TIMES = (0.37, 0.0, 1.0, 2.0)  # times at which a function's values for symbols and for numbers are compared
 NUMPY_HINT = (
@@ -60,7 +60,7 @@ class Coordinates(FormerNames):
         clock: clock of the model, which holds the time.
         places: (n, d) coordinates of n vertices of the joint where functions are tested, extreme ones among them.
         cache: coefficients made so far.
-        planned_breaks: list with one set of times at which coefficients change their slope, as last read by a march. It
+        planned_kinks: list with one set of times at which coefficients change their slope, as last read by a march. It
             is empty before the first march.
     """
 
@@ -70,19 +70,19 @@ class Coordinates(FormerNames):
     clock: Clock
     places: Array
     cache: dict[tuple[object, ...], Coefficient] = field(default_factory=dict, repr=False, compare=False)
-    planned_breaks: list[set[float]] = field(default_factory=list, repr=False, compare=False)
+    planned_kinks: list[set[float]] = field(default_factory=list, repr=False, compare=False)
 
     @classmethod
-    def of(cls, domain: Domain) -> Self:
+    def of_domain(cls, domain: Domain) -> Self:
         """Make the coordinates and the clock of a distributed mesh.
 
         Where kept bodies have moved apart to make room for a meshed layer, x is the place before this motion.
         """
         mesh, band = domain.mesh, domain.joint.band
-        x, points = ufl.SpatialCoordinate(mesh), (band.base if band else domain.joint).points
+        x, points = ufl.SpatialCoordinate(mesh), (band.drawn_joint if band else domain.joint).points
         sample_points = {0, *(int(k) for c in points.T for k in (c.argmin(), c.argmax(), np.abs(c).argmin()))}
         is_kept = band is not None and band.bodies != "extended"
-        return cls(mesh, x - inflation_shift(domain) if is_kept else x, Clock(mesh), points[sorted(sample_points)])
+        return cls(mesh, x - inflation_motion(domain) if is_kept else x, Clock(mesh), points[sorted(sample_points)])
 
     @property
     def t(self) -> TimeConstant:
@@ -90,22 +90,22 @@ class Coordinates(FormerNames):
         return self.clock.symbol
 
     @property
-    def detached(self) -> Self:
+    def with_own_breaks(self) -> Self:
         """Copy for loads and supports that may be replaced later; it shares the clock but has its own break times."""
-        return changed(self, cache={}, planned_breaks=[])
+        return changed(self, cache={}, planned_kinks=[])
 
-    def moved(self, x: Expr) -> Self:
+    def with_place(self, x: Expr) -> Self:
         """Return a copy in which users' functions get the UFL coordinates `x` (d,) as their place."""
         return changed(self, x=x)
 
-    def coefficient(self, value: object, what: str, *shapes: Shape, of_place: bool = False) -> Coefficient:
+    def coefficient(self, value: object, what: str, *shapes: Shape, place_only: bool = False) -> Coefficient:
         """Return the coefficient of a user's value, made and checked once. Collective.
 
         Args:
             value: numbers, a table of components, a function (x, t), a UFL expression or a DOLFINx function.
             what: first words of error messages.
             shapes: allowed shapes in d dimensions: () for a number, (d,) for components, (d, d) for a table.
-            of_place: whether a function as value has the argument x alone, not x and t.
+            place_only: whether a function as value has the argument x alone, not x and t.
 
         Raises:
             InputError: another shape, or numbers that are not finite; a function that fails; after a march has begun, a
@@ -113,13 +113,13 @@ class Coordinates(FormerNames):
         """
         key = (id(value), what, shapes, id(self.x))
         if key not in self.cache:
-            self.cache[key] = coefficient = Coefficient(value, what, shapes, self, of_place=of_place)
-            if self.planned_breaks and (late_breaks := sorted(coefficient.breaks - self.planned_breaks[0])):
+            self.cache[key] = coefficient = Coefficient(value, what, shapes, self, place_only=place_only)
+            if self.planned_kinks and (late_breaks := sorted(coefficient.kinks - self.planned_kinks[0])):
                 reason = f"changes its slope at t = {late_breaks[0]:g}, where no step ends"
                 raise InputError(f"{what} is given after a march has begun, and {reason}; give it in check(model)")
         return self.cache[key]
 
-    def traction(self, load: Load | Pressure, what: str, n: Expr) -> Expr:
+    def traction(self, load: LoadInput | Pressure, what: str, n: Expr) -> Expr:
         """Return a load as the traction (d,) in UFL on facets with the outward unit normal `n`.
 
         `what` begins error messages.
@@ -132,13 +132,13 @@ class Coordinates(FormerNames):
         return self.coefficient(load, what, (self.mesh.geometry.dim,)).expression
 
     @property
-    def breaks(self) -> set[float]:
+    def kinks(self) -> set[float]:
         """Times at which the coefficients made so far change their slope.
 
         Once a march has read them, coefficients with other such times are refused.
         """
-        self.planned_breaks[:] = [set[float]().union(*(coefficient.breaks for coefficient in self.cache.values()))]
-        return self.planned_breaks[0]
+        self.planned_kinks[:] = [set[float]().union(*(coefficient.kinks for coefficient in self.cache.values()))]
+        return self.planned_kinks[0]
 
 
 class Coefficient:
@@ -153,7 +153,7 @@ class Coefficient:
         what: first words of errors, such as "traction on 'TOP'".
         shapes: allowed shapes in d dimensions: () for a number, (d,) for components, (d, d) for a table.
         at: coordinates and time.
-        of_place: whether a function as value has the argument x alone, not x and t. If it fails for symbols, it is
+        place_only: whether a function as value has the argument x alone, not x and t. If it fails for symbols, it is
             called with the coordinates (d, n) of n places, and interpolated in each cell with degree 2.
 
     Attributes:
@@ -166,20 +166,20 @@ class Coefficient:
             compares them.
     """
 
-    def __init__(self, value: object, what: str, shapes: Sequence[Shape], at: Coordinates, *, of_place: bool) -> None:
-        self.value, self.what, self._shapes, self._of_place = value, what, shapes, of_place
-        self.at = at.detached  # does not refer to this object: both are freed with their model
+    def __init__(self, value: object, what: str, shapes: Sequence[Shape], at: Coordinates, *, place_only: bool) -> None:
+        self.value, self.what, self._shapes, self._place_only = value, what, shapes, place_only
+        self.at = at.with_own_breaks  # does not refer to this object: both are freed with their model
         is_function = callable(value) and not isinstance(value, ufl.core.expr.Expr)
-        self.components = self._on_mesh(self._function_components() if is_function else self._read(value))
+        self.components = self._interpolate_foreign(self._function_components() if is_function else self._read(value))
         self.varies = is_function or any(isinstance(c, ufl.core.expr.Expr) for c in self.components.flat)
         self.shape = self.components.shape
 
     # ---------------------------------------------------------------- reading
-    def _call(self, x: Expr, t: Expr) -> Nested:
+    def _call(self, x: Expr, t: Expr) -> NestedComponents:
         assert callable(self.value)
-        return self.value(x) if self._of_place else self.value(x, t)
+        return self.value(x) if self._place_only else self.value(x, t)
 
-    def _function_components(self) -> Components:
+    def _function_components(self) -> ComponentArray:
         """Return the components, in UFL, that the user's function gives for symbols.
 
         Raises:
@@ -188,21 +188,21 @@ class Coefficient:
         try:
             content = self._call(self.at.x, self.at.t)
         except Exception as error:
-            if self._of_place:
-                return self._read(self._interpolated())
+            if self._place_only:
+                return self._read(self._interpolant())
             raise self._function_error(f"{type(error).__name__}: {error}") from error
         components = self._read(content)
-        plain = isinstance(self.at.x, ufl.SpatialCoordinate)
-        self._compare(components if plain else self._read(self._call(ufl.SpatialCoordinate(self.at.mesh), self.at.t)))
+        on_mesh = isinstance(self.at.x, ufl.SpatialCoordinate)
+        self._compare(components if on_mesh else self._read(self._call(ufl.SpatialCoordinate(self.at.mesh), self.at.t)))
         return components
 
-    def _interpolated(self) -> fem.Function:
+    def _interpolant(self) -> fem.Function:
         """Return the interpolant, of degree 2 in each cell, of the user's numpy function of the place. Collective.
 
         The function gets the coordinates (d, n) of n places and returns n values.
         """
         f = fem.Function(fem.functionspace(self.at.mesh, ("DG", NUMPY_DEGREE)))
-        x = places_in_cells(f.function_space, self.at.x).reshape(-1, self.at.mesh.geometry.dim)
+        x = interpolation_places(f.function_space, self.at.x).reshape(-1, self.at.mesh.geometry.dim)
         try:
             values = np.asarray(self._call(x.T, None), float)
         except Exception as error:
@@ -215,14 +215,14 @@ class Coefficient:
     def _function_error(self, why: str) -> InputError:
         return InputError(f"{self.what} is not a function (x, t) of UFL coordinates: {why}; {NUMPY_HINT}")
 
-    def _components_error(self, content: Nested, more: str = "") -> InputError:
+    def _components_error(self, content: NestedComponents, detail: str = "") -> InputError:
         shapes = [" x ".join(map(str, shape)) for shape in self._shapes]
         need = " or ".join(f"{shape} finite components" if shape else "a finite number" for shape in shapes)
         if callable(self.value):
-            return InputError(f"{self.what} gives {content!s:.90}; it needs {need}{more}")
+            return InputError(f"{self.what} gives {content!s:.90}; it needs {need}{detail}")
         return InputError(f"{self.what} is {self.value!r:.90}; it needs {need}, or a function (x, t) that gives that")
 
-    def _read(self, content: Nested) -> Components:
+    def _read(self, content: NestedComponents) -> ComponentArray:
         """Return the components of a number, a UFL expression, or nested sequences of them, in an array.
 
         Raises:
@@ -236,10 +236,10 @@ class Coefficient:
             raise self._components_error(content)
         components = np.empty(shape, object)
         for index in np.ndindex(*shape):
-            components[index] = self._component(reduce(lambda rows, k: rows[k], index, content))
+            components[index] = self._checked_component(reduce(lambda rows, k: rows[k], index, content))
         return components
 
-    def _component(self, component: Expr) -> Expr:
+    def _checked_component(self, component: Expr) -> Expr:
         """Return a component as a finite number or a UFL scalar.
 
         Raises:
@@ -249,25 +249,25 @@ class Coefficient:
             component = component[()]
         if is_finite(component):
             return float(component)
-        scalar = isinstance(component, ufl.core.expr.Expr) and component.ufl_shape == ()
-        if not scalar or isinstance(component, Condition) or not has_finite_numbers(component):
+        is_scalar = isinstance(component, ufl.core.expr.Expr) and component.ufl_shape == ()
+        if not is_scalar or isinstance(component, Condition) or not has_finite_numbers(component):
             raise self._components_error(component, f", of finite real numbers; {NUMPY_HINT}")
         return component
 
-    def _on_mesh(self, components: Components) -> Components:
+    def _interpolate_foreign(self, components: ComponentArray) -> ComponentArray:
         """Replace DOLFINx functions on other meshes, in UFL components, by their interpolants on this mesh.
 
         Collective if there are such functions.
         """
-        fields = {f for c in components.flat for f in _functions_in(c) if isinstance(f, fem.Function)}
-        others = sorted((f for f in fields if f.function_space.mesh is not self.at.mesh), key=lambda f: f.count())
-        replacements = {f: sampled_function(f, self.at.mesh, self.at.x, self.what) for f in others}
+        functions = {f for c in components.flat for f in _functions_in(c) if isinstance(f, fem.Function)}
+        foreign = sorted((f for f in functions if f.function_space.mesh is not self.at.mesh), key=lambda f: f.count())
+        replacements = {f: sampled_function(f, self.at.mesh, self.at.x, self.what) for f in foreign}
         for index in np.ndindex(*components.shape):
             if _functions_in(components[index]):
                 components[index] = ufl_replace(components[index], replacements)
         return components
 
-    def _compare(self, components: Components) -> None:
+    def _compare(self, components: ComponentArray) -> None:
         """Raise InputError if the user's function gives other values for plain numbers than for symbols.
 
         `components` are its components for symbols. They are evaluated at the places `at.places` and some times.
@@ -277,12 +277,12 @@ class Coefficient:
         places, (first_time, *later_times) = self.at.places, COMPARISON_TIMES
         for place, t in [*product(places, [first_time]), *product(places[:1], later_times)]:
             try:
-                plain = self._read(self._call(ufl.as_vector([*map(float, place)]), ufl.as_ufl(t)))
+                by_numbers = self._read(self._call(ufl.as_vector([*map(float, place)]), ufl.as_ufl(t)))
             except Exception:  # the function accepts symbols only, as with ufl.grad
                 continue
-            a, b = (np.array([evaluate_component(c, t, place) for c in some.flat]) for some in (components, plain))
+            a, b = (np.array([evaluate_component(c, t, place) for c in some.flat]) for some in (components, by_numbers))
             comparable = a.shape == b.shape and np.isfinite([a, b]).all()
-            if comparable and np.abs(a - b).max() > FUNCTION_TOLERANCE * np.abs([a, b]).max():
+            if comparable and np.abs(a - b).max() > SYMBOL_VALUE_TOLERANCE * np.abs([a, b]).max():
                 text = f"{a.tolist()} for symbols and {b.tolist()} for numbers, as functions with ==, != and `in` do"
                 raise self._function_error(f"at {at_place(place)}, t = {t:g} it gives {text}")
 
@@ -297,29 +297,29 @@ class Coefficient:
             return fem.Constant(self.at.mesh, self.components.astype(float))
         return ufl.as_tensor(self.components.tolist()) if self.shape else ufl.as_ufl(self.components[()])
 
-    def in_space(self, V: fem.FunctionSpace) -> fem.Function:
+    def interpolant(self, V: fem.FunctionSpace) -> fem.Function:
         """Return the interpolant of this scalar value in a scalar space V. Collective."""
         f, expression = fem.Function(V), self.expression + fem.Constant(self.at.mesh, 0.0)
         interpolate(f, fem.Expression(expression, interpolation_points(V)))
         return f
 
     @cached_property
-    def breaks(self) -> set[float]:
+    def kinks(self) -> set[float]:
         """Times at which the slope of the value changes."""
         components = [c for c in self.components.flat if isinstance(c, ufl.core.expr.Expr)]
-        return set[float]().union(*(constant.breaks for c in components for constant in time_constants(c)))
+        return set[float]().union(*(constant.kinks for c in components for constant in time_constants(c)))
 
-    def once(self, body: str) -> Coefficient:
+    def once(self, owner: str) -> Coefficient:
         """Return this coefficient if it does not depend on the place.
 
         Args:
-            body: words of the message for what needs a single value, such as "the whole cell".
+            owner: words of the message for what needs a single value, such as "the whole cell".
 
         Raises:
             InputError: it depends on the place.
         """
         if any(depends_on_place(c) for c in self.components.flat if isinstance(c, ufl.core.expr.Expr)):
-            raise InputError(f"{self.what} depends on the place x; it is one for {body}")
+            raise InputError(f"{self.what} depends on the place x; it is one for {owner}")
         return self
 
     def at_time(self, t: float) -> Array:
@@ -380,7 +380,7 @@ def values_by_body(values: T | Mapping[str, T], joint: Joint, what: str = "", mo
 
 
 # ---------------------------------------------------------------- content
-def _shape_of(content: Nested) -> Shape:
+def _shape_of(content: NestedComponents) -> Shape:
     """Return the shape of nested sequences of numbers and UFL expressions; it ends with -1 if rows differ in shape."""
     if isinstance(content, ufl.core.expr.Expr):
         return tuple(content.ufl_shape)
@@ -411,8 +411,8 @@ def evaluate_component(component: Expr, t: float, place: Sequence[float] = ()) -
     """Return the value of a number or UFL scalar at the time `t` and the place (d,); NaN where it is not defined."""
     if not isinstance(component, ufl.core.expr.Expr):
         return float(component)
-    values = {c: c.at(t) if isinstance(c, TimeConstant) else c.value for c in extract_constants(component)}
+    constant_values = {c: c.at(t) if isinstance(c, TimeConstant) else c.value for c in extract_constants(component)}
     try:
-        return float(component(tuple(map(float, place)), values))
+        return float(component(tuple(map(float, place)), constant_values))
     except (ArithmeticError, ValueError, TypeError):
         return math.nan

@@ -16,11 +16,11 @@ from scipy.sparse.csgraph import connected_components
 from forms.base import Array, InputError
 from geometry.refusals import place_text as at_place
 from geometry.topology import IntArray, sum_by_number
-from thinlayer.discretisation.supports import LENGTH_TOLERANCE, Prescribed
-from thinlayer.errors import former_names
+from thinlayer.discretisation.supports import RELATIVE_LENGTH_TOLERANCE, SupportConditions
+from thinlayer.errors import getattr_with_former_names
 from thinlayer.system.ranks import destroy
 
-Sparse: TypeAlias = scipy.sparse.csr_matrix
+CsrMatrix: TypeAlias = scipy.sparse.csr_matrix
 INDEPENDENCE_TOLERANCE = 1e-6  # least singular value of independent conditions
 # largest difference of two values of one displacement, over the largest prescribed displacement
 AGREEMENT_TOLERANCE = 1e-9
@@ -33,22 +33,22 @@ class MultiPointConstraint:
 
     Attributes:
         key: name of the constraint in messages.
-        names: names of the m motions in messages.
+        motion_names: names of the m motions in messages.
         R: (n, m) sparse matrix, for the n displacements of this rank and m motions q, which are lengths. Only rows of
             slaves have entries.
         motion: index of each prescribed motion -> function of the time that returns its value, a length.
-        resultant: function of the time that returns the prescribed forces (m,) that do work in the motions. They are
+        resultants_at: function of the time that returns the prescribed forces (m,) that do work in motions. They are
             zero for motions that are prescribed.
     """
 
     key: str
-    names: Sequence[str]
-    R: Sparse
+    motion_names: Sequence[str]
+    R: CsrMatrix
     motion: Mapping[int, Callable[[float], float]]
-    resultant: Callable[[float], Array]
+    resultants_at: Callable[[float], Array]
 
     @property
-    def count(self) -> int:
+    def n_motions(self) -> int:
         """Number m of motions."""
         return int(self.R.shape[1])
 
@@ -61,7 +61,7 @@ class _ConditionGroup:
         rows: (r,) indices of the conditions among the grouped conditions of all ranks.
         columns: (k,) global numbers of the unknowns.
         N: (r, k) coefficients of the conditions.
-        frame: (k, k) orthonormal basis of the unknowns, as columns. The conditions determine the components of y along
+        basis: (k, k) orthonormal basis of the unknowns, as columns. The conditions determine the components of y along
             the first `rank` columns, and leave those along the others free.
         rank: rank of N.
     """
@@ -69,20 +69,20 @@ class _ConditionGroup:
     rows: np.ndarray
     columns: np.ndarray
     N: Array
-    frame: Array
+    basis: Array
     rank: int
 
     @cached_property
-    def inverse(self) -> Array:
+    def pseudo_inverse(self) -> Array:
         """Matrix (rank, r) from right-hand sides c (r,) to the components of y that the conditions determine."""
-        return np.asarray(np.linalg.pinv(self.N @ self.frame[:, : self.rank], rcond=INDEPENDENCE_TOLERANCE))
+        return np.asarray(np.linalg.pinv(self.N @ self.basis[:, : self.rank], rcond=INDEPENDENCE_TOLERANCE))
 
     def residual(self, c: Array) -> Array:
         """Return |N y - c| (r,) for right-hand sides c (r,) and the y that fits all conditions best.
 
         It is not zero where conditions contradict each other.
         """
-        return np.asarray(np.abs(self.N @ self.frame[:, : self.rank] @ (self.inverse @ c) - c))
+        return np.asarray(np.abs(self.N @ self.basis[:, : self.rank] @ (self.pseudo_inverse @ c) - c))
 
     @cached_property
     def force_map(self) -> Array:
@@ -119,25 +119,25 @@ class Constraints:
             constant values contradict each other.
     """
 
-    def __init__(self, prescribed: Prescribed, mpcs: Sequence[MultiPointConstraint] = ()) -> None:
+    def __init__(self, prescribed: SupportConditions, mpcs: Sequence[MultiPointConstraint] = ()) -> None:
         self.prescribed, self.mpcs = prescribed, list(mpcs)
         self.comm: MPI.Intracomm = prescribed.comm
         self.d, self.n = prescribed.d, prescribed.size
         self.row_start, self._n_global = int(self.comm.scan(self.n) - self.n), int(self.comm.allreduce(self.n))
-        self.slaves = self._all_slaves()
+        self.slaves = self._find_slaves()
         self.masters = {mpc.key: self._masters_of(mpc) for mpc in self.mpcs}
         self._all_masters = np.concatenate([np.empty(0, np.int64), *self.masters.values()])
-        self._T0 = self._motion_matrix()
-        self._all_conditions = self._conditions()
+        self._T0 = self._mpc_matrix()
+        self._condition_matrix = self._assemble_conditions()
         self._group_conditions()
-        self.Q = self._frames()
+        self.Q = self._basis_matrix()
         T, Q = self._T0, self.Q
         self.T = Q or T if T is None or Q is None else T.matMult(Q)
-        if not self.comm.allreduce(int(prescribed.varies.any()) + len(self._motions)):
-            self._require_agreement(self._values_of_rows(0.0))
+        if not self.comm.allreduce(int(prescribed.varies_mask.any()) + len(self._motions)):
+            self._require_agreement(self._condition_values(0.0))
 
     # ---------------------------------------------------------------- slaves and masters
-    def _all_slaves(self) -> IntArray:
+    def _find_slaves(self) -> IntArray:
         """Return the local numbers of the displacements that are slaves of a multi-point constraint.
 
         Raises:
@@ -145,7 +145,7 @@ class Constraints:
         """
         rows = [np.flatnonzero(np.diff(mpc.R.indptr)) for mpc in self.mpcs]
         slaves, counts = np.unique(np.concatenate([np.empty(0, np.int64), *rows]), return_counts=True)
-        names = [mpc.key for mpc, mine in zip(self.mpcs, rows, strict=True) if np.isin(mine, slaves[counts > 1]).any()]
+        names = [mpc.key for mpc, own in zip(self.mpcs, rows, strict=True) if np.isin(own, slaves[counts > 1]).any()]
         if conflicts := [keys for keys in self.comm.allgather(names) if keys]:
             raise InputError(f"{' and '.join(conflicts[0])} share a node: their motions would not be independent")
         return slaves
@@ -158,22 +158,22 @@ class Constraints:
         Raises:
             InputError: the constraint has fewer slaves than motions.
         """
-        rows = self.row_start + np.flatnonzero(np.diff(mpc.R.indptr))
-        masters = np.sort(np.concatenate(self.comm.allgather(rows[: mpc.count])))[: mpc.count]
-        if len(masters) < mpc.count:
+        slave_numbers = self.row_start + np.flatnonzero(np.diff(mpc.R.indptr))
+        masters = np.sort(np.concatenate(self.comm.allgather(slave_numbers[: mpc.n_motions])))[: mpc.n_motions]
+        if len(masters) < mpc.n_motions:
             raise InputError(f"{mpc.key} has fewer displacements than motions")
         return masters
 
-    def _motion_matrix(self) -> PETSc.Mat | None:
+    def _mpc_matrix(self) -> PETSc.Mat | None:
         """Return the matrix T0 from unknowns y, which include motions, to displacements u; None for the identity."""
         if not self.comm.allreduce(len(self.slaves) + len(self.mpcs)):
             return None
         free = np.setdiff1d(np.arange(self.n), self.slaves)
         blocks = [(self.masters[mpc.key], mpc.R.tocoo()) for mpc in self.mpcs]
         entries = [(R.row, masters[R.col], R.data) for masters, R in blocks]
-        return self._matrix((free, self.row_start + free, np.ones(len(free))), *entries)
+        return self._square_matrix((free, self.row_start + free, np.ones(len(free))), *entries)
 
-    def _matrix(self, *entries: tuple[np.ndarray, np.ndarray, Array]) -> PETSc.Mat:
+    def _square_matrix(self, *entries: tuple[np.ndarray, np.ndarray, Array]) -> PETSc.Mat:
         """Make a square PETSc matrix over all unknowns from lists of entries, which add up.
 
         Each list has the local rows, the global columns and the values of its entries. The diagonal is stored even
@@ -185,19 +185,19 @@ class Constraints:
         return create_aij(A, self.comm, ((self.n, None), (self.n, None)))
 
     # ---------------------------------------------------------------- conditions
-    def _conditions(self) -> Sparse:
+    def _assemble_conditions(self) -> CsrMatrix:
         """Return the coefficients (r, N) of this rank's r conditions on all N unknowns of the model.
 
         Conditions of supports come first. Conditions of prescribed motions follow; rank 0 has all of these.
         """
-        rows = self.prescribed.conditions
-        csr = rows.data, self.row_start + rows.indices, rows.indptr  # unknowns that are displacements
-        conditions = scipy.sparse.csr_matrix(csr, (rows.shape[0], self._n_global))
+        rows = self.prescribed.condition_rows
+        csr_arrays = rows.data, self.row_start + rows.indices, rows.indptr  # unknowns that are displacements
+        conditions = scipy.sparse.csr_matrix(csr_arrays, (rows.shape[0], self._n_global))
         if self._T0 is not None:
             A = create_aij(conditions, self.comm, ((rows.shape[0], None), (self.n, None)))
-            product = A.matMult(self._T0)
-            conditions = local_csr(product)
-            destroy(A, product)
+            reduced = A.matMult(self._T0)
+            conditions = local_csr(reduced)
+            destroy(A, reduced)
         self._motions = [(mpc, k, value) for mpc in self.mpcs for k, value in mpc.motion.items() if self.comm.rank == 0]
         columns = [self.masters[mpc.key][k] for mpc, k, _ in self._motions]
         k = len(columns)
@@ -214,12 +214,12 @@ class Constraints:
             forces: (r,) forces of this rank's r conditions, see `support_forces`.
             motions: function of local numbers (n,) of displacements that returns their values (n, k) in the k motions.
         """
-        works = forces[:, None] * self._along_conditions(motions)
+        works = forces[:, None] * self._condition_components(motions)
         return sum_by_number(self.prescribed.entry, works, len(self.prescribed.supports.entries) + 1)[:-1]
 
-    def _values_of_rows(self, t: float) -> Array:
-        """Return the prescribed values (r,) of this rank's r conditions at the time t, ordered as in `_conditions`."""
-        return np.concatenate([self.prescribed.values(t), [value(t) for _, _, value in self._motions]])
+    def _condition_values(self, t: float) -> Array:
+        """Return the prescribed values (r,) of this rank's r conditions at the time t, as in `_condition_matrix`."""
+        return np.concatenate([self.prescribed.values_at(t), [value(t) for _, _, value in self._motions]])
 
     # ---------------------------------------------------------------- constrained unknowns
     def _group_conditions(self) -> None:
@@ -228,86 +228,86 @@ class Constraints:
         A condition is in no group if it involves a single unknown, which no other condition involves. All ranks have
         all groups.
         """
-        A, counts = self._all_conditions, np.diff(self._all_conditions.indptr)
+        A, counts = self._condition_matrix, np.diff(self._condition_matrix.indptr)
         foreign = np.ones(len(A.indices), bool)
-        foreign[self._owned(A.indices)[0]] = False
+        foreign[self._select_owned(A.indices)[0]] = False
         columns, column_counts = np.unique(A.indices, return_counts=True)
-        shared = np.concatenate([A.indices[foreign | (counts > 1).repeat(counts)], columns[column_counts > 1]])
-        shared_by_rank = self.comm.allgather(np.unique(np.concatenate([shared, self._all_masters])))
-        single = counts == 1
-        single[single] = ~np.isin(A.indices[A.indptr[:-1][single]], np.concatenate(shared_by_rank))
-        self._single, self._grouped = np.flatnonzero(single), np.flatnonzero(~single & (counts > 0))
-        starts = A.indptr[self._single]
-        self._columns, self._coefficient = A.indices[starts] - self.row_start, A.data[starts]
-        self._groups = _connected_rows(scipy.sparse.vstack(self.comm.allgather(A[self._grouped]), format="csr"))
-        fixed = np.concatenate([self._columns, *(self._owned(g.columns[: g.rank])[1] for g in self._groups)])
+        shared_unknowns = np.concatenate([A.indices[foreign | (counts > 1).repeat(counts)], columns[column_counts > 1]])
+        shared_by_rank = self.comm.allgather(np.unique(np.concatenate([shared_unknowns, self._all_masters])))
+        is_single = counts == 1
+        is_single[is_single] = ~np.isin(A.indices[A.indptr[:-1][is_single]], np.concatenate(shared_by_rank))
+        self._single_rows, self._grouped_rows = np.flatnonzero(is_single), np.flatnonzero(~is_single & (counts > 0))
+        starts = A.indptr[self._single_rows]
+        self._columns, self._single_coefficients = A.indices[starts] - self.row_start, A.data[starts]
+        self._groups = _group_rows(scipy.sparse.vstack(self.comm.allgather(A[self._grouped_rows]), format="csr"))
+        fixed = np.concatenate([self._columns, *(self._select_owned(g.columns[: g.rank])[1] for g in self._groups)])
         self.bc_dofs = np.union1d(fixed, np.setdiff1d(self.slaves, self._all_masters - self.row_start)).astype(np.int32)
 
-    def _frames(self) -> PETSc.Mat | None:
+    def _basis_matrix(self) -> PETSc.Mat | None:
         """Return the matrix Q of y = Q z, from the final unknowns z to the unknowns y; None for the identity.
 
         It contains the orthonormal bases of the groups of conditions.
         """
-        rotated = [group for group in self._groups if not np.array_equal(group.frame, np.eye(len(group.columns)))]
+        rotated = [group for group in self._groups if not np.array_equal(group.basis, np.eye(len(group.columns)))]
         if not rotated:
             return None
         entries = [(np.arange(self.n), self.row_start + np.arange(self.n), np.ones(self.n))]
         for group in rotated:
-            owned, places = self._owned(group.columns)
-            rows, columns = np.meshgrid(places, group.columns, indexing="ij")
-            difference = (group.frame - np.eye(len(group.columns)))[owned]  # to the identity
+            indices, local_numbers = self._select_owned(group.columns)
+            rows, columns = np.meshgrid(local_numbers, group.columns, indexing="ij")
+            difference = (group.basis - np.eye(len(group.columns)))[indices]  # to the identity
             entries.append((rows.ravel(), columns.ravel(), difference.ravel()))
-        return self._matrix(*entries)
+        return self._square_matrix(*entries)
 
-    def _owned(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _select_owned(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Select from global numbers of unknowns, `columns`, those that this rank owns.
 
         Returns:
             Their indices in `columns`, and their local numbers.
         """
-        owned = np.flatnonzero((columns >= self.row_start) & (columns < self.row_start + self.n))
-        return owned, columns[owned] - self.row_start
+        indices = np.flatnonzero((columns >= self.row_start) & (columns < self.row_start + self.n))
+        return indices, columns[indices] - self.row_start
 
-    def _assign(self, y: Array, columns: np.ndarray, values: Array) -> None:
+    def _set_entries(self, y: Array, columns: np.ndarray, values: Array) -> None:
         """Set the entries of `y` (n,) with the global numbers `columns` to `values`; skip entries of other ranks."""
-        owned, places = self._owned(columns)
-        y[places] = values[owned]
+        indices, local_numbers = self._select_owned(columns)
+        y[local_numbers] = values[indices]
 
     # ---------------------------------------------------------------- values
-    def values(self, t: float) -> Array:
+    def bc_values(self, t: float) -> Array:
         """Return the values (h,) of the h constrained unknowns `bc_dofs` at the time t. Collective.
 
         Raises:
             InputError: two conditions prescribe different values of a displacement, or a value is not finite.
         """
-        c = self._values_of_rows(t)
+        c = self._condition_values(t)
         if self.comm.allreduce(int(not np.isfinite(c).all())):
             raise InputError(f"a prescribed displacement is not finite at t = {t:g}")
         self._require_agreement(c, when=f" at t = {t:g}")
         y = np.zeros(self.n)
-        y[self._columns] = c[self._single] / self._coefficient
-        for group, values in self._group_values(c):
-            self._assign(y, group.columns[: group.rank], group.inverse @ values)
+        y[self._columns] = c[self._single_rows] / self._single_coefficients
+        for group, values in self._values_by_group(c):
+            self._set_entries(y, group.columns[: group.rank], group.pseudo_inverse @ values)
         return y[self.bc_dofs]
 
-    def _group_values(self, c: Array) -> list[tuple[_ConditionGroup, Array]]:
+    def _values_by_group(self, c: Array) -> list[tuple[_ConditionGroup, Array]]:
         """Return each group of conditions with the prescribed values of its conditions.
 
         `c` (r,) are the prescribed values of this rank's conditions.
         """
-        all_values = np.concatenate(self.comm.allgather(c[self._grouped]))
+        all_values = np.concatenate(self.comm.allgather(c[self._grouped_rows]))
         return [(group, all_values[group.rows]) for group in self._groups]
 
-    def _from_groups(self, of_groups: Sequence[Array]) -> Array:
+    def _ungroup(self, of_groups: Sequence[Array]) -> Array:
         """Return one number for each of this rank's r conditions (r,), from numbers by group; 0 outside all groups.
 
         `of_groups` has an array for each group, with a number for each of its conditions.
         """
-        out, every = np.zeros(self._all_conditions.shape[0]), np.zeros(sum(len(group.rows) for group in self._groups))
+        out, every = np.zeros(self._condition_matrix.shape[0]), np.zeros(sum(len(group.rows) for group in self._groups))
         for group, numbers in zip(self._groups, of_groups, strict=True):
             every[group.rows] = numbers
-        last = int(self.comm.scan(len(self._grouped)))
-        out[self._grouped] = every[last - len(self._grouped) : last]
+        end = int(self.comm.scan(len(self._grouped_rows)))
+        out[self._grouped_rows] = every[end - len(self._grouped_rows) : end]
         return out
 
     def _require_agreement(self, c: Array, when: str = "") -> None:
@@ -315,31 +315,31 @@ class Constraints:
 
         `when` are words with the time, which end the message.
         """
-        residual = self._from_groups([group.residual(values) for group, values in self._group_values(c)])
+        residual = self._ungroup([group.residual(values) for group, values in self._values_by_group(c)])
         largest = self.comm.allreduce(float(np.abs(c).max(initial=0.0)), max)
-        limit, message = max(AGREEMENT_TOLERANCE * largest, LENGTH_TOLERANCE * self.prescribed.extent), ""
+        limit, message = max(AGREEMENT_TOLERANCE * largest, RELATIVE_LENGTH_TOLERANCE * self.prescribed.extent), ""
         if residual.max(initial=0.0) > limit:
-            message = self._contradiction(int(residual.argmax()), c) + when
+            message = self._contradiction_text(int(residual.argmax()), c) + when
         if messages := [text for text in self.comm.allgather(message) if text]:
             raise InputError(f"{messages[0]}; where supports overlap, their values must agree")
 
-    def _contradiction(self, row: int, c: Array) -> str:
+    def _contradiction_text(self, row: int, c: Array) -> str:
         """Return a message about this rank's condition number `row` and the conditions on the same unknowns.
 
         `c` (r,) are the prescribed values of this rank's conditions.
         """
-        rows, columns = self._all_conditions.nonzero()
-        touched = np.unique(rows[np.isin(columns, self._all_conditions[row].indices)])
-        where = self.prescribed.place_of(int(touched[0])) if touched[0] < len(self.prescribed.entry) else None
-        place = f" at {at_place(where)}" if where is not None else ""
+        rows, columns = self._condition_matrix.nonzero()
+        touched = np.unique(rows[np.isin(columns, self._condition_matrix[row].indices)])
+        point = self.prescribed.point_of_condition(int(touched[0])) if touched[0] < len(self.prescribed.entry) else None
+        place_text = f" at {at_place(point)}" if point is not None else ""
         texts = dict.fromkeys(self._condition_text(int(k), c[k]) for k in touched)
-        return f"contradictory supports{place}: " + " and ".join(texts)
+        return f"contradictory supports{place_text}: " + " and ".join(texts)
 
     def _condition_text(self, row: int, value: float) -> str:
         if row < len(self.prescribed.entry):
             return self.prescribed.condition_text(row, value)
         mpc, k, _ = self._motions[row - len(self.prescribed.entry)]
-        return f"the {mpc.key} prescribes {mpc.names[k]} = {value:.6g}"
+        return f"the {mpc.key} prescribes {mpc.motion_names[k]} = {value:.6g}"
 
     # ---------------------------------------------------------------- displacements and forces
     def displacements(self, y: Array) -> Array:
@@ -354,10 +354,10 @@ class Constraints:
         y = u.copy()
         y[self.slaves] = 0.0
         for mpc in self.mpcs:
-            self._assign(y, self.masters[mpc.key], self.motion(mpc, u))
+            self._set_entries(y, self.masters[mpc.key], self.fit_motions(mpc, u))
         return self._multiply(self.Q, y, transposed=True)
 
-    def forces(self, f: Array) -> Array:
+    def forces_on_y(self, f: Array) -> Array:
         """Return the forces T^T f (n,) on this rank's unknowns y from nodal forces f (n,) on its displacements."""
         return self._multiply(self.T, f, transposed=True)
 
@@ -372,7 +372,7 @@ class Constraints:
         destroy(x, b)
         return np.asarray(product)
 
-    def motion(self, mpc: MultiPointConstraint, u: Array) -> Array:
+    def fit_motions(self, mpc: MultiPointConstraint, u: Array) -> Array:
         """Return the motions (m,) of a multi-point constraint that fit displacements u (n,) by least squares.
 
         The result is the same on every rank.
@@ -384,7 +384,7 @@ class Constraints:
 
         Of all such forces they have the least norm.
         """
-        return sum((mpc.R @ self._least_squares(mpc, mpc.resultant(t)) for mpc in self.mpcs), np.zeros(self.n))
+        return sum((mpc.R @ self._least_squares(mpc, mpc.resultants_at(t)) for mpc in self.mpcs), np.zeros(self.n))
 
     def _least_squares(self, mpc: MultiPointConstraint, b: Array) -> Array:
         """Return the solution x (m,) of R^T R x = b (m,), with the R of a multi-point constraint on all ranks."""
@@ -399,57 +399,57 @@ class Constraints:
         """
         f = self._multiply(self._T0, r, transposed=True)
         columns = np.concatenate([np.empty(0, np.int64), *(group.columns for group in self._groups)])
-        owned, places = self._owned(columns)
+        indices, local_numbers = self._select_owned(columns)
         forces = np.zeros(len(columns))
-        forces[owned] = f[places]
+        forces[indices] = f[local_numbers]
         parts = np.split(self.comm.allreduce(forces), np.cumsum([len(group.columns) for group in self._groups]))
-        out = self._from_groups([group.force_map @ part for group, part in zip(self._groups, parts, strict=False)])
-        out[self._single] = f[self._columns] / self._coefficient
+        out = self._ungroup([group.force_map @ part for group, part in zip(self._groups, parts, strict=False)])
+        out[self._single_rows] = f[self._columns] / self._single_coefficients
         return out[: len(self.prescribed.entry)]
 
-    def _shifts(self, holders: Sequence[int], direction: Array) -> dict[str, Array]:
+    def _translation_motions(self, holders: Sequence[int], direction: Array) -> dict[str, Array]:
         """Return the motions (m,) of each multi-point constraint, by key, in a unit translation along `direction` (d,).
 
         They are zero for constraints that are not in `holders`. These are indices that count all supports first, and
         then the multi-point constraints.
         """
         n_supports, shift = len(self.prescribed.supports.entries), np.tile(direction, self.n // self.d)
-        return {mpc.key: self.motion(mpc, shift) * (n_supports + k in holders) for k, mpc in enumerate(self.mpcs)}
+        return {mpc.key: self.fit_motions(mpc, shift) * (n_supports + k in holders) for k, mpc in enumerate(self.mpcs)}
 
     def prescribed_resultant(self, holders: Sequence[int], direction: Array, t: float) -> float:
         """Return the component along a direction of the prescribed forces on chosen multi-point constraints.
 
         Args:
-            holders: chosen indices of `Model.holders`, where supports come first and the constraints follow. Supports
+            holders: chosen indices of `Model.held_places`: supports come first and the constraints follow. Supports
                 have no prescribed forces and add nothing.
             direction: (d,) unit vector of the direction.
             t: the time of the forces.
         """
-        shifts = self._shifts(holders, direction)
-        return float(sum(shifts[mpc.key] @ mpc.resultant(t) for mpc in self.mpcs))
+        motions = self._translation_motions(holders, direction)
+        return float(sum(motions[mpc.key] @ mpc.resultants_at(t) for mpc in self.mpcs))
 
-    def dual_to_resultant(self, holders: Sequence[int], direction: Array) -> Array:
+    def resultant_weights(self, holders: Sequence[int], direction: Array) -> Array:
         """Return weights g (n,) of forces on the unknowns that give the reaction of chosen supports along a direction.
 
         For nodal forces r on the displacements the reaction is g . T^T r plus `prescribed_resultant`.
 
         Args:
-            holders: chosen indices of `Model.holders`, where supports come first and multi-point constraints follow.
+            holders: chosen indices of `Model.held_places`: supports come first and multi-point constraints follow.
             direction: (d,) unit vector of the direction.
         """
-        prescribed, shifts = self.prescribed, self._shifts(holders, direction)
+        prescribed, motions = self.prescribed, self._translation_motions(holders, direction)
         along = np.isin(prescribed.entry, holders) * (prescribed.directions @ direction)
-        along = np.append(along, [shifts[mpc.key][k] for mpc, k, _ in self._motions])
+        along = np.append(along, [motions[mpc.key][k] for mpc, k, _ in self._motions])
         g = np.zeros(self.n)
         for mpc in self.mpcs:  # motions that are not prescribed: the forces that balance their resultants
-            self._assign(g, self.masters[mpc.key], shifts[mpc.key])
-        g[self._columns] = along[self._single] / self._coefficient
-        for group, values in self._group_values(along):
-            self._assign(g, group.columns, group.force_map.T @ values)
+            self._set_entries(g, self.masters[mpc.key], motions[mpc.key])
+        g[self._columns] = along[self._single_rows] / self._single_coefficients
+        for group, values in self._values_by_group(along):
+            self._set_entries(g, group.columns, group.force_map.T @ values)
         return self._multiply(self.Q, g, transposed=True)
 
     # ---------------------------------------------------------------- motions
-    def admissible(self, motions: Sparse) -> tuple[Sparse, Sparse]:
+    def project_motions(self, motions: CsrMatrix) -> tuple[CsrMatrix, CsrMatrix]:
         """Return motions that satisfy the constraints, made from given ones, and how far the given ones violate them.
 
         Motions of the multi-point constraints are added to the c given ones. Then the constrained unknowns are set to
@@ -464,21 +464,21 @@ class Constraints:
             motions i and j, before unknowns are set to zero. Its quadratic form is zero for a combination of motions
             that satisfies all constraints.
         """
-        c, m = motions.shape[1], sum(mpc.count for mpc in self.mpcs)
-        starts = dict(zip(self.masters, np.cumsum([0, *(mpc.count for mpc in self.mpcs)]).tolist(), strict=False))
-        owned, places = self._owned(self._all_masters)
-        selection = scipy.sparse.csr_matrix((np.ones(len(owned)), (places, owned)), (self.n, m))
-        y = scipy.sparse.hstack([_without_rows(motions, self.slaves), selection], format="csr")
+        c, m = motions.shape[1], sum(mpc.n_motions for mpc in self.mpcs)
+        starts = dict(zip(self.masters, np.cumsum([0, *(mpc.n_motions for mpc in self.mpcs)]).tolist(), strict=False))
+        indices, local_numbers = self._select_owned(self._all_masters)
+        selection = scipy.sparse.csr_matrix((np.ones(len(indices)), (local_numbers, indices)), (self.n, m))
+        y = scipy.sparse.hstack([_with_zero_rows(motions, self.slaves), selection], format="csr")
         padded = scipy.sparse.hstack([motions, scipy.sparse.csr_matrix((self.n, m))], format="csr")
         diagonal = np.zeros(c + m)
         diagonal[[c + starts[mpc.key] + k for mpc, k, _ in self._motions]] = 1.0
         gram = scipy.sparse.diags(diagonal, format="csr")
-        for rows in (self.prescribed.conditions @ padded, (distributed_product(self._T0, y) - padded)[self.slaves]):
+        for rows in (self.prescribed.condition_rows @ padded, (distributed_product(self._T0, y) - padded)[self.slaves]):
             gram = gram + rows.T @ rows
-        z = _without_rows(distributed_product(self.Q, y, transposed=True), self.bc_dofs)
+        z = _with_zero_rows(distributed_product(self.Q, y, transposed=True), self.bc_dofs)
         return distributed_product(self.T, z), self.comm.allreduce(gram)
 
-    def resistance(self, motions: Callable[[IntArray], Array]) -> Array:
+    def violation_gram(self, motions: Callable[[IntArray], Array]) -> Array:
         """Return how far c motions violate the constraints: the scalar products (c, c) of their violations.
 
         The motions of multi-point constraints adapt so that the violations are least; a Schur complement eliminates
@@ -488,23 +488,23 @@ class Constraints:
             motions: function of local numbers (n,) of displacements that returns their values (n, c) in the c motions.
         """
         if self._T0 is None:
-            rows = self._along_conditions(motions)
+            rows = self._condition_components(motions)
             return np.asarray(self.comm.allreduce(rows.T @ rows))
         values = motions(np.arange(self.n))
-        c, gram = values.shape[1], self.admissible(scipy.sparse.csr_matrix(values))[1].toarray()
+        c, gram = values.shape[1], self.project_motions(scipy.sparse.csr_matrix(values))[1].toarray()
         return np.asarray(gram[:c, :c] - gram[:c, c:] @ np.linalg.pinv(gram[c:, c:]) @ gram[c:, :c])
 
-    def _along_conditions(self, motions: Callable[[IntArray], Array]) -> Array:
+    def _condition_components(self, motions: Callable[[IntArray], Array]) -> Array:
         """Return the displacements (r, k) in k motions along the directions of this rank's r support conditions.
 
         Args:
             motions: function of local numbers (n,) of displacements that returns their values (n, k) in the k motions.
         """
-        dofs = np.unique(self.prescribed.conditions.indices)
-        return np.asarray(self.prescribed.conditions[:, dofs] @ motions(dofs))
+        dofs = np.unique(self.prescribed.condition_rows.indices)
+        return np.asarray(self.prescribed.condition_rows[:, dofs] @ motions(dofs))
 
 
-def distributed_product(matrix: PETSc.Mat | None, columns: Sparse, *, transposed: bool = False) -> Sparse:
+def distributed_product(matrix: PETSc.Mat | None, columns: CsrMatrix, *, transposed: bool = False) -> CsrMatrix:
     """Return this rank's rows of the product of a PETSc matrix with distributed sparse columns.
 
     Args:
@@ -516,36 +516,36 @@ def distributed_product(matrix: PETSc.Mat | None, columns: Sparse, *, transposed
         return columns
     column_matrix = create_aij(columns, matrix.comm, ((columns.shape[0], None), (None, columns.shape[1])))
     product = matrix.transposeMatMult(column_matrix) if transposed else matrix.matMult(column_matrix)
-    rows = local_csr(product)
+    local_rows = local_csr(product)
     destroy(column_matrix, product)
-    return rows
+    return local_rows
 
 
-def _without_rows(A: Sparse, rows: np.ndarray) -> Sparse:
+def _with_zero_rows(A: CsrMatrix, rows: np.ndarray) -> CsrMatrix:
     """Return a copy of A with zeros in the rows with the numbers `rows`, and with the same sparsity pattern."""
     row_factors = np.ones(A.shape[0])
     row_factors[rows] = 0.0
     return scipy.sparse.csr_matrix((A.data * row_factors.repeat(np.diff(A.indptr)), A.indices, A.indptr), A.shape)
 
 
-def _connected_rows(A: Sparse) -> list[_ConditionGroup]:
+def _group_rows(A: CsrMatrix) -> list[_ConditionGroup]:
     """Group the conditions that share unknowns, directly or through other conditions.
 
     The rows of `A` are the conditions, and its columns are the unknowns.
     """
-    columns, local = np.unique(A.indices, return_inverse=True)
+    columns, local_columns = np.unique(A.indices, return_inverse=True)
     if not len(columns):
         return []
-    B = scipy.sparse.csr_matrix((A.data, local, A.indptr), (A.shape[0], len(columns)))
-    label = connected_components(scipy.sparse.bmat([[None, B], [B.T, None]]), directed=False)[1]
-    row_labels, column_labels = label[: A.shape[0]], label[A.shape[0] :]
+    B = scipy.sparse.csr_matrix((A.data, local_columns, A.indptr), (A.shape[0], len(columns)))
+    labels = connected_components(scipy.sparse.bmat([[None, B], [B.T, None]]), directed=False)[1]
+    row_labels, column_labels = labels[: A.shape[0]], labels[A.shape[0] :]
     groups = []
     for r, c in zip(_rows_by_label(row_labels), _rows_by_label(column_labels), strict=True):
         N = B[r][:, c].toarray()
-        _, sigma, right = np.linalg.svd(N)
+        _, sigma, right_vectors = np.linalg.svd(N)
         rank = int((sigma > INDEPENDENCE_TOLERANCE * max(1.0, sigma[0])).sum())
-        frame = np.eye(len(c)) if rank == len(c) else right.T
-        groups.append(_ConditionGroup(r, columns[c].astype(np.int64), N, frame, rank))
+        basis = np.eye(len(c)) if rank == len(c) else right_vectors.T
+        groups.append(_ConditionGroup(r, columns[c].astype(np.int64), N, basis, rank))
     return groups
 
 
@@ -554,7 +554,7 @@ def _rows_by_label(labels: np.ndarray) -> list[np.ndarray]:
     return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
 
 
-def create_aij(A: Sparse, comm: MPI.Intracomm, sizes: object = None) -> PETSc.Mat:
+def create_aij(A: CsrMatrix, comm: MPI.Intracomm, sizes: object = None) -> PETSc.Mat:
     """Make a PETSc matrix of which this rank has the rows `A` (CSR).
 
     Args:
@@ -567,10 +567,10 @@ def create_aij(A: Sparse, comm: MPI.Intracomm, sizes: object = None) -> PETSc.Ma
     return PETSc.Mat().createAIJ(sizes or A.shape, csr=csr, comm=comm)
 
 
-def local_csr(A: PETSc.Mat) -> Sparse:
+def local_csr(A: PETSc.Mat) -> CsrMatrix:
     """Return the rows of a PETSc matrix that this rank owns, as a CSR matrix."""
     indptr, columns, entries = A.getValuesCSR()
     return scipy.sparse.csr_matrix((entries, columns, indptr), (A.getLocalSize()[0], A.getSize()[1]))
 
 
-__getattr__ = former_names(__name__, {"Tied": MultiPointConstraint})
+__getattr__ = getattr_with_former_names(__name__, {"Tied": MultiPointConstraint})

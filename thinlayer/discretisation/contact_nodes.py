@@ -21,10 +21,10 @@ from thinlayer.discretisation.layer import seam_entities
 from thinlayer.discretisation.model import Model
 from thinlayer.system.ranks import destroy, errors_on_all, send
 
-NO_NODES = np.empty(0, np.int32)
+NO_DOFS = np.empty(0, np.int32)
 
 
-def body_pairs(joint: Joint, seam: str, file_numbers: IntArray) -> tuple[IntArray, IntArray]:
+def body_pairs(joint: Joint, seam: str, node_ids: IntArray) -> tuple[IntArray, IntArray]:
     """Return the pairs of bodies, one below and one above S, that meet at the nodes of a seam.
 
     A node at a vertex has one pair, that of the vertex. A node inside an edge or a facet has those of all vertices of
@@ -33,17 +33,17 @@ def body_pairs(joint: Joint, seam: str, file_numbers: IntArray) -> tuple[IntArra
     Args:
         joint: the joint.
         seam: name of the seam.
-        file_numbers: (n,) numbers that identify the n nodes, see `ContactNodes`.
+        node_ids: (n,) numbers that identify the n nodes, see `ContactNodes`.
 
     Returns:
         Two arrays (m,) with an entry for each node and vertex: the index of the node, and the number of the pair of
         bodies at the vertex.
     """
     in_seam = joint.seam_numbers == list(joint.seams).index(seam)
-    rows, facets = joint.surface_rows[in_seam], joint.pairs[in_seam]
-    k = facets.shape[1]
-    node, corner = np.nonzero((file_numbers[:, None] >> np.arange(k)) & 1)
-    return node, np.asarray(facets[np.searchsorted(rows, file_numbers[node] >> k), corner])
+    facet_numbers, pair_numbers = joint.surface_rows[in_seam], joint.pairs[in_seam]
+    k = pair_numbers.shape[1]
+    node, corner = np.nonzero((node_ids[:, None] >> np.arange(k)) & 1)
+    return node, np.asarray(pair_numbers[np.searchsorted(facet_numbers, node_ids[node] >> k), corner])
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class ContactSurface:
         facets: (n,) local numbers of the facets, ascending.
         upper: (n,) local number of the cell on the upper side of each facet.
         lower: (n,) local number of the cell on the lower side; None on a rigid base.
-        table_rows: (n,) numbers of the facets in the joint, for files; empty without a joint.
+        facet_numbers: (n,) numbers of the facets in the joint, for files; empty without a joint.
         kinematics: kinematics of the mesh, for areas.
     """
 
@@ -65,11 +65,11 @@ class ContactSurface:
     facets: Indices
     upper: Indices
     lower: Indices | None
-    table_rows: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    facet_numbers: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     kinematics: Kinematics = PLANE_STRAIN
 
     @classmethod
-    def of(cls, model: Model, name: str) -> ContactSurface:
+    def for_seam(cls, model: Model, name: str) -> ContactSurface:
         """Return the facets of the seam `name` of an interface model, and the cells on their two sides."""
         domain, mesh, d = model.domain, model.domain.mesh, model.joint.dim
         facets = domain.facets(name)
@@ -88,7 +88,7 @@ class NodePairs:
     Attributes:
         surface: facets that the nodes belong to; if the nodes are of several seams, the facets of one of them.
         upper: (n,) local number of the node of V on the upper side.
-        lower_numbers: (n,) global number of the node of V on the lower side; -1 on a rigid base.
+        lower_nodes: (n,) global number of the node of V on the lower side; -1 on a rigid base.
         x: (n, d) coordinates of the nodes in d dimensions.
         weights: (n,) areas of S around the nodes (lengths in 2D).
         frames: (n, d, d) local axes of the nodes, as rows: unit tangents of S, then its unit normal.
@@ -97,7 +97,7 @@ class NodePairs:
 
     surface: ContactSurface
     upper: Indices
-    lower_numbers: IntArray
+    lower_nodes: IntArray
     x: Array
     weights: Array
     frames: Array
@@ -105,13 +105,13 @@ class NodePairs:
 
     def __post_init__(self) -> None:
         self.comm, self.dim, imap = self.surface.comm, self.surface.V.mesh.topology.dim, self.surface.V.dofmap.index_map
-        self._first, self._size = imap.local_range[0], imap.size_local
+        self._first_node, self._n_owned_nodes = imap.local_range[0], imap.size_local
 
     @staticmethod
-    def joined(by_seam: Sequence[NodePairs]) -> NodePairs:
+    def join_seams(by_seam: Sequence[NodePairs]) -> NodePairs:
         """Return the nodes of several seams as one object, in the order of `by_seam`."""
         surface = next((nodes.surface for nodes in by_seam if nodes.surface.lower is not None), by_seam[0].surface)
-        arrays = ((s.upper, s.lower_numbers, s.x, s.weights, s.frames, s.gap) for s in by_seam)
+        arrays = ((s.upper, s.lower_nodes, s.x, s.weights, s.frames, s.gap) for s in by_seam)
         return NodePairs(surface, *map(np.concatenate, zip(*arrays, strict=True)))
 
     @property
@@ -120,25 +120,25 @@ class NodePairs:
 
         On a rigid base -1 stands for the lower node.
         """
-        return np.column_stack([self._first + self.upper.astype(np.int64), self.lower_numbers])
+        return np.column_stack([self._first_node + self.upper.astype(np.int64), self.lower_nodes])
 
     def shared(self) -> IntArray:
         """Return the local numbers of this rank's nodes that are lower nodes in pairs of other ranks. Collective."""
-        if self.lower is None:
+        if self.lower_matrix is None:
             return np.empty(0, np.int64)
-        ones, counts = self.lower.createVecLeft(), self.zero()
+        ones, counts = self.lower_matrix.createVecLeft(), self.new_vector()
         ones.set(1.0)
-        self.lower.multTranspose(ones, counts)
-        local = self.lower_numbers - self._first
-        local_count = np.bincount(local[(local >= 0) & (local < self._size)], minlength=self._size)
+        self.lower_matrix.multTranspose(ones, counts)
+        local = self.lower_nodes - self._first_node
+        local_count = np.bincount(local[(local >= 0) & (local < self._n_owned_nodes)], minlength=self._n_owned_nodes)
         nodes = np.flatnonzero(counts.array_r[:: self.dim] > local_count + 0.5)
         destroy(ones, counts)
         return nodes
 
     # ---------------------------------------------------------------- displacements, jumps and forces
-    def zero(self) -> PETSc.Vec:
+    def new_vector(self) -> PETSc.Vec:
         """Make a vector of the displacements of all nodes of V, filled with zeros."""
-        return PETSc.Vec().createMPI((self._size * self.dim, None), bsize=self.dim, comm=self.comm)
+        return PETSc.Vec().createMPI((self._n_owned_nodes * self.dim, None), bsize=self.dim, comm=self.comm)
 
     @cached_property
     def dofs(self) -> Indices:
@@ -146,22 +146,22 @@ class NodePairs:
         return self.upper[:, None] * np.int32(self.dim) + np.arange(self.dim, dtype=np.int32)
 
     @cached_property
-    def lower(self) -> PETSc.Mat | None:
+    def lower_matrix(self) -> PETSc.Mat | None:
         """Matrix (n d, N) from all N displacements to those of the n lower nodes; None on a rigid base."""
         if self.surface.lower is None:
             return None
-        n, d, has_lower = len(self.upper), self.dim, self.lower_numbers >= 0
-        columns = (self.lower_numbers[has_lower, None] * d + np.arange(d)).ravel().astype(PETSc.IntType)
-        rows = np.append(0, np.cumsum(has_lower.repeat(d))).astype(PETSc.IntType)
-        csr, size = (rows, columns, np.ones(len(columns))), self._size * d
-        return PETSc.Mat().createAIJ(((n * d, None), (size, None)), csr=csr, comm=self.comm)
+        n, d, has_lower = len(self.upper), self.dim, self.lower_nodes >= 0
+        columns = (self.lower_nodes[has_lower, None] * d + np.arange(d)).ravel().astype(PETSc.IntType)
+        indptr = np.append(0, np.cumsum(has_lower.repeat(d))).astype(PETSc.IntType)
+        csr, n_local = (indptr, columns, np.ones(len(columns))), self._n_owned_nodes * d
+        return PETSc.Mat().createAIJ(((n * d, None), (n_local, None)), csr=csr, comm=self.comm)
 
     def lower_side(self, u: PETSc.Vec) -> Array:
         """Return the displacements (n, d) of the lower nodes along x, y and z; they are zero on a rigid base."""
-        if self.lower is None:
+        if self.lower_matrix is None:
             return np.zeros((len(self.upper), self.dim))
-        vector = self.lower.createVecLeft()
-        self.lower.mult(u, vector)
+        vector = self.lower_matrix.createVecLeft()
+        self.lower_matrix.mult(u, vector)
         values = vector.array_r.reshape(-1, self.dim).copy()
         vector.destroy()
         return values
@@ -187,10 +187,10 @@ class NodePairs:
         """
         forces = np.einsum("nji,nj->ni", self.frames, t * self.weights[:, None])
         np.add.at(out.array.reshape(-1, self.dim), self.upper, forces)  # where S branches, nodes share an upper side
-        if self.lower is not None:
-            lower_forces, all_forces = self.lower.createVecLeft(), out.duplicate()
+        if self.lower_matrix is not None:
+            lower_forces, all_forces = self.lower_matrix.createVecLeft(), out.duplicate()
             lower_forces.array[:] = -forces.ravel()
-            self.lower.multTranspose(lower_forces, all_forces)
+            self.lower_matrix.multTranspose(lower_forces, all_forces)
             out.axpy(1.0, all_forces)
             destroy(lower_forces, all_forces)
 
@@ -199,23 +199,23 @@ class NodePairs:
 
         `tangent` (n, d, d) has the derivatives of the tractions by the jumps, both along the nodes' local axes.
         """
-        d, size = self.dim, self._size * self.dim
-        nodes = self.pairs[:, :1] if self.lower is None else self.pairs
+        d, n_local = self.dim, self._n_owned_nodes * self.dim
+        nodes = self.pairs[:, :1] if self.lower_matrix is None else self.pairs
         dofs = (nodes[:, :, None] * d + np.arange(d)).reshape(-1, nodes.shape[1] * d).astype(PETSc.IntType)
         signs = np.array([1.0, -1.0])[: nodes.shape[1]].repeat(d)
         blocks = np.einsum("n,nki,nkl,nlj->nij", self.weights, self.frames, tangent, self.frames)
-        values = np.tile(blocks, (1, nodes.shape[1], nodes.shape[1])) * np.outer(signs, signs)
-        begins = np.arange(0, values.size + 1, dofs.shape[1], dtype=PETSc.IntType)
+        entries = np.tile(blocks, (1, nodes.shape[1], nodes.shape[1])) * np.outer(signs, signs)
+        indptr = np.arange(0, entries.size + 1, dofs.shape[1], dtype=PETSc.IntType)
         columns = dofs.repeat(dofs.shape[1], axis=0).ravel()
-        out = PETSc.Mat().createAIJ(((size, None), (size, None)), comm=self.comm)
+        out = PETSc.Mat().createAIJ(((n_local, None), (n_local, None)), comm=self.comm)
         out.setUp()
-        out.setValuesIJV(begins, columns, values.ravel(), addv=PETSc.InsertMode.ADD, rowmap=dofs.ravel())
+        out.setValuesIJV(indptr, columns, entries.ravel(), addv=PETSc.InsertMode.ADD, rowmap=dofs.ravel())
         out.assemble()
         return out
 
     def destroy(self) -> None:
-        """Free the PETSc matrix `lower`."""
-        destroy(vars(self).get("lower"))
+        """Free the PETSc matrix `lower_matrix`."""
+        destroy(vars(self).get("lower_matrix"))
 
 
 class ContactNodes(NodePairs):
@@ -225,7 +225,7 @@ class ContactNodes(NodePairs):
     transmit a uniform pressure exactly.
 
     Attributes:
-        file_numbers: (n,) unique number of each node, also where several nodes share a vertex; the same on any number
+        node_ids: (n,) unique number of each node, also where several nodes share a vertex; the same on any number
             of ranks. Its highest bits are the number in the joint of a facet that has the node. Its lowest k bits stand
             for the k vertices of this facet, sorted by number. A bit is 1 if the node is this vertex, or lies inside an
             edge or facet that has this vertex.
@@ -233,7 +233,7 @@ class ContactNodes(NodePairs):
         is_fixed_upper: (n, d) mask of the components of the upper side's displacement that supports prescribe.
     """
 
-    def __init__(self, surface: ContactSurface, bc_dofs: Indices = NO_NODES, *, gap: Callable[[Array], Array]) -> None:
+    def __init__(self, surface: ContactSurface, bc_dofs: Indices = NO_DOFS, *, gap: Callable[[Array], Array]) -> None:
         """Make the nodes of a contact surface.
 
         Args:
@@ -242,40 +242,40 @@ class ContactNodes(NodePairs):
             gap: function of the coordinates (d, n) of n places that returns the initial gaps (n,), lengths.
         """
         V, comm, d = surface.V, surface.comm, surface.V.mesh.topology.dim
-        imap, rows = V.dofmap.index_map, _corner_rows(surface)
+        imap, rows = V.dofmap.index_map, _facet_node_rows(surface)
         owners = np.concatenate([np.full(imap.size_local, comm.rank), imap.owners])
-        corners = send(comm, owners[rows[:, 0].astype(int)], np.column_stack([_to_global(V, rows[:, 0]), rows[:, 1:]]))
-        pairs, node = np.unique(corners[:, :2], axis=0, return_inverse=True)
-        node = node.ravel()
-        total = sum_by_number(node, corners[:, 2 : 3 + d], len(pairs))
-        weights, vectors = total[:, 0].copy(), total[:, 1:]  # contiguous, as compiled code reads it
+        received = send(comm, owners[rows[:, 0].astype(int)], np.column_stack([_to_global(V, rows[:, 0]), rows[:, 1:]]))
+        pairs, pair_index = np.unique(received[:, :2], axis=0, return_inverse=True)
+        pair_index = pair_index.ravel()
+        sums = sum_by_number(pair_index, received[:, 2 : 3 + d], len(pairs))
+        weights, area_vectors = sums[:, 0].copy(), sums[:, 1:]  # contiguous, as compiled code reads it
         upper = (pairs[:, 0] - imap.local_range[0]).astype(np.int32)
-        self._facet_corners = corners[:, 3 + d].astype(np.int64), node
-        self.file_numbers = np.full(len(pairs), np.iinfo(np.int64).max)
-        np.minimum.at(self.file_numbers, node, self._facet_corners[0])
+        self._ids_of_facet_nodes = received[:, 3 + d].astype(np.int64), pair_index
+        self.node_ids = np.full(len(pairs), np.iinfo(np.int64).max)
+        np.minimum.at(self.node_ids, pair_index, self._ids_of_facet_nodes[0])
         x = V.tabulate_dof_coordinates()[upper, :d]
         if not comm.allreduce(len(upper)):
             raise InputError("contact: S has no node where the bodies can part; it is one cell long, or has no facets")
-        size = np.linalg.norm(vectors, axis=1)
-        if comm.allreduce(int((size <= 0).any())):
+        vector_lengths = np.linalg.norm(area_vectors, axis=1)
+        if comm.allreduce(int((vector_lengths <= 0).any())):
             raise InputError("contact: a node of S has no normal, its facets fold back; use a finer mesh there")
-        frames = np.ascontiguousarray(normal_frames(vectors / size[:, None]))
+        frames = np.ascontiguousarray(normal_frames(area_vectors / vector_lengths[:, None]))
         with errors_on_all(comm):
             gaps = gap(np.ascontiguousarray(x.T))
         super().__init__(surface, upper, pairs[:, 1].astype(np.int64), x, weights, frames, gaps)
-        fixed = self.zero()
-        fixed.array[bc_dofs] = 1.0
-        self.is_fixed_upper = fixed.array_r.reshape(-1, self.dim)[self.upper] > 0
-        self.is_fixed = self.is_fixed_upper & (self.lower is None or self.lower_side(fixed) > 0)
-        fixed.destroy()
+        fixed_vector = self.new_vector()
+        fixed_vector.array[bc_dofs] = 1.0
+        self.is_fixed_upper = fixed_vector.array_r.reshape(-1, self.dim)[self.upper] > 0
+        self.is_fixed = self.is_fixed_upper & (self.lower_matrix is None or self.lower_side(fixed_vector) > 0)
+        fixed_vector.destroy()
 
     @property
-    def lines(self) -> IntArray:
+    def adjacent(self) -> IntArray:
         """Pairs of this rank's nodes that are neighbours along S, as indices (m, 2); empty in three dimensions."""
-        number, node = self._facet_corners
-        position = np.array([0, 0, 2, 1])[number & 3]  # first end, second end, middle
-        order = np.lexsort((position, number >> 2))[: len(number) if self.dim == 2 else 0]
-        return node[order][np.flatnonzero(np.diff(number[order] >> 2) == 0)[:, None] + [0, 1]]
+        node_id, node = self._ids_of_facet_nodes
+        position = np.array([0, 0, 2, 1])[node_id & 3]  # first end, second end, middle
+        order = np.lexsort((position, node_id >> 2))[: len(node_id) if self.dim == 2 else 0]
+        return node[order][np.flatnonzero(np.diff(node_id[order] >> 2) == 0)[:, None] + [0, 1]]
 
 
 def _to_global(V: fem.FunctionSpace, local: Array | Indices) -> Array:
@@ -283,55 +283,55 @@ def _to_global(V: fem.FunctionSpace, local: Array | Indices) -> Array:
     return V.dofmap.index_map.local_to_global(local.astype(np.int32)).astype(float)
 
 
-def _corner_rows(surface: ContactSurface) -> Array:
+def _facet_node_rows(surface: ContactSurface) -> Array:
     """Return a row of numbers for each node of each facet of S that this rank owns.
 
     The first column is the local number of the node on the upper side. The second is the global number of that on the
     lower side, or -1 on a rigid base. Then come the part of the facet's area that belongs to the node, and this area
-    times the unit normal (d columns). The last column is the number in `ContactNodes.file_numbers`.
+    times the unit normal (d columns). The last column is the number in `ContactNodes.node_ids`.
     """
     V, facets, upper, lower = surface.V, surface.facets, surface.upper, surface.lower
     mesh, topology, d = V.mesh, V.mesh.topology, V.mesh.topology.dim
-    simpson = V.ufl_element().degree == 2
-    for a, b in ((d, 0), (d - 1, 0), (0, d), *([(d, d - 1), (d, 1), (2, 1), (1, 0)] if simpson else [])):
+    uses_simpson = V.ufl_element().degree == 2
+    for a, b in ((d, 0), (d - 1, 0), (0, d), *([(d, d - 1), (d, 1), (2, 1), (1, 0)] if uses_simpson else [])):
         topology.create_connectivity(a, b)
-    vertices = _entities(mesh, d - 1, 0)[facets]
+    vertices = _incident(mesh, d - 1, 0)[facets]
     # DOLFINx does not accept an empty list
     x_dofs = entities_to_geometry(mesh, 0, vertices.ravel()).reshape(vertices.shape) if vertices.size else vertices
     corners = mesh.geometry.x[x_dofs][..., :d]
     areas, normals = _vertex_areas(corners)
-    nodes = V.tabulate_dof_coordinates()[np.asarray(V.dofmap.list)[upper]]
-    upward = nodes[..., :d].mean(axis=1) - corners.mean(axis=1)
-    normals[np.einsum("fk,fk->f", normals, upward) < 0] *= -1  # n points from the lower to the upper side
-    numbers, kinematics = np.asarray(mesh.geometry.input_global_indices, np.int64)[x_dofs], surface.kinematics
-    bits, rows = 1 << numbers.argsort(axis=1).argsort(axis=1), list[Array]()
-    for e in range(d if simpson else 1):  # nodes at vertices, edges and facets
-        entities = vertices if e == 0 else facets[:, None] if e == d - 1 else _entities(mesh, d - 1, e)[facets]
-        ends = vertices[:, None] if e == d - 1 else _entities(mesh, e, 0)[entities] if e else vertices[..., None]
+    node_points = V.tabulate_dof_coordinates()[np.asarray(V.dofmap.list)[upper]]
+    to_upper_cells = node_points[..., :d].mean(axis=1) - corners.mean(axis=1)
+    normals[np.einsum("fk,fk->f", normals, to_upper_cells) < 0] *= -1  # n points from the lower to the upper side
+    vertex_numbers, kinematics = np.asarray(mesh.geometry.input_global_indices, np.int64)[x_dofs], surface.kinematics
+    bits, rows = 1 << vertex_numbers.argsort(axis=1).argsort(axis=1), list[Array]()
+    for e in range(d if uses_simpson else 1):  # nodes at vertices, edges and facets
+        entities = vertices if e == 0 else facets[:, None] if e == d - 1 else _incident(mesh, d - 1, e)[facets]
+        ends = vertices[:, None] if e == d - 1 else _incident(mesh, e, 0)[entities] if e else vertices[..., None]
         adjacent = (ends[..., None] == vertices[:, None, None]).any(axis=2)  # (n, nodes, k)
         shares = adjacent / adjacent.sum(axis=2, keepdims=True)
         node_areas = kinematics.node_areas(corners, areas)
-        if simpson:
-            factors = 4**e / 3 ** (d - 1) * kinematics.factor_at(shares @ corners)
+        if uses_simpson:
+            factors = 4**e / 3 ** (d - 1) * kinematics.factors_at(shares @ corners)
             node_areas = factors * np.einsum("fak,fk->fa", shares, areas)
-        above = _nodes(V, upper, entities, e).ravel()
-        below = np.full(above.size, -1.0) if lower is None else _to_global(V, _nodes(V, lower, entities, e).ravel())
-        vectors = (node_areas[:, :, None] * normals[:, None]).reshape(-1, d)
-        number = (adjacent * bits[:, None]).sum(axis=2)
-        if len(surface.table_rows):
-            number += surface.table_rows[:, None] << vertices.shape[1]
+        above = _nodes_in(V, upper, entities, e).ravel()
+        below = np.full(above.size, -1.0) if lower is None else _to_global(V, _nodes_in(V, lower, entities, e).ravel())
+        area_vectors = (node_areas[:, :, None] * normals[:, None]).reshape(-1, d)
+        node_ids = (adjacent * bits[:, None]).sum(axis=2)
+        if len(surface.facet_numbers):
+            node_ids += surface.facet_numbers[:, None] << vertices.shape[1]
         has_jump = (below != _to_global(V, above)) & (node_areas.ravel() > 0)  # at a tip of S there is no jump
-        rows.append(np.column_stack([above, below, node_areas.ravel(), vectors, number.ravel()])[has_jump])
+        rows.append(np.column_stack([above, below, node_areas.ravel(), area_vectors, node_ids.ravel()])[has_jump])
     return np.concatenate(rows)
 
 
-def _entities(mesh: Mesh, a: int, b: int) -> Indices:
+def _incident(mesh: Mesh, a: int, b: int) -> Indices:
     """Return the local numbers (n, m) of the m entities of dimension b of each local entity of dimension a."""
     connectivity = mesh.topology.connectivity(a, b)
     return np.asarray(connectivity.array.reshape(connectivity.num_nodes, -1))
 
 
-def _nodes(V: fem.FunctionSpace, cells: Indices, entities: Indices, e: int) -> Indices:
+def _nodes_in(V: fem.FunctionSpace, cells: Indices, entities: Indices, e: int) -> Indices:
     """Return the local numbers (n, k) of the nodes of V inside k vertices, edges or facets of each of n cells.
 
     Args:
@@ -340,7 +340,7 @@ def _nodes(V: fem.FunctionSpace, cells: Indices, entities: Indices, e: int) -> I
         entities: (n, k) local numbers of the entities.
         e: dimension of the entities, 0 for vertices.
     """
-    cell_entities = _entities(V.mesh, V.mesh.topology.dim, e)[cells]
+    cell_entities = _incident(V.mesh, V.mesh.topology.dim, e)[cells]
     local_index = (cell_entities[:, None, :] == entities[:, :, None]).argmax(axis=2)
     layout_dofs = np.array([V.dofmap.dof_layout.entity_dofs(e, k)[0] for k in range(cell_entities.shape[1])])
     return np.asarray(np.take_along_axis(np.asarray(V.dofmap.list)[cells], layout_dofs[local_index], axis=1), np.int32)
@@ -361,10 +361,10 @@ def _vertex_areas(corners: Array) -> tuple[Array, Array]:
         return np.repeat(length[:, None] / 2, 2, axis=1), np.column_stack([edge[:, 1], -edge[:, 0]]) / length[:, None]
     triangle, quadrilateral = ([(1, 2), (2, 0), (0, 1)], 6), ([(1, 2), (3, 0), (0, 3), (2, 1)], 4)
     neighbours, divisor = triangle if corners.shape[1] == 3 else quadrilateral
-    edges = [(corners[:, a] - corners[:, k], corners[:, b] - corners[:, k]) for k, (a, b) in enumerate(neighbours)]
-    spans = np.stack([np.cross(a, b) for a, b in edges], axis=1)
-    mean = spans.mean(axis=1)
-    return np.linalg.norm(spans, axis=2) / divisor, mean / np.linalg.norm(mean, axis=1)[:, None]
+    edge_pairs = [(corners[:, a] - corners[:, k], corners[:, b] - corners[:, k]) for k, (a, b) in enumerate(neighbours)]
+    area_vectors = np.stack([np.cross(a, b) for a, b in edge_pairs], axis=1)
+    mean_product = area_vectors.mean(axis=1)
+    return np.linalg.norm(area_vectors, axis=2) / divisor, mean_product / np.linalg.norm(mean_product, axis=1)[:, None]
 
 
 def normal_frames(n: Array) -> Array:

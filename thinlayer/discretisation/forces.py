@@ -18,8 +18,8 @@ from forms.tensors import Expr
 from geometry.domain import Domain
 from geometry.seam import LAYER, FacetName, S
 from geometry.sheet import Sheet
-from thinlayer.discretisation.boundary import boundary_values
-from thinlayer.discretisation.coefficient import Coordinates, Load, Pressure, values_by_body
+from thinlayer.discretisation.boundary import boundary_tags
+from thinlayer.discretisation.coefficient import Coordinates, LoadInput, Pressure, values_by_body
 from thinlayer.discretisation.form_compilation import compiled
 from thinlayer.discretisation.point_loads import ConcentratedForms
 from thinlayer.errors import warn
@@ -27,7 +27,7 @@ from thinlayer.errors import warn
 if TYPE_CHECKING:
     from thinlayer.discretisation.structure import Structure
 
-BodyForce = Load | Mapping[str, Load]
+BodyForce = LoadInput | Mapping[str, LoadInput]
 
 
 @dataclass(frozen=True)
@@ -37,19 +37,19 @@ class LoadRegion:
     Attributes:
         measure: measure of the cells or facets; for a layer without cells, that of its seam.
         weight: factor of the measure: 2 pi r in axisymmetry, else 1; for a layer without cells times its thickness.
-        value: function from the UFL expression of the load to that of its value in the region. For a layer without
+        value_in_region: function from the UFL expression of the load to that of its value there. For a layer without
             cells it is the value on one side of S.
-        mean: function from a displacement, in UFL, to the displacement with which the load does work. For a layer
+        work_argument: function from a displacement, in UFL, to that with which the load does work. For a layer
             without cells this is the mean over the thickness.
-        base_test: function from a motion of the bodies, in UFL, to what a rigid base that moves with them adds to this
+        base_argument: function from a motion of the bodies, in UFL, to what a base that moves with them adds to this
             mean. None: there is no rigid base.
     """
 
     measure: ufl.Measure
     weight: Expr
-    value: Callable[[Expr], Expr] = lambda f: f
-    mean: Callable[[Expr], Expr] = lambda v: v
-    base_test: Callable[[Expr], Expr] | None = None
+    value_in_region: Callable[[Expr], Expr] = lambda f: f
+    work_argument: Callable[[Expr], Expr] = lambda v: v
+    base_argument: Callable[[Expr], Expr] | None = None
 
 
 class Forces:
@@ -74,7 +74,7 @@ class Forces:
         self.user_loads: dict[str, object] = {}
         # label, force, region, name of the seam if it is a layer's load
         self._loads: list[tuple[str, Expr, LoadRegion, str]] = []
-        self._form: tuple[fem.FunctionSpace, fem.Form] | None = None  # a space, and the work in it
+        self._cached_work: tuple[fem.FunctionSpace, fem.Form] | None = None  # a space, and the work in it
         ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
         dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
         tractions = {} if structure.tractions is None else structure.tractions
@@ -82,54 +82,54 @@ class Forces:
         require(isinstance(tractions, Mapping), "tractions", tractions, "give {name: traction}")
         for name in sorted(tractions, key=str):  # in the same order on all ranks
             load = tractions[name]
-            values = boundary_values(domain, kinematics, name, f"traction on {name!r}", side=True)
-            self._add(f"traction on {name!r}", load, ds(values) if values else None)
+            tags = boundary_tags(domain, kinematics, name, f"traction on {name!r}", side=True)
+            self._add_boundary_load(f"traction on {name!r}", load, ds(tags) if tags else None)
             self._warn_of_gaps(name)
-            side_name = str(FacetName(FacetName.parse(name).whole, LAYER))
-            if side_name not in tractions and (share := self._layer_share(name)):
-                text, traction, *_ = self._loads[-1]
-                self.add_weighted("", text, share * traction, LoadRegion(ds(domain.values(side_name)), 1))
-        seams = (*(domain.joint.band.base if domain.joint.band else domain.joint).seams, S)
-        body_loads: dict[str, Load] = values_by_body(body_force, domain.joint, "body_force", seams)
+            layer_side = str(FacetName(FacetName.parse(name).set_name, LAYER))
+            if layer_side not in tractions and (side_share := self._layer_side_fraction(name)):
+                label, traction, *_ = self._loads[-1]
+                self.add_weighted_load("", label, side_share * traction, LoadRegion(ds(domain.values(layer_side)), 1))
+        seams = (*(domain.joint.band.drawn_joint if domain.joint.band else domain.joint).seams, S)
+        body_loads: dict[str, LoadInput] = values_by_body(body_force, domain.joint, "body_force", seams)
         for name, load in body_loads.items():
-            text = f"body force in {name!r}"
-            require(not isinstance(load, Pressure), text, load, "there is no normal inside a body; give a vector")
-            self._add(text, load, dx(domain.cell_values(name)))
+            label = f"body force in {name!r}"
+            require(not isinstance(load, Pressure), label, load, "there is no normal inside a body; give a vector")
+            self._add_boundary_load(label, load, dx(domain.region_tags(name)))
         for concentrated_load in structure.loads:
             self.user_loads[f"{concentrated_load.what}, {len(self.user_loads)}"] = concentrated_load
-            for density, measure in points.terms(concentrated_load):  # total forces: without the factor of measures
-                self.add_weighted("", concentrated_load.what, density, LoadRegion(measure, 1))
+            for density, measure in points.densities(concentrated_load):  # total forces: without the factor of measures
+                self.add_weighted_load("", concentrated_load.what, density, LoadRegion(measure, 1))
         self._whole_dx = dx
 
-    def add_layer(self, name: str, load: Load, place: LoadRegion, at: Coordinates) -> None:
+    def add_layer_load(self, name: str, load: LoadInput, region: LoadRegion, at: Coordinates) -> None:
         """Add a force per volume of a layer to the loads.
 
         Args:
             name: name of the layer's seam.
             load: the force per volume, (d,) in d dimensions, constant or a function (x, t).
-            place: region of the layer.
+            region: region of the layer.
             at: coordinates in the layer, with the time of the other loads.
         """
-        text = f"body force in the layer {name!r}"
-        self.user_loads[text] = load
-        self.add_weighted(name, text, at.coefficient(load, text, (self.domain.joint.dim,)).expression, place)
+        label = f"body force in the layer {name!r}"
+        self.user_loads[label] = load
+        self.add_weighted_load(name, label, at.coefficient(load, label, (self.domain.joint.dim,)).expression, region)
 
-    def add_weighted(self, name: str, what: str, force: Expr, place: LoadRegion) -> None:
+    def add_weighted_load(self, name: str, what: str, force: Expr, region: LoadRegion) -> None:
         """Add a force per volume or area in a region to the loads.
 
         Args:
             name: name of the seam of a layer's load; "" for loads on bodies.
             what: label of the load in error messages.
             force: the force, a UFL vector (d,) in d dimensions.
-            place: the region, whose weight multiplies the force.
+            region: the region, whose weight multiplies the force.
         """
-        self._loads.append((what, place.value(force) * place.weight, place, name))
+        self._loads.append((what, region.value_in_region(force) * region.weight, region, name))
 
-    def _add(self, what: str, load: Load | Pressure, measure: ufl.Measure | None) -> None:
+    def _add_boundary_load(self, what: str, load: LoadInput | Pressure, measure: ufl.Measure | None) -> None:
         self.user_loads[what] = load
-        checked = self.at.traction(load, what, ufl.FacetNormal(self.domain.mesh))
+        force = self.at.traction(load, what, ufl.FacetNormal(self.domain.mesh))
         if measure is not None:
-            self.add_weighted("", what, checked, LoadRegion(measure, self._kinematics.factor))
+            self.add_weighted_load("", what, force, LoadRegion(measure, self._kinematics.factor))
 
     def _warn_of_gaps(self, name: str) -> None:
         """Warn if an open seam with a width (a gap) ends on the loaded facet set `name` between extended bodies.
@@ -137,16 +137,16 @@ class Forces:
         The bodies gave up a part of their faces to the gap, so that the total load is smaller than in the interface
         model.
         """
-        band, whole = self.domain.joint.band, FacetName.parse(name).whole
-        if band is None or band.bodies == "kept" or whole not in band.base.facets:
+        band, facet_set = self.domain.joint.band, FacetName.parse(name).set_name
+        if band is None or band.bodies == "kept" or facet_set not in band.drawn_joint.facets:
             return
-        for seam in band.eps.keys() - band.of_seam.keys():
-            if Sheet(band.base, seam).rim.on(band.base.facets[whole]).any():
+        for seam in band.eps.keys() - band.regions_of_seam.keys():
+            if Sheet(band.drawn_joint, seam).rim.lies_on(band.drawn_joint.facets[facet_set]).any():
                 effect = "bodies gave up a part of their faces to it; the load is smaller than the interface model's"
                 text = f"traction on {name!r}: the gap {seam!r} ends there, and {effect}. Use bodies='kept'"
                 warn("end of a gap", text, self.domain.comm)
 
-    def _layer_share(self, name: str) -> float:
+    def _layer_side_fraction(self, name: str) -> float:
         """Return the fraction of a traction on bodies that also acts on the layer's side beside them.
 
         Extended bodies gave up a part of their faces to the layer's side. With this fraction the full and the interface
@@ -160,32 +160,32 @@ class Forces:
         """
         band, parted = self.domain.joint.band, self.domain.joint.parted is not None
         part = FacetName.parse(name)
-        facets, layer_side = self.domain.joint.facets.get(part.whole), str(FacetName(part.whole, LAYER))
-        if parted and facets is not None and Sheet(self.domain.joint).rim.on(facets).any():
+        facets, layer_side = self.domain.joint.facets.get(part.set_name), str(FacetName(part.set_name, LAYER))
+        if parted and facets is not None and Sheet(self.domain.joint).rim.lies_on(facets).any():
             reason = "S ends there, and bodies='extended' gave a part of this face to the layer's side"
             remedy = f"give '{layer_side}', which has no facets, a traction, zero if that side is free"
             raise InputError(f"traction on {name!r}: {reason}; {remedy}")
-        if band is None or band.bodies == "kept" or part.region == LAYER or layer_side not in self.domain.facet_values:
+        if band is None or band.bodies == "kept" or part.part_name == LAYER or layer_side not in self.domain.set_tags:
             return 0.0
-        joint, sheet = band.base, Sheet(band.base)
-        ends = sheet.rim[sheet.rim.on(joint.facets[part.whole])]
+        joint, sheet = band.drawn_joint, Sheet(band.drawn_joint)
+        ends = sheet.rim[sheet.rim.lies_on(joint.facets[part.set_name])]
         side_cells = [side for side in joint.surface_cells[sheet.simplices[0][ends.simplex]].T if (side >= 0).all()]
-        loaded_regions = [joint.regions.index(body) for body in ([part.region] if part.region else joint.bodies)]
-        covered = [np.isin(joint.region[side], loaded_regions) for side in side_cells]
-        if any(mask.any() and not mask.all() for mask in covered):
+        loaded_regions = [joint.regions.index(body) for body in ([part.part_name] if part.part_name else joint.bodies)]
+        loaded_masks = [np.isin(joint.region[side], loaded_regions) for side in side_cells]
+        if any(mask.any() and not mask.all() for mask in loaded_masks):
             effect = "which carries no part of it; the load is smaller than the interface model's"
-            text = f"traction on {name!r}: other bodies than {part.region!r} end at the layer's side too, {effect}"
-            warn("other bodies", f"{text}. Load {part.whole!r}, or '{layer_side}' as well", self.domain.comm)
-        return sum(bool(mask.all()) for mask in covered) / len(covered)
+            text = f"traction on {name!r}: other bodies than {part.part_name!r} end at the layer's side too, {effect}"
+            warn("other bodies", f"{text}. Load {part.set_name!r}, or '{layer_side}' as well", self.domain.comm)
+        return sum(bool(mask.all()) for mask in loaded_masks) / len(loaded_masks)
 
-    def work(self, v: Expr, *, layers: bool = False) -> Expr:
+    def work(self, v: Expr, *, layers_only: bool = False) -> Expr:
         """Return the virtual work of the loads in displacements v, a UFL form linear in v.
 
-        It takes its time from the model's clock. With `layers` it has only the loads on layers.
+        It takes its time from the model's clock. With `layers_only` it has only the loads on layers.
         """
         form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self.domain.joint.dim)), v) * self._whole_dx
-        loads = [entry for entry in self._loads if entry[3] or not layers]
-        return sum((ufl.inner(load, region.mean(v)) * region.measure for _, load, region, _ in loads), form)
+        loads = [entry for entry in self._loads if entry[3] or not layers_only]
+        return sum((ufl.inner(load, region.work_argument(v)) * region.measure for _, load, region, _ in loads), form)
 
     def work_on_bases(self, v: Expr) -> dict[str, Expr]:
         """Return, for each rigid base, the virtual work of the loads that act directly on the base.
@@ -199,11 +199,11 @@ class Forces:
         """
         forms: dict[str, Expr] = {}
         for _, load, region, name in self._loads:
-            if region.base_test:
-                forms[name] = forms.get(name, ufl.Form([])) + ufl.inner(load, region.base_test(v)) * region.measure
+            if region.base_argument:
+                forms[name] = forms.get(name, ufl.Form([])) + ufl.inner(load, region.base_argument(v)) * region.measure
         return forms
 
-    def nodal_at(self, V: fem.FunctionSpace, t: float, *, layers: bool = False) -> PETSc.Vec:
+    def nodal_forces_at(self, V: fem.FunctionSpace, t: float, *, layers: bool = False) -> PETSc.Vec:
         """Return the nodal forces in V of the loads at the time t; the caller destroys the vector. Collective.
 
         With `layers` they are those of loads on layers only.
@@ -211,19 +211,19 @@ class Forces:
         Raises:
             InputError: a load is not finite at this time.
         """
-        if self._form is None or self._form[0] is not V:
-            self._form = V, compiled(self.work(ufl.TestFunction(V)))
-        form = compiled(self.work(ufl.TestFunction(V), layers=True)) if layers else self._form[1]
+        if self._cached_work is None or self._cached_work[0] is not V:
+            self._cached_work = V, compiled(self.work(ufl.TestFunction(V)))
+        form = compiled(self.work(ufl.TestFunction(V), layers_only=True)) if layers else self._cached_work[1]
         with self.at.clock.at(t):
             b = dolfinx.fem.petsc.assemble_vector(form)
         b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         if not np.isfinite(b.norm()):
-            raise InputError(": ".join([f"the loads are not finite at t = {t:g}", *self._nonfinite_loads(t)]))
+            raise InputError(": ".join([f"the loads are not finite at t = {t:g}", *self._names_of_nonfinite(t)]))
         return b
 
-    def _nonfinite_loads(self, t: float) -> list[str]:
+    def _names_of_nonfinite(self, t: float) -> list[str]:
         """Return the labels of the loads that are not finite at the time `t`. Collective."""
         with self.at.clock.at(t):
             sums = [fem.assemble_scalar(compiled(ufl.inner(f, f) * region.measure)) for _, f, region, _ in self._loads]
-        infinite = self.domain.comm.allreduce(1 - np.isfinite(sums))
-        return [what for (what, *_), count in zip(self._loads, infinite, strict=True) if count]
+        n_nonfinite = self.domain.comm.allreduce(1 - np.isfinite(sums))
+        return [what for (what, *_), count in zip(self._loads, n_nonfinite, strict=True) if count]

@@ -20,7 +20,7 @@ from ufl.algorithms.apply_derivatives import apply_derivatives
 from forms.base import Array, InputError, require
 from forms.law import BulkLaw
 from forms.tensors import Expr
-from forms.traits import show_warnings
+from forms.traits import restore_warnings
 from forms.work import Term
 from geometry.domain import Domain
 from geometry.inflating.inflation import offset_to_middle, points_on_middle
@@ -30,19 +30,19 @@ from thinlayer.discretisation.key import BODY_KIND, LAYER_KIND, Key
 from thinlayer.discretisation.layer import law_with_constants
 from thinlayer.discretisation.mesh_functions import cellwise_function
 from thinlayer.discretisation.time_functions import time_constants
-from thinlayer.pointwise.quadrature import MEASURE_OF_INTEGRAL, MeshOrigin, Quadrature, assemble_matrix
-from thinlayer.system.compat import by_domain, compiled, without_cycles
+from thinlayer.pointwise.quadrature import MEASURE_NAMES, MeshOrigin, Quadrature, assemble_matrix
+from thinlayer.system.compat import compiled, integrals_by_domain, without_cycles
 from thinlayer.system.ranks import errors_on_all
 
 if TYPE_CHECKING:
     from thinlayer.discretisation.model import Model
 
-show_warnings()  # users' warnings too
+restore_warnings()  # users' warnings too
 
-TAGS_OF_INTEGRAL = {"dx": "model.domain.cell_values(name)", "dS": "dS(k + 1) is the k-th of joint.seams"}
+TAGS_TEXT_OF_MEASURE = {"dx": "model.domain.cell_values(name)", "dS": "dS(k + 1) is the k-th of joint.seams"}
 
 
-def whole_structure_form(form: ufl.Form, model: Model, what: str = "a form") -> ufl.Form:
+def checked_user_form(form: ufl.Form, model: Model, what: str = "a form") -> ufl.Form:
     """Check a user's form on a model's mesh, and return it with the factor 2 pi r in axisymmetry. Collective.
 
     Args:
@@ -62,13 +62,13 @@ def whole_structure_form(form: ufl.Form, model: Model, what: str = "a form") -> 
         raise InputError(f"{what} has a number that is not finite, or not real: {str(form)[:80]}")
     for integral in form.integrals():
         kind = integral.integral_type()
-        name, ids = MEASURE_OF_INTEGRAL.get(kind, kind), [*np.atleast_1d(np.array(integral.subdomain_id(), object))]
+        name, ids = MEASURE_NAMES.get(kind, kind), [*np.atleast_1d(np.array(integral.subdomain_id(), object))]
         if any(isinstance(tag, bool) for tag in ids):
             raise InputError(f"{what} integrates over {name}{(*ids,)}; tags are whole numbers")
         data = form.subdomain_data()[integral.ufl_domain()][kind]
         present = model.comm.allgather({"everywhere", "otherwise"}.union(*(_tags(item, kind, model) for item in data)))
         if missing := ", ".join(str(tag) for tag in ids if tag not in set[object]().union(*present)):
-            tags = TAGS_OF_INTEGRAL.get(name, "model.domain.values(name)")
+            tags = TAGS_TEXT_OF_MEASURE.get(name, "model.domain.values(name)")
             raise InputError(f"{what} integrates over {name}({missing}), which is nothing here; tags: {tags}")
     factor = model.kinematics.factor
     return ufl.Form([part.reconstruct(integrand=factor * part.integrand()) for part in form.integrals()])
@@ -85,13 +85,13 @@ def _tags(data: MeshTags | Iterable[tuple[object, Array]] | None, kind: str, mod
     if data is None:
         return set()
     if not isinstance(data, MeshTags):
-        return {tag for tag, rows in data if len(rows)}
-    values = data.values
+        return {tag for tag, entities in data if len(entities)}
+    tags = data.values
     if kind == "exterior_facet":
         topology = model.domain.mesh.topology
         topology.create_connectivity(topology.dim - 1, topology.dim)
-        values = values[np.isin(data.indices, exterior_facet_indices(topology))]
-    return {*values.tolist()}
+        tags = tags[np.isin(data.indices, exterior_facet_indices(topology))]
+    return {*tags.tolist()}
 
 
 def compiled_summands(form: Expr) -> list[fem.Form]:
@@ -99,7 +99,7 @@ def compiled_summands(form: Expr) -> list[fem.Form]:
 
     Layers on several seams with equal laws then share compiled code.
     """
-    return [compiled(ufl.Form(integrals)) for integrals in by_domain(form).values()]
+    return [compiled(ufl.Form(integrals)) for integrals in integrals_by_domain(form).values()]
 
 
 def zero_matrix(V: fem.FunctionSpace, form: Expr) -> PETSc.Mat:
@@ -119,7 +119,7 @@ def zero_matrix(V: fem.FunctionSpace, form: Expr) -> PETSc.Mat:
     return A
 
 
-def compiled_scalars(form: Expr) -> list[fem.Form]:
+def compiled_functionals(form: Expr) -> list[fem.Form]:
     """Return compiled forms that add up to a form without arguments, each with a single quadrature rule.
 
     FFCx confuses the points of two quadrature rules if both are in the integrand of a form without arguments.
@@ -127,10 +127,10 @@ def compiled_scalars(form: Expr) -> list[fem.Form]:
     if len(form.integrals()) == 1:  # estimating a degree takes as long as a signature
         return [compiled(form)]
     by_rule: dict[tuple[object, str], list[ufl.Integral]] = {}
-    for domain, integrals in by_domain(form).items():
+    for domain, integrals in integrals_by_domain(form).items():
         for integral in integrals:
-            rule = f"{sorted(integral.metadata().items())} {_degree(integral)}"
-            by_rule.setdefault((domain, rule), []).append(integral)
+            rule_key = f"{sorted(integral.metadata().items())} {_estimated_degree(integral)}"
+            by_rule.setdefault((domain, rule_key), []).append(integral)
     return [compiled(ufl.Form(integrals)) for integrals in by_rule.values()]
 
 
@@ -144,7 +144,7 @@ def unit_values(comm: MPI.Intracomm, form: Expr, constant: fem.Constant) -> Arra
         form: the UFL form.
         constant: the Constant in the form, which becomes one unit vector after the other.
     """
-    forms, values = compiled_scalars(form), np.zeros(len(constant.value))
+    forms, values = compiled_functionals(form), np.zeros(len(constant.value))
     for k in range(len(values)):
         constant.value[:] = np.eye(len(values))[k]
         values[k] = comm.allreduce(sum(map(fem.assemble_scalar, forms)))
@@ -152,7 +152,7 @@ def unit_values(comm: MPI.Intracomm, form: Expr, constant: fem.Constant) -> Arra
 
 
 @without_cycles()
-def _degree(integral: ufl.Integral) -> object:
+def _estimated_degree(integral: ufl.Integral) -> object:
     """Return the quadrature degree that UFL estimates for an integral, or "" if its metadata have a degree.
 
     If UFL cannot estimate it, return the integrand, so that the integral is compiled alone.
@@ -165,9 +165,9 @@ def _degree(integral: ufl.Integral) -> object:
         return integral.integrand()
 
 
-def origin_of(domain: Domain) -> MeshOrigin:
+def mesh_origin(domain: Domain) -> MeshOrigin:
     """Return how a distributed mesh is related to its joint: numbers of its cells and facets, and coordinates."""
-    joint, x = domain.joint, Coordinates.of(domain).x
+    joint, x = domain.joint, Coordinates.of_domain(domain).x
     columns = partial(column_numbers, joint)
     if joint.parted is None:
         return MeshOrigin(domain.comm, x, domain.numbers, columns)
@@ -198,7 +198,7 @@ def checked_term(term: Term, V: fem.FunctionSpace, origin: MeshOrigin) -> Term:
         values = law.fields_at(points.joint_x)
     if law.traits.compiled:
         return term
-    f = points.function(np.column_stack([values[name] for name in law.fields]))
+    f = points.mesh_function(np.column_stack([values[name] for name in law.fields]))
     expressions = dict(zip(law.fields, f, strict=True))
     return replace(term, law=law_with_expressions(law, V.mesh, expressions), measure=points.measure)
 
@@ -218,7 +218,7 @@ def compiled_terms(terms: Iterable[Term]) -> dict[str, Term]:
     for p in terms:
         if p.law.traits.compiled:
             by_key.setdefault(p.key or (BODY_KIND if p.n is None else LAYER_KIND), []).append(p)
-    keys: dict[str, Term] = {}
+    numbered: dict[str, Term] = {}
     for name, group in by_key.items():
-        keys |= {str(Key.parse(name).numbered(k)) if len(group) > 1 else name: p for k, p in enumerate(group, 1)}
-    return keys
+        numbered |= {str(Key.parse(name).numbered(k)) if len(group) > 1 else name: p for k, p in enumerate(group, 1)}
+    return numbered

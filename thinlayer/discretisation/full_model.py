@@ -13,14 +13,14 @@ from scipy.spatial import cKDTree
 
 from forms import work as forms
 from forms.base import InputError, is_finite, require
-from forms.law_tangents import needs_director
+from forms.law_tangents import depends_on_normal
 from geometry.inflating.dividing import RefinedLayers, refined_towards_ends
 from geometry.inflating.inflation import inflate, without_bodies
 from geometry.inflating.layering import check_layering
 from geometry.joint import InflatedBand, Joint
 from geometry.parallel import on_root
 from geometry.refusals import require_known
-from thinlayer.discretisation.boundary import require_revolution, require_shifts
+from thinlayer.discretisation.boundary import require_normal_shifts, require_revolution
 from thinlayer.discretisation.forces import LoadRegion
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Layers, SeamLayer, ThinLayer, law_with_constants, law_with_numbers
@@ -32,18 +32,18 @@ from thinlayer.errors import Violation
 if TYPE_CHECKING:
     from thinlayer.discretisation.structure import Structure
 
-MAX_THICKNESS = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
+MAX_EPS_RATIO = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
 
 
 class FullModel(Model):
     """Model of a structure whose layers are meshed.
 
     Attributes:
-        inflated: the joint with the cells of the layers, after S was opened to the layers' thickness.
+        inflated_joint: the joint with the cells of the layers, after S was opened to the layers' thickness.
     """
 
     name = "full"
-    inflated: Joint
+    inflated_joint: Joint
 
     def __init__(
         self, structure: Structure, layer: Layers, bodies: str, cells_through: int, junctions: str | None
@@ -56,23 +56,23 @@ class FullModel(Model):
     def _checked_joint(self) -> Joint:
         check_layering(self._cells_through, self._bodies)
         if self._bodies == "kept":
-            require_shifts(self.structure.kinematics, self.joint)
+            require_normal_shifts(self.structure.kinematics, self.joint)
         self._check_layers()
         for name in self._junctions:
             require_known("seam", name, self.layers, "junctions")
-        thin = {name: seam_layer.as_thin_layer for name, seam_layer in self.layers.items()}
-        eps = {name: layer.eps for name, layer in (thin | self.gaps).items()}
-        if (thickest := max(eps.values(), default=0.0)) > MAX_THICKNESS * self.joint.size:
+        thin_layers = {name: seam_layer.as_thin_layer for name, seam_layer in self.layers.items()}
+        eps = {name: layer.eps for name, layer in (thin_layers | self.gaps).items()}
+        if (thickest := max(eps.values(), default=0.0)) > MAX_EPS_RATIO * self.joint.size:
             text = f"the layer's thickness eps is {thickest:g}, the bodies measure {self.joint.size:g}"
             raise InputError(f"{text}: their shape is lost in rounding; is eps in the unit of the mesh?")
-        profiles = {name: layer.profile for name, layer in thin.items()}
-        fractions = {name: layer.fractions for name, layer in thin.items()}
-        first_seams, count, gaps = (*self._junctions, *thin), self._cells_through, [*self.gaps]
-        inflating = partial(inflate, self.joint, eps, cells_through=count, bodies=self._bodies, junctions=first_seams)
-        inflated = on_root(self.structure.comm, partial(inflating, profile=profiles, fractions=fractions, gaps=gaps))
+        profiles = {name: layer.profile for name, layer in thin_layers.items()}
+        fractions = {name: layer.fractions for name, layer in thin_layers.items()}
+        first_seams, n_cells, gaps = (*self._junctions, *thin_layers), self._cells_through, [*self.gaps]
+        inflater = partial(inflate, self.joint, eps, cells_through=n_cells, bodies=self._bodies, junctions=first_seams)
+        inflated = on_root(self.structure.comm, partial(inflater, profile=profiles, fractions=fractions, gaps=gaps))
         self._check_junctions(band_of(inflated))
         require_revolution(self.structure.kinematics, inflated)
-        self.inflated = inflated
+        self.inflated_joint = inflated
         return inflated
 
     def _check_layers(self) -> None:
@@ -103,7 +103,7 @@ class FullModel(Model):
             why = "depends on the normal of S, which is not defined where layers meet"
             if law.traits.switches:
                 why = "has one phase for each column of a layer, and cells where layers meet are in none"
-            elif region in band.aligned or not needs_director(law):
+            elif region in band.aligned_junctions or not depends_on_normal(law):
                 continue
             subject = f"{type(law).__name__} of the seam {name!r}"
             raise InputError(f"{subject} {why}; give junctions=... the name of a seam with another law")
@@ -113,20 +113,20 @@ class FullModel(Model):
         terms = []
         for name, seam_layer in self.layers.items():
             sublayers = law_with_numbers(seam_layer.layer, self.kinematics).sublayers
-            for (_, law), region in zip(sublayers, band.of_seam[name], strict=True):
+            for (_, law), region in zip(sublayers, band.regions_of_seam[name], strict=True):
                 if law.traits.softens:  # at points as dense along S as on S in an interface model
-                    law, rule = law if law.traits.compiled else law.for_points(), self._metadata(ufl.dS, always=True)
+                    law, rule = law if law.traits.compiled else law.compiled_copy(), self._metadata(ufl.dS, always=True)
                 else:  # UFL would take degree 100 for the square root of the director
-                    rule = self._metadata(self.dx, always=needs_director(law))
-                cells = self.dx(self.domain.cell_values(region, *self._junction_regions(name)), **rule)
+                    rule = self._metadata(self.dx, always=depends_on_normal(law))
+                measure = self.dx(self.domain.region_tags(region, *self._junction_regions(name)), **rule)
                 law = law if law.traits.compiled else law_with_constants(law, mesh)
-                term = forms.band(law, cells, n, self.kinematics)
+                term = forms.layer_term(law, measure, n, self.kinematics)
                 terms.append(replace(term, key=seam_layer.key, prescribed_strain=self.layer_strains[name]))
         return terms
 
     def _load_region(self, layer: SeamLayer) -> LoadRegion:
-        regions = [*band_of(self.domain.joint).of_seam[layer.name], *self._junction_regions(layer.name)]
-        return LoadRegion(self.dx(self.domain.cell_values(*regions)), self.kinematics.factor)
+        regions = [*band_of(self.domain.joint).regions_of_seam[layer.name], *self._junction_regions(layer.name)]
+        return LoadRegion(self.dx(self.domain.region_tags(*regions)), self.kinematics.factor)
 
     def _junction_regions(self, name: str) -> list[str]:
         """Return the names of those regions of cells, where layers meet, that have the law of the seam `name`."""
@@ -159,33 +159,33 @@ class LayerModel(FullModel):
     def __init__(
         self, model: InterfaceModel, layers: Mapping[str, ThinLayer], cells_through: int, at_ends: float | None = None
     ) -> None:
-        structure, joint = model.structure.layers_alone(layers), model.joint
+        structure, joint = model.structure.with_layers_only(layers), model.joint
         if at_ends is not None:
             require(is_finite(at_ends) and at_ends > 0, "at_ends", at_ends, "allowed: > 0, over the thickness")
             at_ends *= min(float(layer.eps) for layer in layers.values())
-        if structure.joint.tip is not None and (violation := meeting_layers(joint, structure.joint.seams)):
+        if structure.joint.tip is not None and (violation := why_not_alone(joint, structure.joint.seams)):
             raise violation.error()
         free = [model.applicability[name].free_rim.vertices.ravel() for name in layers]
         self._ends, self._at_ends = joint.points[np.unique(np.concatenate([*free, joint.branch_vertices]))], at_ends
         super().__init__(structure, layers, bodies=model._bodies, cells_through=cells_through, junctions=None)
 
     def _checked_joint(self) -> Joint:
-        layers = without_bodies(super()._checked_joint())
+        layer_joint = without_bodies(super()._checked_joint())
         if self._at_ends is not None and len(self._ends):
-            distance, _ = cKDTree(self._ends).query(layers.reference)
+            end_distances, _ = cKDTree(self._ends).query(layer_joint.reference)
             try:
-                self.refined_layers = refined_towards_ends(layers, distance, self._at_ends)
+                self.refined_layers = refined_towards_ends(layer_joint, end_distances, self._at_ends)
             except InputError:
                 raise InputError("cells at ends are so short that nodes coincide; make at_ends larger") from None
-            layers = self.refined_layers.joint
+            layer_joint = self.refined_layers.joint
 
         def has(place: Place) -> bool:
             if isinstance(place, str):
-                return place in layers.facets
-            return bool((layers.reference == self.joint.points[self.joint.nearest_point(place)]).all(axis=1).any())
+                return place in layer_joint.facets
+            return bool((layer_joint.reference == self.joint.points[self.joint.nearest_point(place)]).all(axis=1).any())
 
         self.structure.supports = {place: support for place, support in self.structure.supports.items() if has(place)}
-        return layers
+        return layer_joint
 
     @property
     def surface_identity(self) -> object:
@@ -199,7 +199,7 @@ class LayerModel(FullModel):
         """Accept the model without supports, as it has no bodies that would support its layers."""
 
 
-def meeting_layers(joint: Joint, seams: Iterable[str]) -> Violation | None:
+def why_not_alone(joint: Joint, seams: Iterable[str]) -> Violation | None:
     """Return why the layers on `seams` cannot be solved without other layers; None if no other seam meets theirs."""
     vertices = {name: joint.masters[joint.table.vertices[joint.rows_of(name)]] for name in joint.seams}
     own_vertices = np.concatenate([vertices[name].ravel() for name in seams])

@@ -18,7 +18,7 @@ from forms.tensors import Expr
 from forms.work import Interface, InterfaceSide
 from geometry.domain import Domain
 from geometry.inflating.inflation import with_gaps
-from geometry.inflating.kept_bodies import kept_motion
+from geometry.inflating.kept_bodies import body_translations
 from geometry.inflating.layering import check_layering
 from geometry.joint import Joint
 from geometry.refusals import require_known
@@ -62,16 +62,16 @@ class InterfaceModel(Model):
             return self.joint
         if self.joint.seams_meet:
             raise InputError("bodies='extended': seams meet or branch, where S has no middle; use bodies='kept'")
-        thin = {name: layer.thin_layer for name, layer in self.layers.items() if layer.thin_layer}
-        for name in (name for name in self.joint.seams if name not in thin):
+        thin_layers = {name: layer.thin_layer for name, layer in self.layers.items() if layer.thin_layer}
+        for name in (name for name in self.joint.seams if name not in thin_layers):
             raise InputError(f"bodies='extended': seam {name!r} has no ThinLayer, so no thickness; use bodies='kept'")
-        eps = {name: layer.eps for name, layer in thin.items()}
-        joint = with_gaps(self.joint, eps, profile={name: layer.profile for name, layer in thin.items()})
+        eps = {name: layer.eps for name, layer in thin_layers.items()}
+        joint = with_gaps(self.joint, eps, profile={name: layer.profile for name, layer in thin_layers.items()})
         require_revolution(self.structure.kinematics, joint)
         return joint
 
-    def _forces(self) -> Forces:
-        forces = super()._forces()  # first, as it raises errors about bad data
+    def _make_forces(self) -> Forces:
+        forces = super()._make_forces()  # first, as it raises errors about bad data
         for layer in self.layers.values():
             if layer.thin_layer and layer.thin_layer.order == 1:
                 add_side_loads(forces, self, layer, self.sides_of(layer.name))
@@ -81,8 +81,8 @@ class InterfaceModel(Model):
     def split_mesh(self) -> Splitting:
         """The joint's mesh after cutting it along all seams that have no `Bond`."""
         joint = self.domain.joint
-        cut = [joint.rows_of(name) for name in joint.seams if name not in self.bonds]
-        return joint.split_along(np.concatenate([np.empty(0, np.int64), *cut])) if self.bonds else joint.split_mesh
+        cut_rows = [joint.rows_of(name) for name in joint.seams if name not in self.bonds]
+        return joint.split_along(np.concatenate([np.empty(0, np.int64), *cut_rows])) if self.bonds else joint.split_mesh
 
     def _check_compatible(self, other: Self) -> None:
         self.require("interface law")
@@ -98,15 +98,15 @@ class InterfaceModel(Model):
         return None if self.domain.joint.parted is None else MidSurface(self.domain)
 
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
-        return at.moved(at.x + self._middle.offset) if self._middle else at
+        return at.with_place(at.x + self._middle.offset) if self._middle else at
 
     def _layer_strain(self, layer: SeamLayer) -> Expr | None:
         strain = layer.prescribed_strain(self._coordinates_on(self.coordinates))
         if strain is None or not (self._middle or extract_coefficients(strain)):
             return strain
         sides = self.sides_of(layer.name)
-        two_sided = not (self._middle or layer.name in self.joint.base_seams)
-        return (sides.upper(strain) + sides.lower(strain)) / 2 if two_sided else sides.upper(strain)
+        is_two_sided = not (self._middle or layer.name in self.joint.base_seams)
+        return (sides.upper(strain) + sides.lower(strain)) / 2 if is_two_sided else sides.upper(strain)
 
     @cached_property
     def dS(self) -> ufl.Measure:
@@ -114,8 +114,8 @@ class InterfaceModel(Model):
 
         dS(k) is the measure of the seam number k in `joint.seams`, from 1.
         """
-        between = [(k, name) for k, name in enumerate(self.joint.seams, 1) if name not in self.joint.base_seams]
-        entities = [(k, seam_entities(self.domain, name).ravel()) for k, name in between]
+        body_seams = [(k, name) for k, name in enumerate(self.joint.seams, 1) if name not in self.joint.base_seams]
+        entities = [(k, seam_entities(self.domain, name).ravel()) for k, name in body_seams]
         return ufl.Measure("dS", domain=self.domain.mesh, subdomain_data=entities)
 
     def sides_of(self, name: str = S) -> Interface:
@@ -126,17 +126,17 @@ class InterfaceModel(Model):
         Raises:
             InputError: an unknown seam; "S" if some seams lie between bodies and others on a rigid base.
         """
-        joint, to_s = self.joint, self._middle.offset if self._middle else None
+        joint, offset_to_s = self.joint, self._middle.offset if self._middle else None
         joint.rows_of(name)
         names = tuple(joint.seams) if name == S else (name,)
-        on_base = [seam in joint.base_seams for seam in names]
-        if all(on_base):
-            return Interface.on_rigid_base(self.ds(self.domain.values(name)), self.kinematics, to_s)
-        if any(on_base):
+        are_on_base = [seam in joint.base_seams for seam in names]
+        if all(are_on_base):
+            return Interface.on_rigid_base(self.ds(self.domain.values(name)), self.kinematics, offset_to_s)
+        if any(are_on_base):
             raise InputError(f"S lies between bodies and on a rigid base; name one of the seams {', '.join(names)}")
-        numbers = tuple(list(joint.seams).index(seam) + 1 for seam in names)
-        measure = self.dS(numbers if len(numbers) > 1 else numbers[0])
-        return Interface.between_bodies(measure, self.kinematics, to_s)
+        seam_numbers = tuple(list(joint.seams).index(seam) + 1 for seam in names)
+        measure = self.dS(seam_numbers if len(seam_numbers) > 1 else seam_numbers[0])
+        return Interface.between_bodies(measure, self.kinematics, offset_to_s)
 
     @cached_property
     def sides(self) -> Interface:
@@ -153,10 +153,10 @@ class InterfaceModel(Model):
     @property
     def remarks(self) -> list[str]:
         """Sentences for the log that say for each layer of order 1 whether its free ends are corrected."""
-        of_order_1 = [r for r in self.applicability.values() if r.layer.thin_layer and r.layer.thin_layer.order]
-        return [f"free ends of {r.layer}: {r.free_end_text}" for r in of_order_1]
+        order_1 = [r for r in self.applicability.values() if r.layer.thin_layer and r.layer.thin_layer.order]
+        return [f"free ends of {r.layer}: {r.free_end_text}" for r in order_1]
 
-    def shifts(self) -> FloatArray | None:
+    def meshing_translations(self) -> FloatArray | None:
         """Return the translations (n_cells, d) of the joint's cells that meshing the layers of order 1 would cause.
 
         Only these layers count, because other interface laws ignore the thickness. Return None if all translations are
@@ -170,7 +170,7 @@ class InterfaceModel(Model):
         if self._middle or not eps.any() or np.isnan(eps).any():
             return None
         try:
-            return kept_motion(self.joint, eps)[self.joint.split_mesh.pieces]
+            return body_translations(self.joint, eps)[self.joint.split_mesh.pieces]
         except InputError:  # bodies cannot move apart in one piece
             return None
 
@@ -194,13 +194,13 @@ class InterfaceModel(Model):
             terms = [forms.jump_term(law, sides)]
         else:
             eps = self._thickness(layer, sides)
-            slope = self._middle.slope(sides) if self._middle and layer.thin_layer.profile else None
+            slope = self._middle.eps_gradient(sides) if self._middle and layer.thin_layer.profile else None
             weights = self.applicability[layer.name].weights
             ends = weights.expressions(self.domain, sides) if weights else None
             if weights:
-                finer_rule = {"quadrature_degree": quadrature_degree(self.V, measure) + END_DEGREE_INCREASE}
-                sides = replace(sides, measure=measure.reconstruct(metadata=finer_rule))
-            terms = forms.surface(law, sides, eps, layer.thin_layer.order, self.layer_strains[layer.name], slope, ends)
+                finer_metadata = {"quadrature_degree": quadrature_degree(self.V, measure) + END_DEGREE_INCREASE}
+                sides = replace(sides, measure=measure.reconstruct(metadata=finer_metadata))
+            terms = forms.s_terms(law, sides, eps, layer.thin_layer.order, self.layer_strains[layer.name], slope, ends)
         return [replace(term, key=layer.key, law=law_of_terms(term.law, mesh)) for term in terms]
 
     def _thickness(self, layer: SeamLayer, sides: Interface) -> Expr:
@@ -221,10 +221,10 @@ class InterfaceModel(Model):
         """
         sides = self.sides_of(layer.name)
 
-        def on_base(v: Expr) -> Expr:  # the base moves and rotates as the facets of the body above it do
+        def base_displacement(v: Expr) -> Expr:  # the base moves and rotates as the facets of the body above it do
             return sides.upper(v + ufl.dot(ufl.grad(v), 2 * self._middle.offset) if self._middle else v) / 2
 
-        v_base = on_base if layer.name in self.joint.base_seams else None
+        v_base = base_displacement if layer.name in self.joint.base_seams else None
         weight = self._thickness(layer, sides) * sides.factor
         return LoadRegion(sides.measure, weight, sides.upper, lambda v: (sides.upper(v) + sides.lower(v)) / 2, v_base)
 
@@ -243,8 +243,8 @@ def _law_on_surface(domain: Domain, joint: Joint, name: str, upper: InterfaceSid
         law: the law.
     """
     expressions, vertices = {}, np.unique(joint.table.vertices[joint.rows_of(name)])
-    for key, vertex_values in law.fields_at(joint.points[vertices].T).items():
+    for parameter, vertex_values in law.fields_at(joint.points[vertices].T).items():
         values = np.full(len(joint.points), vertex_values[0])  # values elsewhere have no meaning
         values[vertices] = vertex_values
-        expressions[key] = upper(cellwise_function(domain, ("Lagrange", 1), values[joint.corners][..., None]))
+        expressions[parameter] = upper(cellwise_function(domain, ("Lagrange", 1), values[joint.corners][..., None]))
     return law_with_expressions(law, domain.mesh, expressions)

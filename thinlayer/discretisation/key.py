@@ -33,7 +33,7 @@ class Key:
         return self.kind + (self.name and f" {self.name}") + (self.part and f"/{self.part}")
 
     @property
-    def pressure(self) -> Key:
+    def pressure_key(self) -> Key:
         """Key of the pressure in a layer, made from the key of the layer's law."""
         return replace(self, kind=PRESSURE_KIND)
 
@@ -49,4 +49,4 @@ class Key:
 
         `layer` is the key of the layer.
         """
-        return self == layer.pressure or (self.kind == layer.kind and layer.name in ("", self.name))
+        return self == layer.pressure_key or (self.kind == layer.kind and layer.name in ("", self.name))

@@ -15,7 +15,7 @@ from forms.base import Array, InputError, is_finite, is_number, require
 from forms.contact import ContactLaw
 from forms.kinematics import Kinematics
 from forms.law import BulkLaw, Law
-from forms.law_tangents import declared_or_computed_tangent, is_checked_at_rest, require_stable, tangent_over
+from forms.law_tangents import declared_or_computed_tangent, is_checked_at_rest, require_stable, tangent_after
 from forms.tensors import Expr, average_lame
 from forms.traction import TractionLaw
 from geometry.domain import Domain, create_connectivity
@@ -23,7 +23,7 @@ from geometry.joint import Profile
 from geometry.seam import S
 from geometry.sheet import Sheet
 from geometry.topology import Indices, IntArray
-from thinlayer.discretisation.coefficient import Coordinates, Load
+from thinlayer.discretisation.coefficient import Coordinates, LoadInput
 from thinlayer.discretisation.key import CONTACT_KIND, LAYER_KIND, Key
 from thinlayer.discretisation.prescribed_strains import EigenstrainContext, EigenstrainInput, prescribed_strain
 from thinlayer.errors import Violation
@@ -195,7 +195,7 @@ def law_of_terms(law: BulkLaw, mesh: Mesh) -> BulkLaw:
     In a law in UFL forms the parameters become DOLFINx Constants. A compiled law is unchanged. A law with functions of
     the place as parameters becomes a compiled law.
     """
-    return law.for_points() if law.fields else law if law.traits.compiled else law_with_constants(law, mesh)
+    return law.compiled_copy() if law.fields else law if law.traits.compiled else law_with_constants(law, mesh)
 
 
 class InitialTangents:
@@ -222,7 +222,7 @@ class InitialTangents:
         """
         if dt not in self._by_duration:
             laws = [law for _, law, _ in self.sublayers]
-            self._by_duration[dt] = [tangent_over(law, self.n, dt) if law.traits.compiled else None for law in laws]
+            self._by_duration[dt] = [tangent_after(law, self.n, dt) if law.traits.compiled else None for law in laws]
         return self._by_duration[dt]
 
     def require_stable(self) -> None:
@@ -231,19 +231,19 @@ class InitialTangents:
             if is_checked_at_rest(law):
                 require_stable(law, C, self.n)
 
-    def locks(self) -> Violation | None:
+    def locking_violation(self) -> Violation | None:
         """Return why the interface law of order 1 is much too stiff (it locks); None if it is not.
 
         It takes displacements as linear through the layer, and so locks if lmbda/mu of a sublayer is large.
         """
-        max_ratio = min(station.largest_ratio for station in self.law.stations())
+        max_ratio = min(station.max_lame_ratio for station in self.law.stations())
         for _, law, C in self.sublayers:
             lmbda, mu = (0.0, 1.0) if C is None else average_lame(C)
             if lmbda > max_ratio * mu:
-                ratio, most = (f"{x:.4g} (nu = {x / (x + 1) / 2:.4f})" for x in (lmbda / mu, max_ratio))
-                reason = f"order=1 of {type(law).__name__} with lmbda/mu = {ratio} at rest locks; allowed: {most}"
-                elastic = not (law.traits.remembers or law.traits.rate)
-                alternative = ", or Rubber or LinearElastic if it is isotropic" if elastic else ""
+                ratio_text, most = (f"{x:.4g} (nu = {x / (x + 1) / 2:.4f})" for x in (lmbda / mu, max_ratio))
+                reason = f"order=1 of {type(law).__name__} with lmbda/mu = {ratio_text} at rest locks; allowed: {most}"
+                is_elastic = not (law.traits.remembers or law.traits.rate)
+                alternative = ", or Rubber or LinearElastic if it is isotropic" if is_elastic else ""
                 return Violation("locks", reason, f"use order=0, or mesh the layer (structure.full){alternative}")
         return None
 
@@ -318,7 +318,7 @@ class SeamLayer:
     @cached_property
     def _samples(self) -> list[SeamLayer]:
         joint, thin = self.structure.joint, self.as_thin_layer
-        laws = thin.law.samples(joint.points[joint.table.vertices[joint.rows_of(self.name)]].mean(axis=1).T)
+        laws = thin.law.laws_at_extremes(joint.points[joint.table.vertices[joint.rows_of(self.name)]].mean(axis=1).T)
         return [SeamLayer(self.name, replace(thin, law=law), self.structure) for law in laws]
 
     @cached_property
@@ -337,8 +337,8 @@ class SeamLayer:
         if self.thin_layer is None:
             return None
         kinematics, n = self.structure.kinematics, self.sheet.mean_normal
-        matter = EigenstrainContext(str(self), law_with_numbers(self.layer, kinematics), n, kinematics, at)
-        return prescribed_strain(self.thin_layer.eigenstrain, matter)
+        context = EigenstrainContext(str(self), law_with_numbers(self.layer, kinematics), n, kinematics, at)
+        return prescribed_strain(self.thin_layer.eigenstrain, context)
 
     @property
     def profile(self) -> object:
@@ -347,19 +347,19 @@ class SeamLayer:
         return describe(self.structure.joint.relative_thickness(profile, self.name)) if profile else None
 
     @property
-    def shape(self) -> tuple[object, ...]:
+    def mesh_data(self) -> tuple[object, ...]:
         """Thickness, profile and fractions of sublayers, on which the layer's mesh depends; () without a thickness."""
         return (self.thin_layer.eps, self.profile, self.thin_layer.fractions) if self.thin_layer else ()
 
     def identity(self) -> dict[str, object]:
         """Return a description of the layer without its law, as JSON, for the data that identify a model."""
         thin = self.thin_layer
-        eps, order, strain = (float(thin.eps), thin.order, thin.eigenstrain) if thin else (None, None, None)
-        optional = {} if strain is None else {"eigenstrain": describe(strain)}
+        eps, order, eigenstrain = (float(thin.eps), thin.order, thin.eigenstrain) if thin else (None, None, None)
+        optional = {} if eigenstrain is None else {"eigenstrain": describe(eigenstrain)}
         return {"eps": eps, "order": order, "profile": self.profile, **optional}
 
 
-def loads_of_layers(model: Model) -> dict[str, Load]:
+def loads_of_layers(model: Model) -> dict[str, LoadInput]:
     """Return the forces per volume of a model's loaded layers, by the name of the seam.
 
     Seams with bonds are left out.
@@ -368,9 +368,9 @@ def loads_of_layers(model: Model) -> dict[str, Load]:
         InputError: a load on a seam without a layer, or whose layer has no thickness.
     """
     force, layers = model.structure.body_force, model.layers
-    named = force if isinstance(force, Mapping) else {}
+    loads_by_name = force if isinstance(force, Mapping) else {}
     seams = [seam for seam in model.joint.seams if seam not in model.bonds]
-    loads = {seam: named[name] for name in named for seam in seams if name in (S, seam)}
+    loads = {seam: loads_by_name[name] for name in loads_by_name for seam in seams if name in (S, seam)}
     for seam in (seam for seam in loads if seam not in layers or not layers[seam].thin_layer):
         raise InputError(f"body force in the layer {seam!r}: it has no layer with a thickness, so no weight is known")
     return loads
@@ -389,9 +389,9 @@ def seam_entities(domain: Domain, name: str) -> Indices:
     facets = domain.facets(name)
     facets = np.sort(facets[facets < mesh.topology.index_map(joint.dim - 1).size_local])
     entities = interior_facet_entities(mesh, facets)
-    rows = np.searchsorted(joint.surface_rows, domain.numbers(joint.dim - 1, facets))
-    swap = domain.original_cells[entities[:, 0]] != joint.surface_cells[rows, 1]
-    entities[swap] = entities[swap][:, [2, 3, 0, 1]]
+    surface_indices = np.searchsorted(joint.surface_rows, domain.numbers(joint.dim - 1, facets))
+    is_swapped = domain.original_cells[entities[:, 0]] != joint.surface_cells[surface_indices, 1]
+    entities[is_swapped] = entities[is_swapped][:, [2, 3, 0, 1]]
     return entities
 
 
@@ -408,11 +408,11 @@ def nodes_of_sides(model: Model, V: fem.FunctionSpace, name: str) -> tuple[IntAr
     on_base, layout = name in model.joint.base_seams, V.dofmap.dof_layout
     rows = exterior_facet_entities(mesh, np.sort(domain.facets(name))) if on_base else seam_entities(domain, name)
     entities = rows.astype(np.int64)
-    closures = np.array([layout.entity_closure_dofs(d - 1, k) for k in range(entities[:, 1::2].max(initial=0) + 1)])
-    vertices, sides = mesh.topology.connectivity(d, 0).array.reshape(len(V.dofmap.list), -1), []
-    for side in (entities[:, :2], entities[:, 2:].reshape(-1, 2)):
-        cells, local = side[:, :1], closures[side[:, 1]]
-        if layout.num_dofs == vertices.shape[1]:
-            local = np.take_along_axis(local, vertices[cells, local].argsort(axis=1), axis=1)
-        sides.append(V.dofmap.list[cells, local].astype(np.int64))
-    return sides[0], sides[1]
+    facet_nodes = np.array([layout.entity_closure_dofs(d - 1, k) for k in range(entities[:, 1::2].max(initial=0) + 1)])
+    cell_vertices, nodes_by_side = mesh.topology.connectivity(d, 0).array.reshape(len(V.dofmap.list), -1), []
+    for side_entities in (entities[:, :2], entities[:, 2:].reshape(-1, 2)):
+        cells, local_nodes = side_entities[:, :1], facet_nodes[side_entities[:, 1]]
+        if layout.num_dofs == cell_vertices.shape[1]:
+            local_nodes = np.take_along_axis(local_nodes, cell_vertices[cells, local_nodes].argsort(axis=1), axis=1)
+        nodes_by_side.append(V.dofmap.list[cells, local_nodes].astype(np.int64))
+    return nodes_by_side[0], nodes_by_side[1]

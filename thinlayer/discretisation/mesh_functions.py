@@ -23,11 +23,11 @@ from geometry.refusals import place_text
 from geometry.seam import S
 from geometry.topology import Indices, IntArray, Splitting
 from thinlayer.system.compat import interpolation_points, space_with_dofmap
-from thinlayer.system.ranks import ask, communicator
+from thinlayer.system.ranks import communicator, query
 
 Element: TypeAlias = ufl.AbstractFiniteElement | tuple[str, int] | tuple[str, int, tuple[int, ...]]
 EntityKeys = Sequence[IntArray | Indices]
-INWARD_SHARE = 1e-6  # shift of a place towards the middle of its cell, to one side of S, over its distance from there
+INWARD_SHIFT = 1e-6  # shift of a place towards the middle of its cell, to one side of S, over its distance from there
 
 
 def cellwise_function(domain: Domain, element: Element, values: Array) -> fem.Function:
@@ -73,20 +73,20 @@ def director(domain: Domain) -> Expr:
     It is not defined in the bodies.
     """
     joint, directors = domain.joint, band_of(domain.joint).director
-    values = np.zeros((*joint.corners.shape, joint.dim))
-    values[-len(directors) :] = directors
-    n = cellwise_function(domain, ("DG", 1, (joint.dim,)), values)
+    cell_directors = np.zeros((*joint.corners.shape, joint.dim))
+    cell_directors[-len(directors) :] = directors
+    n = cellwise_function(domain, ("DG", 1, (joint.dim,)), cell_directors)
     return n / ufl.sqrt(ufl.dot(n, n))
 
 
-def inflation_shift(domain: Domain) -> fem.Function:
+def inflation_motion(domain: Domain) -> fem.Function:
     """Return the displacement (d,) of each place of the mesh when S was opened to the layer's thickness.
 
     Kept bodies move as rigid bodies. Places in the layer come from the place on S from which the layer was made.
     """
     joint = domain.joint
-    shifts = (joint.points - joint.reference)[joint.cells]
-    return cellwise_function(domain, ("Lagrange", joint.degree, (joint.dim,)), shifts)
+    displacements = (joint.points - joint.reference)[joint.cells]
+    return cellwise_function(domain, ("Lagrange", joint.degree, (joint.dim,)), displacements)
 
 
 class MidSurface:
@@ -107,10 +107,10 @@ class MidSurface:
         """Return the thickness of the layer in UFL: the distance between the bodies' faces along the normal n of S."""
         return -2 * ufl.dot(sides.upper(self.offset), sides.n)
 
-    def slope(self, sides: Interface) -> Expr:
+    def eps_gradient(self, sides: Interface) -> Expr:
         """Return the gradient (d,) of the thickness along S, in UFL."""
-        slope = -2 * ufl.dot(sides.n, sides.upper.gradient(self.offset))
-        return slope - ufl.dot(slope, sides.director) * sides.n
+        gradient = -2 * ufl.dot(sides.n, sides.upper.gradient(self.offset))
+        return gradient - ufl.dot(gradient, sides.director) * sides.n
 
 
 def sampled_function(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Function:
@@ -131,25 +131,25 @@ def sampled_function(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Fun
     """
     degree = min(2, f.function_space.element.basix_element.degree)
     interpolant = fem.Function(fem.functionspace(mesh, ("DG", degree, f.ufl_shape)))
-    places = places_in_cells(interpolant.function_space, x)
-    places = (places + INWARD_SHARE * (places.mean(axis=1, keepdims=True) - places)).reshape(-1, mesh.geometry.dim)
-    values = _evaluate(f, places)
-    missing = np.concatenate(communicator(mesh).allgather(places[np.isnan(values).any(axis=1)][:1]))
-    if len(missing):
-        raise InputError(f"{what}: a function is unknown at {place_text(missing[0])}; its mesh must cover all")
+    places = interpolation_places(interpolant.function_space, x)
+    places = (places + INWARD_SHIFT * (places.mean(axis=1, keepdims=True) - places)).reshape(-1, mesh.geometry.dim)
+    values = _evaluate_on_all_ranks(f, places)
+    outside_places = np.concatenate(communicator(mesh).allgather(places[np.isnan(values).any(axis=1)][:1]))
+    if len(outside_places):
+        raise InputError(f"{what}: a function is unknown at {place_text(outside_places[0])}; its mesh must cover all")
     interpolant.x.array.reshape(values.shape)[np.asarray(interpolant.function_space.dofmap.list).ravel()] = values
     return interpolant
 
 
-def places_in_cells(V: fem.FunctionSpace, x: Expr) -> Array:
+def interpolation_places(V: fem.FunctionSpace, x: Expr) -> Array:
     """Return the values (cells, n, d) of UFL coordinates x (d,) at the n interpolation points of V in local cells."""
     mesh, d = V.mesh, V.mesh.geometry.dim
     cells = np.arange(len(V.dofmap.list), dtype=np.int32)
-    points = fem.Expression(x + fem.Constant(mesh, np.zeros(d)), interpolation_points(V))
-    return np.asarray(points.eval(mesh, cells).reshape(len(cells), -1, d))
+    expression = fem.Expression(x + fem.Constant(mesh, np.zeros(d)), interpolation_points(V))
+    return np.asarray(expression.eval(mesh, cells).reshape(len(cells), -1, d))
 
 
-def _evaluate(f: fem.Function, x: Array) -> Array:
+def _evaluate_on_all_ranks(f: fem.Function, x: Array) -> Array:
     """Return the values (n, m) of a function with m components at n places x (n, d); NaN outside its mesh. Collective.
 
     The values come from all ranks of the function's mesh. Every rank gets the places and values of all ranks, so that
@@ -160,11 +160,11 @@ def _evaluate(f: fem.Function, x: Array) -> Array:
     x_of_ranks = comm.allgather(np.pad(x, ((0, 0), (0, 3 - x.shape[1]))))
     places = np.concatenate(x_of_ranks)
     bb_tree = geometry.bb_tree(mesh, mesh.topology.dim)
-    cells = geometry.compute_colliding_cells(mesh, geometry.compute_collisions_points(bb_tree, places), places)
-    starts, has_cell = cells.offsets[:-1], np.diff(cells.offsets) > 0
+    colliding = geometry.compute_colliding_cells(mesh, geometry.compute_collisions_points(bb_tree, places), places)
+    starts, has_cell = colliding.offsets[:-1], np.diff(colliding.offsets) > 0
     values = np.full((len(places), int(np.prod(f.ufl_shape))), np.nan)
     if has_cell.any():
-        values[has_cell] = f.eval(places[has_cell], cells.array[starts[has_cell]]).reshape(-1, values.shape[1])
+        values[has_cell] = f.eval(places[has_cell], colliding.array[starts[has_cell]]).reshape(-1, values.shape[1])
     start = sum(map(len, x_of_ranks[: comm.rank]))
     return np.asarray(np.fmax.reduce(comm.allgather(values))[start : start + len(x)])
 
@@ -205,16 +205,16 @@ class SharedDofs:
                 each entity.
         """
         space = fem.functionspace(mesh, element)
-        base_map, component = space.dofmap.index_map, _dof_values(space, components, 0)
-        count = comm.allreduce(int(component.max(initial=0)) + 1, op=max)
-        n_base = base_map.size_local + base_map.num_ghosts
-        copies = np.asarray(space.dofmap.list, np.int64) * count + component
-        used = np.zeros(n_base * count, bool)
-        used[copies] = True
-        base_dof, number = np.divmod(np.flatnonzero(used), count)
-        owner = np.concatenate([np.full(base_map.size_local, comm.rank), base_map.owners]).astype(np.int64)[:n_base]
-        numbers = np.asarray(base_map.local_to_global(np.arange(n_base, dtype=np.int32)))
-        return cls(space, numbers[base_dof] * count + number, owner[base_dof], (used.cumsum() - 1)[copies])
+        index_map, dof_components = space.dofmap.index_map, _dof_values(space, components, 0)
+        n_copies = comm.allreduce(int(dof_components.max(initial=0)) + 1, op=max)
+        n_local = index_map.size_local + index_map.num_ghosts
+        copies = np.asarray(space.dofmap.list, np.int64) * n_copies + dof_components
+        is_used = np.zeros(n_local * n_copies, bool)
+        is_used[copies] = True
+        local_dof, copy_number = np.divmod(np.flatnonzero(is_used), n_copies)
+        owner = np.concatenate([np.full(index_map.size_local, comm.rank), index_map.owners]).astype(np.int64)[:n_local]
+        numbers = np.asarray(index_map.local_to_global(np.arange(n_local, dtype=np.int32)))
+        return cls(space, numbers[local_dof] * n_copies + copy_number, owner[local_dof], (is_used.cumsum() - 1)[copies])
 
     @classmethod
     def of_entities(cls, comm: MPI.Intracomm, mesh: Mesh, element: Element, keys: EntityKeys) -> SharedDofs:
@@ -228,71 +228,71 @@ class SharedDofs:
                 that count as one have the same number. Entities of different dimensions have different numbers.
         """
         space = fem.functionspace(mesh, element)
-        distinct, positions = np.unique(_dof_values(space, keys, -1), return_inverse=True)
+        distinct, key_indices = np.unique(_dof_values(space, keys, -1), return_inverse=True)
         first_dof = np.full(len(distinct), np.iinfo(np.int64).max)
-        np.minimum.at(first_dof, positions.ravel(), np.asarray(space.dofmap.list, np.int64).ravel())
+        np.minimum.at(first_dof, key_indices.ravel(), np.asarray(space.dofmap.list, np.int64).ravel())
         order = np.lexsort((distinct, first_dof))
-        distinct, positions = distinct[order], np.argsort(order)[positions.reshape(np.shape(space.dofmap.list))]
-        meeting = distinct * comm.size // comm.allreduce(int(distinct.max(initial=0)) + 1, op=max)
-        return cls(space, distinct, meeting, positions)
+        distinct, key_indices = distinct[order], np.argsort(order)[key_indices.reshape(np.shape(space.dofmap.list))]
+        meeting_rank = distinct * comm.size // comm.allreduce(int(distinct.max(initial=0)) + 1, op=max)
+        return cls(space, distinct, meeting_rank, key_indices)
 
 
-def _dof_values(whole: fem.FunctionSpace, of_entities: EntityKeys, otherwise: int) -> IntArray:
+def _dof_values(space: fem.FunctionSpace, entity_values: EntityKeys, default: int) -> IntArray:
     """Return for each dof of each local cell the value of the vertex, edge, facet or cell to which the dof belongs.
 
     Args:
-        whole: the space of the dofs.
-        of_entities: for each dimension of entities, from 0, their values (cells, entities of a cell).
-        otherwise: value of dofs on entities of other dimensions.
+        space: the space of the dofs.
+        entity_values: for each dimension of entities, from 0, their values (cells, entities of a cell).
+        default: value of dofs on entities of other dimensions.
 
     Returns:
         Values (cells, dofs per cell).
     """
-    out = np.full(np.shape(whole.dofmap.list), otherwise, np.int64)
-    for dim, values in enumerate(of_entities):
+    out = np.full(np.shape(space.dofmap.list), default, np.int64)
+    for dim, values in enumerate(entity_values):
         for entity in range(values.shape[1]):
-            out[:, whole.dofmap.dof_layout.entity_dofs(dim, entity)] = values[: len(out), [entity]]
+            out[:, space.dofmap.dof_layout.entity_dofs(dim, entity)] = values[: len(out), [entity]]
     return out
 
 
-def broken_space(comm: MPI.Intracomm, unknowns: SharedDofs) -> fem.FunctionSpace:
-    """Return the function space with one degree of freedom for each key of `unknowns`. Collective."""
-    rank, whole, keys, meeting = comm.rank, unknowns.continuous_space, unknowns.keys, unknowns.meeting_rank
-    n_cells = whole.mesh.topology.index_map(whole.mesh.topology.dim).size_local
+def broken_space(comm: MPI.Intracomm, shared: SharedDofs) -> fem.FunctionSpace:
+    """Return the function space with one degree of freedom for each key of `shared`. Collective."""
+    rank, space, keys, meeting_rank = comm.rank, shared.continuous_space, shared.keys, shared.meeting_rank
+    n_cells = space.mesh.topology.index_map(space.mesh.topology.dim).size_local
     used = np.zeros(len(keys), np.int64)
-    used[unknowns.cell_dofs[:n_cells]] = 1
-    owner = ask(comm, meeting, np.column_stack([keys, used]), lambda q, src: _elect_owners(q, src, rank))
-    owned = owner == rank
-    n_own = int(owned.sum())
-    start = comm.exscan(n_own) or 0
+    used[shared.cell_dofs[:n_cells]] = 1
+    owner = query(comm, meeting_rank, np.column_stack([keys, used]), lambda q, src: _elect_owners(q, src, rank))
+    is_owned = owner == rank
+    n_own = int(is_owned.sum())
+    first_number = comm.exscan(n_own) or 0
     number = np.full(len(keys), -1, np.int64)
-    number[owned] = start + np.arange(n_own)
-    order = np.argsort(keys[owned])
-    owned_keys, numbers = keys[owned][order], number[owned][order]
-    foreign = ~owned
-    number[foreign] = ask(comm, owner[foreign], keys[foreign], lambda q, _: numbers[np.searchsorted(owned_keys, q)])
+    number[is_owned] = first_number + np.arange(n_own)
+    order = np.argsort(keys[is_owned])
+    owned_keys, numbers = keys[is_owned][order], number[is_owned][order]
+    foreign = ~is_owned
+    number[foreign] = query(comm, owner[foreign], keys[foreign], lambda q, _: numbers[np.searchsorted(owned_keys, q)])
     local = np.empty(len(keys), np.int32)
-    local[owned] = np.arange(n_own)
+    local[is_owned] = np.arange(n_own)
     local[foreign] = n_own + np.arange(len(keys) - n_own)
-    return space_with_dofmap(whole, local[unknowns.cell_dofs], index_map(comm, n_own, number[foreign], owner[foreign]))
+    return space_with_dofmap(space, local[shared.cell_dofs], index_map(comm, n_own, number[foreign], owner[foreign]))
 
 
-def _elect_owners(questions: IntArray, source: IntArray, rank: int) -> IntArray:
+def _elect_owners(requests: IntArray, source_rank: IntArray, rank: int) -> IntArray:
     """Return the ranks that own the dofs about which other ranks ask this rank.
 
     This rank owns a dof if one of its local or ghost cells has it. Otherwise the owner is the lowest rank with an own
     cell that has it. Both sides of S then belong to one rank at nearly all places, as contact solvers need.
 
     Args:
-        questions: (n, 2) key of each dof; and 1 if a cell that the asking rank owns has it, else 0.
-        source: (n,) the asking ranks.
+        requests: (n, 2) key of each dof; and 1 if a cell that the asking rank owns has it, else 0.
+        source_rank: (n,) the asking ranks.
         rank: this rank.
 
     Returns:
         Owner (n,) of each dof.
     """
-    key, used = questions[:, 0], (questions[:, 1] == 1) | (source == rank)
-    candidate, votes = key[used], np.where(source[used] == rank, -1, source[used])
+    key, used = requests[:, 0], (requests[:, 1] == 1) | (source_rank == rank)
+    candidate, votes = key[used], np.where(source_rank[used] == rank, -1, source_rank[used])
     order = np.lexsort((votes, candidate))
     distinct, start = np.unique(candidate[order], return_index=True)
     winner = votes[order][start]
@@ -312,15 +312,15 @@ def vector_space(domain: Domain, cut: Splitting, degree: int, family: str) -> fe
     mesh, dim, comm = domain.mesh, domain.joint.dim, domain.comm
     element = basix.ufl.element(family, mesh.basix_cell(), degree, shape=(dim,))
     if domain.joint.periods:
-        entity_keys = [domain.on_cells(of_dim) for of_dim in cut.keys]
+        entity_keys = [domain.on_cells(of_dim) for of_dim in cut.entity_keys]
         return broken_space(comm, SharedDofs.of_entities(comm, mesh, element, entity_keys))
     used = [any(map(len, of_dim)) for of_dim in element.basix_element.entity_dofs]
     none = np.empty((0, 0), np.int64)
-    components = [domain.on_cells(cut.components(k) if k else cut.of_vertices) if used[k] else none for k in range(dim)]
+    components = [domain.on_cells(cut.components(k) if k else cut.at_vertices) if used[k] else none for k in range(dim)]
     return broken_space(comm, SharedDofs.of_components(comm, mesh, element, components))
 
 
-def cut_at_faces(joint: Joint) -> Splitting:
+def mesh_cut_at_faces(joint: Joint) -> Splitting:
     """Return the joint's mesh cut along both faces of the meshed layers, or along S if there are none."""
     if joint.band is None:
         return joint.split_mesh

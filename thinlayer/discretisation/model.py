@@ -25,15 +25,15 @@ from geometry.seam import BASE
 from geometry.sheet import volume_of
 from geometry.topology import FloatArray, Indices, Splitting, is_tensor
 from thinlayer.discretisation.applicability import Applicability
-from thinlayer.discretisation.coefficient import Coordinates, Load, Pressure
+from thinlayer.discretisation.coefficient import Coordinates, LoadInput, Pressure
 from thinlayer.discretisation.constraints import Constraints
 from thinlayer.discretisation.forces import BodyForce, Forces, LoadRegion
 from thinlayer.discretisation.form_compilation import (
     checked_term,
     compiled,
-    compiled_scalars,
+    compiled_functionals,
     compiled_terms,
-    origin_of,
+    mesh_origin,
 )
 from thinlayer.discretisation.key import BODY_KIND, Key
 from thinlayer.discretisation.layer import (
@@ -47,14 +47,14 @@ from thinlayer.discretisation.layer import (
     law_with_constants,
     loads_of_layers,
 )
-from thinlayer.discretisation.mesh_functions import cut_at_faces, vector_space
+from thinlayer.discretisation.mesh_functions import mesh_cut_at_faces, vector_space
 from thinlayer.discretisation.part_definition import check_part_definitions
 from thinlayer.discretisation.point_loads import ConcentratedForms, ConcentratedLoad, check_loads
 from thinlayer.discretisation.prescribed_strains import (
     EigenstrainContext,
     MeanStrain,
     MeanStress,
-    Strain,
+    MeanTensorInput,
     prescribed_strain,
 )
 from thinlayer.discretisation.rigid_motions import (
@@ -66,13 +66,13 @@ from thinlayer.discretisation.rigid_motions import (
     resultants_of_loads,
     scaled_motions,
 )
-from thinlayer.discretisation.supports import ByPlace, Place, Prescribed, Supports, is_part
+from thinlayer.discretisation.supports import Place, SupportConditions, Supports, SupportsByPlace, is_same_or_part
 from thinlayer.discretisation.time_functions import TimeLevel
 from thinlayer.errors import warn
 from thinlayer.pointwise.quadrature import Quadrature, quadrature_degree
 from thinlayer.system.compat import interpolate
 from thinlayer.system.fingerprint import describe, digest
-from thinlayer.system.ranks import collect, errors_on_all, require_same
+from thinlayer.system.ranks import errors_on_all, free_petsc_objects, require_same
 
 if TYPE_CHECKING:
     from thinlayer.discretisation.state import State
@@ -80,10 +80,10 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 # cached properties that follow from mesh and bonds alone, which all models on one mesh share
-CACHES_OF_MESH = ("split_mesh", "places", "volume", "_middle", "dS", "sides")
+MESH_CACHE_NAMES = ("split_mesh", "node_coordinates", "volume", "_middle", "dS", "sides")
 
 
-def copied(source: T, keep: Collection[str] = ()) -> T:
+def copy_without_caches(source: T, keep: Collection[str] = ()) -> T:
     """Return a copy of an object without the values of its cached properties, except those named in `keep`.
 
     Cached values may change with the data of the object, so that the copy computes them anew.
@@ -113,22 +113,22 @@ class ModelFamily:
     """
 
     is_shared: bool = False
-    _idle: Freeable | None = None  # matrices that no solver has at present; they end with the last model
+    _idle_matrices: Freeable | None = None  # matrices that no solver has at present; they end with the last model
 
-    def acquire(self) -> Freeable | None:
+    def take_matrices(self) -> Freeable | None:
         """Return the stored matrices of an earlier solver and give them up; None if no matrices are stored."""
-        matrices, self._idle = self._idle, None
+        matrices, self._idle_matrices = self._idle_matrices, None
         return matrices
 
-    def release(self, matrices: Freeable) -> None:
+    def store_matrices(self, matrices: Freeable) -> None:
         """Store the matrices of a solver for the next solver of the family, and free those stored before.
 
         If no other model was made from this one, no next solver can come: then free the matrices at once.
         """
-        unused = self._idle if self.is_shared else matrices
+        unused = self._idle_matrices if self.is_shared else matrices
         if unused is not None:
             unused.free()
-        self._idle = matrices if self.is_shared else None
+        self._idle_matrices = matrices if self.is_shared else None
 
 
 class Model(ABC):
@@ -191,16 +191,16 @@ class Model(ABC):
         self.comm = self.domain.comm
         self.centre = moment_centre(structure.kinematics, np.asarray(inflated.points.mean(axis=0), float))
         self.V = self.space(structure.degree, family="S" if self.element[0] == "S" else None)
-        collect(self.comm, self.V)
+        free_petsc_objects(self.comm, self.V)
         self.unknowns = int(self.V.dofmap.index_map.size_global * self.V.dofmap.index_map_bs)
-        self.kinematics = structure.kinematics.on(self.domain.mesh)
-        self.coordinates = Coordinates.of(self.domain)
-        self.origin = origin_of(self.domain)
+        self.kinematics = structure.kinematics.on_mesh(self.domain.mesh)
+        self.coordinates = Coordinates.of_domain(self.domain)
+        self.origin = mesh_origin(self.domain)
         mesh, strain, stress = self.domain.mesh, structure.strain, structure.stress
         self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
         with errors_on_all(self.comm):
-            self.supports = self._supports(structure.supports)
+            self.supports = self._make_supports(structure.supports)
             self.body_strains = {name: self._body_strain(name) for name in self.body_laws}
             self.layer_strains = {name: self._layer_strain(seam_layer) for name, seam_layer in self.layers.items()}
             if not (strain is None and stress is None):
@@ -209,26 +209,26 @@ class Model(ABC):
         self.bodies = self._with_mean_strain(self._terms_of_bodies())
         self.layer_terms = self._terms_of_layers()
         with errors_on_all(self.comm):
-            self.forces = self._forces()
+            self.forces = self._make_forces()
         with errors_on_all(self.comm):
-            self.stress = None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.solids)
+            self.stress = None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.cell_terms)
         with errors_on_all(self.comm):
             check_part_definitions(self.parts, self)
         self.constraints = self._make_constraints()
         self.require_supported()
         self.description = self._description()
 
-    def warn(self, key: str, message: str, *of: Hashable) -> None:
+    def warn(self, key: str, message: str, *subject: Hashable) -> None:
         """Issue a RangeWarning with a key and a message, but only once for each subject. Collective.
 
         Args:
             key: kind of the warning.
             message: text of the warning.
-            of: the subject, such as a seam and a time.
+            subject: the subject, such as a seam and a time.
         """
-        if (key, *of) not in self.issued_warnings:
+        if (key, *subject) not in self.issued_warnings:
             warn(key, message, self.comm)
-            self.issued_warnings.add((key, *of))
+            self.issued_warnings.add((key, *subject))
 
     def require_supported(self) -> None:
         """Raise InputError if the structure can move as a rigid body.
@@ -236,7 +236,7 @@ class Model(ABC):
         In a periodic joint translations that nothing prevents are first fixed at one vertex.
         """
         if not (self.broken and any(name in self.layers for name in self.joint.base_seams)):
-            resistances = [partial(part.resistance, self) for part in self.parts if not part.ties_nodes]
+            resistances = [partial(part.rigid_stiffness, self) for part in self.parts if not part.has_constraint]
             if self.joint.periods:
                 self.supports.anchor_axes = free_axes(self.joint, self.kinematics, resistance_matrix(self, resistances))
                 self.constraints = self._make_constraints()
@@ -270,8 +270,8 @@ class Model(ABC):
         Return None if there is no eigenstrain.
         """
         law, n = self.kinematics.law(self.body_laws[name]), self.structure.sheet.mean_normal
-        body = EigenstrainContext(f"the body {name!r}", law, n, self.structure.kinematics, self.coordinates)
-        return prescribed_strain(self.structure.eigenstrains.get(name), body)
+        context = EigenstrainContext(f"the body {name!r}", law, n, self.structure.kinematics, self.coordinates)
+        return prescribed_strain(self.structure.eigenstrains.get(name), context)
 
     def _layer_strain(self, layer: SeamLayer) -> Expr | None:
         """Return minus the eigenstrain of a layer, (3, 3) in UFL, which is added to the strain of displacements.
@@ -295,8 +295,8 @@ class Model(ABC):
             law = law if law.traits.compiled else law_with_constants(law, self.domain.mesh)
             regions = {str(Key(BODY_KIND, name)): [name] for name in names} if law.traits.compiled else {"": names}
             for key, bodies in regions.items():
-                cells = self.dx(self.domain.cell_values(*bodies), **self._metadata(self.dx))
-                term = forms.body(law, cells, self.kinematics, self.volume_degree(law))
+                measure = self.dx(self.domain.region_tags(*bodies), **self._metadata(self.dx))
+                term = forms.body(law, measure, self.kinematics, self.volume_strain_degree(law))
                 term = replace(term, key=key, prescribed_strain=self.body_strains[names[0]])
                 terms.append(checked_term(term, self.V, self.origin))
         return terms
@@ -304,18 +304,18 @@ class Model(ABC):
     def _terms_of_layers(self) -> list[forms.Term]:
         return self._with_mean_strain([checked_term(term, self.V, self.origin) for term in self._layer_terms()])
 
-    def _supports(self, supports: ByPlace) -> Supports:
-        clamped = [name for name in self.bonds if name in self.joint.base_seams]
-        clamped += [BASE] if BASE in self.domain.joint.facets and not self.broken else []
-        return Supports(self.domain, supports, self.coordinates.detached, clamped, self.kinematics)
+    def _make_supports(self, supports: SupportsByPlace) -> Supports:
+        clamped_sets = [name for name in self.bonds if name in self.joint.base_seams]
+        clamped_sets += [BASE] if BASE in self.domain.joint.facets and not self.broken else []
+        return Supports(self.domain, supports, self.coordinates.with_own_breaks, clamped_sets, self.kinematics)
 
     # ---------------------------------------------------------------- differences between kinds of models
-    def _forces(self) -> Forces:
-        at = self.coordinates.detached
-        points = ConcentratedForms(self.domain, self.joint, self.structure.degree, at)
-        forces = Forces(self.domain, self.kinematics, points, self.structure)
+    def _make_forces(self) -> Forces:
+        at = self.coordinates.with_own_breaks
+        concentrated_forms = ConcentratedForms(self.domain, self.joint, self.structure.degree, at)
+        forces = Forces(self.domain, self.kinematics, concentrated_forms, self.structure)
         for name, load in loads_of_layers(self).items():
-            forces.add_layer(name, load, self._load_region(self.layers[name]), self._coordinates_on(at))
+            forces.add_layer_load(name, load, self._load_region(self.layers[name]), self._coordinates_on(at))
         return forces
 
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
@@ -326,15 +326,15 @@ class Model(ABC):
     def _load_region(self, layer: SeamLayer) -> LoadRegion:
         """Return the region over which a force per volume of the layer acts."""
 
-    def require(self, question: str, what: str = "") -> None:
+    def require(self, use: str, what: str = "") -> None:
         """Raise InputError if a layer of the model violates a condition for a use of layers.
 
         Args:
-            question: the use, a key of `applicability.CONDITIONS_OF_USE`, such as "interface law" or "mesh".
+            use: the use, a key of `applicability.CONDITIONS_OF_USE`, such as "interface law" or "mesh".
             what: first words of the message.
         """
         for applicability in self.applicability.values():
-            applicability.require(question, what)
+            applicability.require(use, what)
 
     @property
     def surface_identity(self) -> object:
@@ -363,7 +363,7 @@ class Model(ABC):
         """
         return self._family_copy()._replace_layers(self, layer)
 
-    def improved(self, layers: Mapping[str, ThinLayer]) -> Self:
+    def with_interface_laws(self, layers: Mapping[str, ThinLayer]) -> Self:
         """Return this model with other interface laws for some layers; warnings issued before are not repeated.
 
         The models share mesh, space, supports, loads and bodies' matrix.
@@ -387,7 +387,7 @@ class Model(ABC):
             self.layer_strains = {name: self._layer_strain(seam_layer) for name, seam_layer in self.layers.items()}
         self.layer_terms = self._terms_of_layers()
         with errors_on_all(self.comm):
-            self.forces = self._forces()
+            self.forces = self._make_forces()
             if self.strain or self.stress:
                 self.require("mean strain")
             if self.stress and not self.broken:
@@ -407,19 +407,19 @@ class Model(ABC):
         Meshed layers must also have the same sublayers.
         """
         count = 2 if self.broken else 3  # sublayers have cells in meshed layers only
-        shapes = ({name: layer.shape[:count] for name, layer in model.layers.items()} for model in (self, other))
-        needed, made = (model.gaps | shape for model, shape in zip((self, other), shapes, strict=True))
-        for name in (name for name in needed if needed[name] != made.get(name)):
-            text = f"{name!r} of (thickness, profile, fractions) {made.get(name)}, not {needed[name]}"
+        shapes = ({name: layer.mesh_data[:count] for name, layer in model.layers.items()} for model in (self, other))
+        required, available = (model.gaps | shape for model, shape in zip((self, other), shapes, strict=True))
+        for name in (name for name in required if required[name] != available.get(name)):
+            text = f"{name!r} of (thickness, profile, fractions) {available.get(name)}, not {required[name]}"
             raise InputError(f"bodies have made room for a layer {text}; make a model of its own")
 
     def with_loads(
         self,
         *,
-        tractions: Mapping[str, Load | Pressure] | None = None,
+        tractions: Mapping[str, LoadInput | Pressure] | None = None,
         body_force: BodyForce | None = None,
         loads: Sequence[ConcentratedLoad] | None = None,
-        supports: ByPlace | None = None,
+        supports: SupportsByPlace | None = None,
     ) -> Self:
         """Return this model under other loads; it shares mesh, space, matrices and their factorisation. Collective.
 
@@ -441,22 +441,22 @@ class Model(ABC):
         new.data_hash = digest([self.data_hash, structure.data_hash])
         with errors_on_all(self.comm):
             if supports is not None:
-                new.supports = self._supports(supports)
+                new.supports = self._make_supports(supports)
                 new.supports.anchor_axes = self.supports.anchor_axes
                 pair = self.supports, new.supports
                 expected, other = ([(place, sorted(components)) for place, components in bcs.entries] for bcs in pair)
                 if expected != other:
                     raise InputError(f"supports hold {other}, those of the model {expected}; build another structure")
                 new.constraints = new._make_constraints()
-            new.forces = new._forces()
+            new.forces = new._make_forces()
         new.description = new._description()
         return new
 
     def _make_constraints(self) -> Constraints:
-        mpcs = [part.multi_point_constraint(self) for part in self.parts if part.ties_nodes]
-        return Constraints(Prescribed(self.supports, self.V), mpcs)
+        mpcs = [part.multi_point_constraint(self) for part in self.parts if part.has_constraint]
+        return Constraints(SupportConditions(self.supports, self.V), mpcs)
 
-    def under_mean_strain(self, strain: Strain) -> Self:
+    def under_mean_strain(self, strain: MeanTensorInput) -> Self:
         """Return a copy of this model of a periodic cell, whose only load is a mean strain. Collective.
 
         The copy has no other loads and no eigenstrains. It shares no matrices with other models, as they would contain
@@ -466,19 +466,19 @@ class Model(ABC):
             strain: (d, d) symmetric numbers in d dimensions, or a function (x, t) of the time t alone that returns
                 them.
         """
-        new = copied(self, keep=CACHES_OF_MESH)
-        new.family, new.coordinates = ModelFamily(), Coordinates.of(self.domain)
+        new = copy_without_caches(self, keep=MESH_CACHE_NAMES)
+        new.family, new.coordinates = ModelFamily(), Coordinates.of_domain(self.domain)
         new.strain, new.stress = MeanStrain(strain, new.coordinates, self.joint), None
         new.bodies = new._with_mean_strain([replace(p, prescribed_strain=None) for p in self.bodies])
         new.layer_terms = new._with_mean_strain([replace(p, prescribed_strain=None) for p in self.layer_terms])
         new.structure = self.structure.with_loads(tractions={}, body_force={}, loads=())
-        new.forces = new._forces()
+        new.forces = new._make_forces()
         return new
 
     def _family_copy(self) -> Self:
         """Return a copy that shares mesh, space and matrices, without warnings and cached values that laws change."""
         self.family.is_shared = True
-        new = copied(self, keep=CACHES_OF_MESH)
+        new = copy_without_caches(self, keep=MESH_CACHE_NAMES)
         new.issued_warnings = set()
         return new
 
@@ -487,7 +487,7 @@ class Model(ABC):
         """Sentences for the log that name choices made for the user, such as the correction of free ends."""
         return []
 
-    def shifts(self) -> FloatArray | None:
+    def meshing_translations(self) -> FloatArray | None:
         """Return the translations (n_cells, d) of the joint's cells that meshing the layers would cause.
 
         Return None if they are zero, as in a model whose layers are meshed, or not known.
@@ -501,7 +501,7 @@ class Model(ABC):
         return self.domain.joint.split_along(np.empty(0, np.int64))
 
     @cached_property
-    def places(self) -> FloatArray:
+    def node_coordinates(self) -> FloatArray:
         """Coordinates (n, d) of this rank's nodes of `V`, interpolated in `V`; ghosts are last. Collective."""
         f, d = fem.Function(self.V), self.joint.dim
         interpolate(f, lambda x: x[:d])
@@ -516,7 +516,7 @@ class Model(ABC):
             family: basix family (default: Lagrange).
             broken_at_faces: whether functions also jump between the meshed layer and the bodies, or across S.
         """
-        cut = cut_at_faces(self.domain.joint) if broken_at_faces else self.split_mesh
+        cut = mesh_cut_at_faces(self.domain.joint) if broken_at_faces else self.split_mesh
         return vector_space(self.domain, cut, degree, family or "Lagrange")
 
     # ---------------------------------------------------------------- where laws act
@@ -530,15 +530,15 @@ class Model(ABC):
             return {}
         return {"metadata": {"quadrature_degree": quadrature_degree(self.V, measure) + self.kinematics.degree}}
 
-    def volume_degree(self, law: BulkLaw) -> int | None:
+    def volume_strain_degree(self, law: BulkLaw) -> int | None:
         """Return the polynomial degree to which the volume strain is projected in each cell, for isochoric flow laws.
 
         It is one below the degree of the displacements. Return None if no projection is needed: in straight triangles
         and tetrahedra the volume strain has this degree anyway. Other cells have more modes of volume strain. A flow
         without volume change would have to keep all of them at zero, so that the cells lock (Sloan and Randolph 1982).
         """
-        straight = not (is_tensor(self.joint.cell_type) or self.kinematics.degree)
-        return self.structure.degree - 1 if law.traits.isochoric and not straight else None
+        is_straight = not (is_tensor(self.joint.cell_type) or self.kinematics.degree)
+        return self.structure.degree - 1 if law.traits.isochoric and not is_straight else None
 
     def _with_mean_strain(self, terms: list[forms.Term]) -> list[forms.Term]:
         """Return terms with the prescribed mean strain of a periodic cell added to their strains.
@@ -549,7 +549,7 @@ class Model(ABC):
         return forms.with_added_strain(terms, self.strain.expression) if self.strain and not on_s else terms
 
     @property
-    def solids(self) -> list[forms.Term]:
+    def cell_terms(self) -> list[forms.Term]:
         """Terms of the laws of bodies and of meshed layers, which are integrals over cells."""
         return self.bodies if self.broken else self.terms
 
@@ -558,8 +558,8 @@ class Model(ABC):
         """Volume of bodies and meshed layers; in a periodic cell it includes that of layers on S. Collective."""
         if self.joint.periods is not None and self.domain.joint.parted is not None:
             return volume_of(self.joint, np.ones(len(self.joint.cells), bool))
-        size = sum(fem.Constant(self.domain.mesh, 1.0) * p.weight * p.measure for p in self.solids)
-        return float(self.comm.allreduce(sum(map(fem.assemble_scalar, compiled_scalars(size)))))
+        volume_form = sum(fem.Constant(self.domain.mesh, 1.0) * p.weight * p.measure for p in self.cell_terms)
+        return float(self.comm.allreduce(sum(map(fem.assemble_scalar, compiled_functionals(volume_form)))))
 
     @property
     def terms(self) -> list[forms.Term]:
@@ -568,10 +568,10 @@ class Model(ABC):
 
     def terms_at(self, t: float) -> list[forms.Term]:
         """Return the terms of the laws of all bodies and layers, with their prescribed strains at the time t."""
-        return TimeLevel(t).terms(self.terms)
+        return TimeLevel(t).terms_at_level(self.terms)
 
     @cached_property
-    def surfaces(self) -> dict[str, object]:
+    def surface_meshes(self) -> dict[str, object]:
         """Meshes of S (`SurfaceMesh`) made so far, by the name of their seam."""
         return {}
 
@@ -580,7 +580,7 @@ class Model(ABC):
         """Quadrature points of the model's compiled laws, by the key of the law's memory. Collective."""
         return {key: Quadrature(self.V, p, self.origin) for key, p in compiled_terms(self.terms).items()}
 
-    def by_seam(self, values: Mapping[str, float]) -> dict[str, float]:
+    def seam_sums(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return the sum of values for the layer of each seam, by the seam's name; empty if the joint has one seam.
 
         Args:
@@ -598,22 +598,22 @@ class Model(ABC):
         part_dofs = [part.bc_dofs_in(self, V) for part in self.parts]
         return np.unique(np.concatenate([self.supports.bc_dofs_in(V, clamped=False), *part_dofs]))
 
-    def holder_rows(self, place: Place) -> list[int]:
-        """Return the indices in `holders` of a place and of its parts, as "NAME/REGION" is a part of "NAME"."""
-        return [k for k, name in enumerate(self.holders) if is_part(name, place)]
+    def held_indices(self, place: Place) -> list[int]:
+        """Return the indices in `held_places` of a place and of its parts, as "NAME/REGION" is a part of "NAME"."""
+        return [k for k, name in enumerate(self.held_places) if is_same_or_part(name, place)]
 
     @property
-    def holders(self) -> list[Place]:
+    def held_places(self) -> list[Place]:
         """Places that support the structure, one for each row of `Configuration.reactions`.
 
         Supports come first. Clamped facets, facet sets of multi-point constraints, and rigid bases below layers on S
         follow.
         """
-        bases = [name for name in self.layers if name in self.joint.base_seams] if self.broken else []
-        plates = [part.place for part in self.parts if part.ties_nodes]
-        return [*(place for place, _ in self.supports.entries), *plates, *bases]
+        base_seams = [name for name in self.layers if name in self.joint.base_seams] if self.broken else []
+        mpc_places = [part.place for part in self.parts if part.has_constraint]
+        return [*(place for place, _ in self.supports.entries), *mpc_places, *base_seams]
 
-    def by_place(self, values: Mapping[str, float]) -> dict[str, float]:
+    def sums_by_seam_and_bodies(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return sums of values: for the layer of each seam by name, and for all bodies under "bodies".
 
         In a joint with one seam the layer has no entry. "bodies" has one only if the law of a body has memory or
@@ -624,7 +624,7 @@ class Model(ABC):
         """
         body_sum = sum(values.get(p.key, 0.0) for p in self.bodies if p.key)
         has_memory = any(law.traits.rate or law.traits.remembers for law in self.body_laws.values())
-        return self.by_seam(values) | ({BODIES: body_sum} if has_memory else {})
+        return self.seam_sums(values) | ({BODIES: body_sum} if has_memory else {})
 
     @cached_property
     def linear(self) -> bool:
@@ -645,11 +645,11 @@ class Model(ABC):
         Steps of marches end at these times.
         """
         coordinates = (self.coordinates, self.forces.at, self.supports.at)
-        return set().union(*(at.breaks for at in coordinates), *(p.law.break_times for p in self.terms))
+        return set().union(*(at.kinks for at in coordinates), *(p.law.break_times for p in self.terms))
 
     def external_work(self, v: Expr, t: float) -> Expr:
         """Return the virtual work of the loads at the time t in displacements v, a UFL form linear in v."""
-        return TimeLevel(t).of(self.forces.work(v))
+        return TimeLevel(t).at_level(self.forces.work(v))
 
     def applied(self, t: float) -> Resultant:
         """Return the resultant force of all loads at the time t, with its moment about `centre`. Collective."""
@@ -661,14 +661,14 @@ class Model(ABC):
         """Compile a UFL form in which plain dx, ds and dS occur beside the model's measures, and tags may overlap."""
         return compiled(form)
 
-    def added_work(self, u: Expr, v: Expr) -> Expr:
+    def work_of_parts(self, u: Expr, v: Expr) -> Expr:
         """Return the virtual work, in v, of the forces of `parts` such as springs at displacements u.
 
         It is a UFL form, linear in v.
         """
         return sum((part.work(self, u, v) for part in self.parts), ufl.Form([]))
 
-    def added_work_in(self, state: State, v: Expr) -> Expr:
+    def work_of_parts_in(self, state: State, v: Expr) -> Expr:
         """Return the virtual work, in v, of the forces of `parts` such as springs in a state.
 
         It is a UFL form, linear in v.

@@ -55,7 +55,7 @@ class PartDefinition(FormerNames):
         accept_renamed(cls, cls.former_names)
 
     @property
-    def ties_nodes(self) -> bool:
+    def has_constraint(self) -> bool:
         """Whether the part has a multi-point constraint: whether its class defines `multi_point_constraint`."""
         return type(self).multi_point_constraint is not PartDefinition.multi_point_constraint
 
@@ -65,7 +65,7 @@ class PartDefinition(FormerNames):
 
         This is so if its class defines `work`, or if the part has a multi-point constraint.
         """
-        return self.ties_nodes or type(self).work is not PartDefinition.work
+        return self.has_constraint or type(self).work is not PartDefinition.work
 
     def check(self, model: HostModel) -> None:
         """Raise InputError if the definition does not fit the model; by default anything fits. Collective.
@@ -101,7 +101,7 @@ class PartDefinition(FormerNames):
             raise InputError(f"tractions on S contain the forces of the part {self.key!r}: {remedy}")
         return self.work(model, state.u, v)
 
-    def resistance(self, model: HostModel, motions: Sequence[fem.Function]) -> Array:
+    def rigid_stiffness(self, model: HostModel, motions: Sequence[fem.Function]) -> Array:
         """Return the stiffness (m, m) of the part against m rigid motions of the structure. Collective.
 
         Entry (i, j) is the work in motion j of the part's forces under motion i. Supports and parts together must
@@ -120,7 +120,7 @@ class PartDefinition(FormerNames):
         forces = A.createVecLeft()
         for row, motion in zip(stiffness, motions, strict=True):
             A.mult(motion.x.petsc_vec, forces)
-            row[:] = [float(other.x.petsc_vec.dot(forces)) for other in motions]
+            row[:] = [float(other_motion.x.petsc_vec.dot(forces)) for other_motion in motions]
         destroy(forces, A)
         return stiffness
 
@@ -142,12 +142,12 @@ class PartDefinition(FormerNames):
 
         Collective. By default they are the displacements that its multi-point constraint makes follow its motions.
         """
-        if not self.ties_nodes:
+        if not self.has_constraint:
             return np.empty(0, np.int32)
         facets, d = model.domain.facets(self.place, layer_sides=True), model.joint.dim
         axes = [k for k in range(d) if self.components is None or AXIS_NAMES[k] in self.components]
-        blocks = fem.locate_dofs_topological(V, d - 1, facets)
-        return np.unique(blocks[:, None] * d + np.array(axes, int)).astype(np.int32)
+        nodes = fem.locate_dofs_topological(V, d - 1, facets)
+        return np.unique(nodes[:, None] * d + np.array(axes, int)).astype(np.int32)
 
     def multi_point_constraint(self, model: HostModel) -> MultiPointConstraint:
         """Return the multi-point constraint by which displacements follow the motions of the part. Collective."""
@@ -164,7 +164,7 @@ class PartDefinition(FormerNames):
         """
         constraints, u = model.constraints, state.u.x.array[: model.constraints.n]
         mpcs = [mpc for mpc in constraints.mpcs if mpc.key == self.key]
-        return sum((float(mpc.resultant(state.t) @ constraints.motion(mpc, u)) for mpc in mpcs), 0.0)
+        return sum((float(mpc.resultants_at(state.t) @ constraints.fit_motions(mpc, u)) for mpc in mpcs), 0.0)
 
     def part(self, model: HostModel) -> Any:
         """Return the `thinlayer.parts.part.Part` with the same key that adds the forces; None without forces.
@@ -177,14 +177,14 @@ class PartDefinition(FormerNames):
 def check_part_definitions(parts: Sequence[PartDefinition], model: HostModel) -> None:
     """Raise InputError unless `parts` are part definitions that fit the model and have distinct keys. Collective."""
     seam_keys = {Key(kind, name) for kind in (LAYER_KIND, CONTACT_KIND, PRESSURE_KIND) for name in model.joint.seams}
-    keys = {*RESERVED_KEYS, *map(str, seam_keys), *(str(Key(BODY_KIND, name)) for name in model.joint.bodies)}
+    used_keys = {*RESERVED_KEYS, *map(str, seam_keys), *(str(Key(BODY_KIND, name)) for name in model.joint.bodies)}
     for part in parts:
         require(isinstance(part, PartDefinition), "one of parts", part, "allowed: Springs, UflPart, PartDefinition")
-        if not part.ties_nodes and type(part).part is PartDefinition.part:
+        if not part.has_constraint and type(part).part is PartDefinition.part:
             raise InputError(f"{part.key!r} does nothing: it has neither part(model) nor multi_point_constraint(model)")
         base_key = replace(Key.parse(part.key), part="")
         is_sublayer = base_key.kind == LAYER_KIND and base_key.name.isdecimal()
-        if is_sublayer or base_key in {Key(LAYER_KIND), *seam_keys} or part.key in keys:
+        if is_sublayer or base_key in {Key(LAYER_KIND), *seam_keys} or part.key in used_keys:
             raise InputError(f"two parts are called {part.key!r}; give one of them another name")
-        keys.add(part.key)
+        used_keys.add(part.key)
         part.check(model)

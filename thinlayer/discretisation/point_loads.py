@@ -18,7 +18,7 @@ from geometry.refusals import place_text as at_place
 from geometry.refusals import require_known
 from geometry.topology import Indices, IntArray, sum_by_number
 from thinlayer.discretisation.boundary import refuse_periodic
-from thinlayer.discretisation.coefficient import Coordinates, Load
+from thinlayer.discretisation.coefficient import Coordinates, LoadInput
 from thinlayer.discretisation.mesh_functions import cellwise_function
 
 EDGE_GAUSS_POINTS = 4  # Gauss points on an edge: exact for degree 7
@@ -30,32 +30,32 @@ class LoadNodes:
 
     Attributes:
         cells: (n,) numbers of the cells in the joint.
-        points: (n, k, d) coordinates of the places in the reference cell, in d dimensions.
-        spans: (n, k, d) vectors in the reference cell. The length of such a vector, mapped to space, is the weight of
+        reference_points: (n, k, d) coordinates of the places in the reference cell, in d dimensions.
+        length_vectors: (n, k, d) vectors in the reference cell. The length of one, mapped to space, is the weight of
             the load at the place. None: all weights are 1.
     """
 
     cells: IntArray
-    points: Array
-    spans: Array | None = None
+    reference_points: Array
+    length_vectors: Array | None = None
 
-    def in_space(self, joint: Joint, cell_points: Array) -> tuple[Array, Array]:
-        """Return the coordinates (n, k, d) in space of the places, and the vectors `spans` (n, k, d) mapped to space.
+    def mapped_to_space(self, joint: Joint, cell_points: Array) -> tuple[Array, Array]:
+        """Return the coordinates (n, k, d) in space of the places, and `length_vectors` (n, k, d) mapped to space.
 
-        The vectors are zero if `spans` is None.
+        The vectors are zero if `length_vectors` is None.
 
         Args:
             joint: the joint, with the type and degree of the cells.
             cell_points: (n_cells, m, d) coordinates of the m nodes of each cell of the joint.
         """
-        kind = basix.CellType[joint.cell_type]
-        element = basix.create_element(basix.ElementFamily.P, kind, joint.degree, basix.LagrangeVariant.equispaced)
-        places, vectors = np.zeros_like(self.points), np.zeros_like(self.points)
+        cell_type = basix.CellType[joint.cell_type]
+        element = basix.create_element(basix.ElementFamily.P, cell_type, joint.degree, basix.LagrangeVariant.equispaced)
+        places, vectors = np.zeros_like(self.reference_points), np.zeros_like(self.reference_points)
         for row, cell in enumerate(self.cells):
-            table = element.tabulate(1, self.points[row])[..., 0]
-            places[row] = table[0] @ cell_points[cell]
-            if self.spans is not None:
-                vectors[row] = np.einsum("jkn,ni,kj->ki", table[1:], cell_points[cell], self.spans[row])
+            basis_values = element.tabulate(1, self.reference_points[row])[..., 0]
+            places[row] = basis_values[0] @ cell_points[cell]
+            if self.length_vectors is not None:
+                vectors[row] = np.einsum("jkn,ni,kj->ki", basis_values[1:], cell_points[cell], self.length_vectors[row])
         return places, vectors
 
 
@@ -83,7 +83,7 @@ class PointLoad:
     """
 
     place: Sequence[float]
-    force: Load
+    force: LoadInput
     body: str | None = None
 
     @property
@@ -98,11 +98,11 @@ class PointLoad:
             InputError: there is no vertex at the place, or several bodies have a node there.
         """
         vertex = joint.nearest_point(self.place)
-        is_vertex = joint.masters == joint.masters[vertex] if joint.periods else np.arange(len(joint.points)) == vertex
-        cells, corners = np.nonzero(is_vertex[joint.corners])
-        row = _in_one_body(joint, cells, joint.split_mesh.components(0)[cells, corners], self)
+        is_loaded = joint.masters == joint.masters[vertex] if joint.periods else np.arange(len(joint.points)) == vertex
+        cells, corners = np.nonzero(is_loaded[joint.corners])
+        index = _chosen_cell(joint, cells, joint.split_mesh.components(0)[cells, corners], self)
         X = np.asarray(basix.geometry(basix.CellType[joint.cell_type]))
-        return LoadNodes(cells[row : row + 1], X[corners[row : row + 1], None])
+        return LoadNodes(cells[index : index + 1], X[corners[index : index + 1], None])
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class LineLoad:
 
     first: str
     second: str
-    force: Load
+    force: LoadInput
     body: str | None = None
 
     @property
@@ -137,27 +137,30 @@ class LineLoad:
             require_known("facet set", name, joint.facets, self.what)
             refuse_periodic(joint, name, f"line load on {name!r}")
         table = joint.table
-        first_rows, second_rows = (table.index(joint.facets[name]) for name in (self.first, self.second))
-        if len(np.intersect1d(first_rows, second_rows)):
+        first_facets, second_facets = (table.index(joint.facets[name]) for name in (self.first, self.second))
+        if len(np.intersect1d(first_facets, second_facets)):
             raise InputError(f"{self.what}: both have the same facets; a line lies between two sides")
-        kind, numbers = basix.CellType[joint.cell_type], joint.split_mesh.entities(1, joint.corners)
-        _, edges, facets, _ = basix.topology(kind)
-        inside = np.array([[k for k, edge in enumerate(edges) if {*edge} <= {*facet}] for facet in facets])
-        of_sides = (numbers[table.cells[rows, :1], inside[table.local[rows, 0]]] for rows in (first_rows, second_rows))
-        shared_edges = np.intersect1d(*of_sides)
+        cell_type, edge_numbers = basix.CellType[joint.cell_type], joint.split_mesh.number_entities(1, joint.corners)
+        _, edges, facets, _ = basix.topology(cell_type)
+        edges_of_facet = np.array([[k for k, edge in enumerate(edges) if {*edge} <= {*facet}] for facet in facets])
+        edges_of_sides = (
+            edge_numbers[table.cells[rows, :1], edges_of_facet[table.local[rows, 0]]]
+            for rows in (first_facets, second_facets)
+        )
+        shared_edges = np.intersect1d(*edges_of_sides)
         if not len(shared_edges):
             raise InputError(f"{self.what}: they have no edge in common")
-        all_cells, local_edges = np.nonzero(np.isin(numbers, shared_edges))
-        components = joint.split_mesh.components(1)[all_cells, local_edges]
-        rows_of_edge = [np.flatnonzero(numbers[all_cells, local_edges] == number) for number in shared_edges]
-        chosen = [rows[_in_one_body(joint, all_cells[rows], components[rows], self)] for rows in rows_of_edge]
-        cells, columns = all_cells[chosen], local_edges[chosen]
+        all_cells, local_edges = np.nonzero(np.isin(edge_numbers, shared_edges))
+        edge_components = joint.split_mesh.components(1)[all_cells, local_edges]
+        rows_of_edge = [np.flatnonzero(edge_numbers[all_cells, local_edges] == number) for number in shared_edges]
+        chosen_rows = [rows[_chosen_cell(joint, all_cells[rows], edge_components[rows], self)] for rows in rows_of_edge]
+        cells, cell_edges = all_cells[chosen_rows], local_edges[chosen_rows]
         s, w = basix.make_quadrature(basix.CellType.interval, 2 * EDGE_GAUSS_POINTS - 1)
-        X = np.asarray(basix.geometry(kind))[np.array(edges)[columns]][:, :, None]  # (n, 2, 1, d)
+        X = np.asarray(basix.geometry(cell_type))[np.array(edges)[cell_edges]][:, :, None]  # (n, 2, 1, d)
         return LoadNodes(cells, X[:, 0] + s[:, :1] * (X[:, 1] - X[:, 0]), w[:, None] * (X[:, 1] - X[:, 0]))
 
 
-def _in_one_body(joint: Joint, cells: IntArray, components: Indices, load: ConcentratedLoad) -> int:
+def _chosen_cell(joint: Joint, cells: IntArray, components: Indices, load: ConcentratedLoad) -> int:
     """Return the index in `cells` of one cell of the loaded body: that with the lowest number.
 
     Args:
@@ -170,19 +173,19 @@ def _in_one_body(joint: Joint, cells: IntArray, components: Indices, load: Conce
         InputError: the loaded cells have several nodes there, or the named body does not reach this place.
     """
     regions, body, text = joint.region[cells], load.body, load.what
-    kept: IntArray = np.arange(len(cells))
+    kept_indices: IntArray = np.arange(len(cells))
     if body is not None:
         require_known("body", body, joint.bodies, text)
-        kept = np.flatnonzero(regions == joint.regions.index(body))
-        if not len(kept):
+        kept_indices = np.flatnonzero(regions == joint.regions.index(body))
+        if not len(kept_indices):
             region_names = ", ".join(sorted({joint.regions[r] for r in regions}))
             raise InputError(f"{text}: body {body!r} does not reach this place; around it: {region_names}")
-    if len(np.unique(components[kept])) > 1:
-        names = sorted({joint.regions[r] for r in regions[kept]})
+    if len(np.unique(components[kept_indices])) > 1:
+        names = sorted({joint.regions[r] for r in regions[kept_indices]})
         hint = f"give body=..., one of {', '.join(map(repr, names))}" if len(names) > 1 else "move it off S"
-        place = at_place(joint.points[joint.corners[cells[kept[0]]]].mean(axis=0))
+        place = at_place(joint.points[joint.corners[cells[kept_indices[0]]]].mean(axis=0))
         raise InputError(f"{text} acts where S parts bodies, near {place}, and each of them has a node there; {hint}")
-    return int(kept[cells[kept].argmin()])
+    return int(kept_indices[cells[kept_indices].argmin()])
 
 
 ConcentratedLoad = PointLoad | LineLoad
@@ -219,39 +222,39 @@ class ConcentratedForms:
     def __init__(self, domain: Domain, joint: Joint, degree: int, at: Coordinates) -> None:
         self.domain, self.joint, self.at, rule = domain, joint, at, {"quadrature_degree": 2 * degree}
         self._dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags, metadata=rule)
-        kind = basix.CellType[joint.cell_type]
+        cell_type = basix.CellType[joint.cell_type]
         self._ufl = basix.ufl.element("DG", domain.mesh.basix_cell(), degree)
         self._element = self._ufl.basix_element
-        X, w = basix.make_quadrature(kind, 2 * degree)
+        X, w = basix.make_quadrature(cell_type, 2 * degree)
         phi = self._element.tabulate(0, X)[0, :, :, 0]
         self._inverse_mass = np.linalg.inv(phi.T @ (w[:, None] * phi))
         self._jacobian = abs(ufl.JacobianDeterminant(domain.mesh))
 
-    def terms(self, load: ConcentratedLoad) -> list[tuple[Expr, ufl.Measure]]:
+    def densities(self, load: ConcentratedLoad) -> list[tuple[Expr, ufl.Measure]]:
         """Return forces per volume (d,), in UFL, that add up to a load, each with the measure of its integral.
 
         Collective.
         """
-        nodes, d, joint, terms = load.nodes(self.joint), self.joint.dim, self.domain.joint, []
-        lengths = np.ones(nodes.points.shape[:2])
-        if nodes.spans is not None:
-            lengths = np.linalg.norm(nodes.in_space(self.joint, joint.cell_points)[1], axis=2)
-        kept = joint.band is not None and joint.band.bodies == "kept"
-        x = nodes.in_space(joint, joint.reference[joint.cells] if kept else joint.cell_points)[0]
+        nodes, d, joint, densities = load.nodes(self.joint), self.joint.dim, self.domain.joint, []
+        weights = np.ones(nodes.reference_points.shape[:2])
+        if nodes.length_vectors is not None:
+            weights = np.linalg.norm(nodes.mapped_to_space(self.joint, joint.cell_points)[1], axis=2)
+        is_kept = joint.band is not None and joint.band.bodies == "kept"
+        x = nodes.mapped_to_space(joint, joint.reference[joint.cells] if is_kept else joint.cell_points)[0]
         # if the load varies each node has its own place, so that nodes in one cell are in different terms
         varies = self.at.coefficient(load.force, load.what, (d,)).varies
-        body_dx = self._dx(self.domain.cell_values(*self.joint.bodies))
-        parts = [(r, slice(j, j + 1)) for r in _disjoint_groups(nodes.cells) for j in range(lengths.shape[1])]
-        for rows, column in parts if varies else [(np.arange(len(nodes.cells)), slice(None))]:
-            part = LoadNodes(nodes.cells[rows], nodes.points[rows, column])
-            g = cellwise_function(self.domain, self._ufl, self._densities(part, lengths[rows, column])) / self._jacobian
+        body_dx = self._dx(self.domain.region_tags(*self.joint.bodies))
+        batches = [(r, slice(j, j + 1)) for r in _disjoint_groups(nodes.cells) for j in range(weights.shape[1])]
+        for rows, column in batches if varies else [(np.arange(len(nodes.cells)), slice(None))]:
+            part = LoadNodes(nodes.cells[rows], nodes.reference_points[rows, column])
+            g = cellwise_function(self.domain, self._ufl, self._g_values(part, weights[rows, column])) / self._jacobian
             places = np.zeros((len(joint.cells), 1, d))
             places[part.cells] = x[rows, column][:, :1]
-            at = self.at.moved(cellwise_function(self.domain, ("DG", 0, (d,)), places)) if varies else self.at
-            terms.append((at.coefficient(load.force, load.what, (d,)).expression * g, body_dx))
-        return terms
+            at = self.at.with_place(cellwise_function(self.domain, ("DG", 0, (d,)), places)) if varies else self.at
+            densities.append((at.coefficient(load.force, load.what, (d,)).expression * g, body_dx))
+        return densities
 
-    def _densities(self, nodes: LoadNodes, weights: Array) -> Array:
+    def _g_values(self, nodes: LoadNodes, weights: Array) -> Array:
         """Return the weighted sum of the polynomials g of all loaded places, as coefficients (n_cells, m, 1).
 
         The coefficients are those of the m basis functions of each cell. The integral of g v over the reference cell is
@@ -261,8 +264,8 @@ class ConcentratedForms:
             nodes: n loaded cells, each with k loaded places; a cell may occur several times.
             weights: (n, k) factor of the polynomial of each place.
         """
-        phi = self._element.tabulate(0, nodes.points.reshape(-1, self.joint.dim))[0, :, :, 0]
-        g = (phi @ self._inverse_mass.T).reshape(*nodes.points.shape[:2], -1)
+        phi = self._element.tabulate(0, nodes.reference_points.reshape(-1, self.joint.dim))[0, :, :, 0]
+        g = (phi @ self._inverse_mass.T).reshape(*nodes.reference_points.shape[:2], -1)
         return sum_by_number(nodes.cells, np.einsum("nk,nkm->nm", weights, g), len(self.domain.joint.cells))[..., None]
 
 

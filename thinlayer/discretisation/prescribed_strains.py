@@ -25,11 +25,11 @@ from thinlayer.discretisation.time_functions import time_constants
 from thinlayer.system.compat import compiled
 
 MEAN_STRAIN = "mean strain"  # key of the mean strain under a mean stress, in the fields of states
-Strain = Sequence[Sequence[float]] | Array | Callable[[Expr, Expr], Sequence[Sequence[Expr]]]
+MeanTensorInput = Sequence[Sequence[float]] | Array | Callable[[Expr, Expr], Sequence[Sequence[Expr]]]
 VOIGT_PAIRS_OF_DIM = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}  # Voigt's order
 VOIGT_POSITIONS_OF_DIM = {2: np.array([[0, 2], [2, 1]]), 3: np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])}  # of entries
 TensorRows = list[list[Expr]]  # numbers, or UFL scalars of place and time
-Tensor = float | Sequence[Sequence[float]] | Array | Callable[[Expr, Expr], Expr]
+TensorInput = float | Sequence[Sequence[float]] | Array | Callable[[Expr, Expr], Expr]
 SYMMETRY_TOLERANCE = 1e-12  # largest difference of a table from its transpose, over its largest entry
 # smallest singular value of a stiffness, over its largest, up to which it is singular: no strain causes some stresses
 SINGULARITY_TOLERANCE = 1e-12
@@ -53,15 +53,15 @@ class MeanStrain:
 
     what: ClassVar[str] = "the mean strain"
 
-    def __init__(self, value: Strain, at: Coordinates, joint: Joint) -> None:
+    def __init__(self, value: MeanTensorInput, at: Coordinates, joint: Joint) -> None:
         if joint.periods is None:
             raise InputError(f"{self.what} needs a periodic joint; see geometry.periodic")
         self._dim = d = joint.dim
         self._coefficient, self.size = at.coefficient(value, self.what, (d, d)).once("the whole cell"), joint.size
         if not self._coefficient.varies:
-            self.at(0.0)
+            self.tensor_at(0.0)
 
-    def at(self, t: float) -> Array:
+    def tensor_at(self, t: float) -> Array:
         """Return the prescribed tensor (d, d) at the time t.
 
         Raises:
@@ -93,29 +93,29 @@ class MeanStress(MeanStrain):
 
     what = "the mean stress"
 
-    def __init__(self, value: Strain, at: Coordinates, joint: Joint, bodies: Sequence[Term]) -> None:
+    def __init__(self, value: MeanTensorInput, at: Coordinates, joint: Joint, bodies: Sequence[Term]) -> None:
         super().__init__(value, at, joint)
         assert joint.periods is not None  # as the base class requires
         if np.linalg.matrix_rank(joint.periods.vectors(joint.points)) < (d := joint.dim):
             raise InputError(f"a mean stress needs a joint periodic in {d} directions; load free sides by tractions")
         for p in bodies:
-            if not p.proportional:
+            if not p.is_proportional:
                 raise InputError(f"mean stress needs linear bodies without stress at rest, not {p.law!r}; give strain")
 
     @property
-    def count(self) -> int:
+    def n_voigt(self) -> int:
         """Number of independent components of the stress: 3 in two dimensions, 6 in three."""
         return self._dim * (self._dim + 1) // 2
 
-    def components(self, t: float) -> Array:
+    def voigt_components(self, t: float) -> Array:
         """Return the components (k,) of the stress at the time t in Voigt's order.
 
         This is 11, 22, 12 in two dimensions, and 11, 22, 33, 23, 13, 12 in three.
         """
-        return self.at(t)[tuple(np.array(VOIGT_PAIRS_OF_DIM[self._dim]).T)]
+        return self.tensor_at(t)[tuple(np.array(VOIGT_PAIRS_OF_DIM[self._dim]).T)]
 
 
-def voigt_strain(e: Expr) -> Expr:
+def from_voigt(e: Expr) -> Expr:
     """Return the strain tensor (d, d) for a UFL vector e of strains in Voigt's order, with engineering shear strains.
 
     The shears in e are twice the components of the tensor.
@@ -178,11 +178,11 @@ def require_symmetric(rows: TensorRows | Array, what: str) -> None:
 
     Components in UFL count as equal only if they are the same expression.
     """
-    numbers = [abs(c) for row in rows for c in row if isinstance(c, float)]
+    magnitudes = [abs(c) for row in rows for c in row if isinstance(c, float)]
     for i, j in combinations(range(len(rows)), 2):
         a, b = rows[j][i], rows[i][j]
         are_numbers = isinstance(a, float) and isinstance(b, float)
-        if not (abs(a - b) <= SYMMETRY_TOLERANCE * max(numbers) if are_numbers else ufl.as_ufl(a) == ufl.as_ufl(b)):
+        if not (abs(a - b) <= SYMMETRY_TOLERANCE * max(magnitudes) if are_numbers else ufl.as_ufl(a) == ufl.as_ufl(b)):
             raise InputError(f"{what} is not symmetric: components {j + 1}{i + 1} and {i + 1}{j + 1} are {a}, {b}")
 
 
@@ -190,7 +190,7 @@ class Eigenstrain(ABC):
     """A strain that a material would have without stress: its stress comes from the strain minus the eigenstrain."""
 
     @abstractmethod
-    def components(self, matter: EigenstrainContext) -> TensorRows:
+    def components(self, context: EigenstrainContext) -> TensorRows:
         """Return the eigenstrain of a body or layer as rows (3, 3) of numbers or UFL scalars.
 
         Raises:
@@ -207,13 +207,13 @@ class PrescribedEigenstrain(Eigenstrain):
 
     value: object
 
-    def components(self, matter: EigenstrainContext) -> TensorRows:
+    def components(self, context: EigenstrainContext) -> TensorRows:
         """Return the eigenstrain of a body or layer as rows (3, 3) of numbers or UFL scalars.
 
         Raises:
             InputError: the value is not a symmetric tensor, or not finite.
         """
-        rows = matter.tensor_rows(self.value, "the eigenstrain")
+        rows = context.tensor_rows(self.value, "the eigenstrain")
         return [[rows[i][j] if max(i, j) < len(rows) else 0.0 for j in range(3)] for i in range(3)]
 
 
@@ -260,14 +260,14 @@ class ThermalExpansion(Eigenstrain):
         for name, value in (("the change of temperature T", self.T), ("factor", self.factor)):
             require(callable(value) or is_finite(value), name, value, "allowed: a finite number or a function (x, t)")
 
-    def components(self, matter: EigenstrainContext) -> TensorRows:
+    def components(self, context: EigenstrainContext) -> TensorRows:
         """Return the eigenstrain of a body or layer as rows (3, 3) of numbers or UFL scalars.
 
         Raises:
             InputError: the temperature or its factor is not a scalar.
         """
-        T, factor = matter.scalar(self.T, "the change of temperature T"), matter.scalar(self.factor, "the factor of T")
-        T, alpha = factor * T, np.array(self.alpha, float)
+        T, scale = context.scalar(self.T, "the change of temperature T"), context.scalar(self.factor, "the factor of T")
+        T, alpha = scale * T, np.array(self.alpha, float)
         table = alpha if alpha.ndim == 2 else np.diag(np.broadcast_to(alpha, 3))
         return [[a * T if a else 0.0 for a in row] for row in table.tolist()]
 
@@ -299,80 +299,80 @@ class Prestress(Eigenstrain):
         '14.4'
     """
 
-    sigma: Tensor
+    sigma: TensorInput
 
-    def components(self, matter: EigenstrainContext) -> TensorRows:
+    def components(self, context: EigenstrainContext) -> TensorRows:
         """Return the eigenstrain of a body or layer as rows (3, 3) of numbers or UFL scalars.
 
         Raises:
             InputError: sigma has components that the kinematics exclude, or lacks some; the stiffness is not known.
         """
-        sigma = matter.tensor_rows(self.sigma, "the prestress")
-        if matter.kinematics.name == "stress":
+        sigma = context.tensor_rows(self.sigma, "the prestress")
+        if context.kinematics.name == "stress":
             out_of_plane = [sigma[i][2] for i in range(3)] if len(sigma) == 3 else []
             if any(not isinstance(c, float) or c for c in out_of_plane):
-                raise InputError(f"the prestress of {matter.name} has components out of the plane; give (2, 2)")
+                raise InputError(f"the prestress of {context.name} has components out of the plane; give (2, 2)")
             sigma = [row[:2] for row in sigma[:2]]
-        if len(sigma) == 2 and 2 in matter.kinematics.slots(2):
-            raise InputError(f"the prestress of {matter.name} lacks that of hoops, sigma_33; give (3, 3)")
-        slots = [slot for slot, (_, j) in enumerate(MANDEL_PAIRS) if j < len(sigma)]
-        pairs = [(*MANDEL_PAIRS[slot], 1.0 if slot < 3 else SQRT2) for slot in slots]
+        if len(sigma) == 2 and 2 in context.kinematics.strain_indices(2):
+            raise InputError(f"the prestress of {context.name} lacks that of hoops, sigma_33; give (3, 3)")
+        mandel_slots = [slot for slot, (_, j) in enumerate(MANDEL_PAIRS) if j < len(sigma)]
+        index_pairs = [(*MANDEL_PAIRS[slot], 1.0 if slot < 3 else SQRT2) for slot in mandel_slots]
         strain: TensorRows = [[0.0] * 3 for _ in range(3)]
-        for row, (i, j, scale) in zip(self._compliance(matter, slots), pairs, strict=True):
-            summands = [-float(c) * s / scale * sigma[k][m] for c, (k, m, s) in zip(row, pairs, strict=True) if c]
+        for row, (i, j, scale) in zip(self._compliance(context, mandel_slots), index_pairs, strict=True):
+            summands = [-float(c) * s / scale * sigma[k][m] for c, (k, m, s) in zip(row, index_pairs, strict=True) if c]
             strain[i][j] = strain[j][i] = sum(summands, 0.0)
         return strain
 
-    def _compliance(self, matter: EigenstrainContext, slots: Sequence[int]) -> Array:
+    def _compliance(self, context: EigenstrainContext, mandel_slots: Sequence[int]) -> Array:
         """Return the compliance (k, k), strain per stress, of k components in Mandel's notation, at zero strain.
 
         Strains in the other components are zero.
 
         Args:
-            matter: data of the body or layer.
-            slots: (k,) positions of the components in Mandel's order.
+            context: data of the body or layer.
+            mandel_slots: (k,) positions of the components in Mandel's order.
 
         Raises:
             InputError: the stiffness is not known, varies from place to place, or cannot be inverted.
         """
-        law = matter.law
+        law = context.law
 
         def prestress_error(why: str) -> InputError:
-            return InputError(f"the prestress of {matter.name}: {why}; give its eigenstrain instead")
+            return InputError(f"the prestress of {context.name}: {why}; give its eigenstrain instead")
 
         if len(law.sublayers) > 1:
             raise prestress_error("its sublayers have stiffnesses of their own")
         try:
-            C = tangent_at_rest(law, matter.n)
+            C = tangent_at_rest(law, context.n)
         except TypeError as error:
             if not law.fields:
                 raise
             raise prestress_error(f"its stiffness varies from place to place ({', '.join(law.fields)})") from error
         if C is None or not np.isfinite(C).all():
             raise prestress_error(f"the stiffness of {type(law).__name__} is not known at rest")
-        C = C[np.ix_(slots, slots)]
+        C = C[np.ix_(mandel_slots, mandel_slots)]
         singular_values = np.linalg.svd(C, compute_uv=False)
         if singular_values[-1] <= SINGULARITY_TOLERANCE * singular_values[0]:
             raise prestress_error(f"no strain of {type(law).__name__} causes some stresses")
         compliance = np.asarray(np.linalg.inv(C))
         if law.traits.constrained and not law.volume_compliance:
-            volume = np.array(slots) < 3  # the pressure carries volumetric stresses
-            shear = np.eye(len(slots)) - np.outer(volume, volume) / volume.sum()
-            compliance = shear @ compliance @ shear
+            is_normal = np.array(mandel_slots) < 3  # the pressure carries volumetric stresses
+            deviator = np.eye(len(mandel_slots)) - np.outer(is_normal, is_normal) / is_normal.sum()
+            compliance = deviator @ compliance @ deviator
         return compliance
 
 
-EigenstrainInput = Tensor | Eigenstrain | Sequence[Tensor | Eigenstrain]
+EigenstrainInput = TensorInput | Eigenstrain | Sequence[TensorInput | Eigenstrain]
 
 
-def eigenstrains(eigenstrain: EigenstrainInput) -> list[Eigenstrain]:
+def eigenstrain_list(eigenstrain: EigenstrainInput) -> list[Eigenstrain]:
     """Return a user's eigenstrain, or list of eigenstrains, as a list of `Eigenstrain` objects, which add up."""
     if isinstance(eigenstrain, Eigenstrain):
         return [eigenstrain]
     if isinstance(eigenstrain, (list, tuple)) and not _is_table(eigenstrain):
         allowed = "a number, a table, a function (x, t), ThermalExpansion, Prestress, a list of these that add up"
         require(not all(map(is_number, eigenstrain)), "the eigenstrain", eigenstrain, f"allowed: {allowed}")
-        return [strain for summand in eigenstrain for strain in eigenstrains(summand)]
+        return [strain for summand in eigenstrain for strain in eigenstrain_list(summand)]
     return [PrescribedEigenstrain(eigenstrain)]
 
 
@@ -381,23 +381,23 @@ def _is_table(rows: Sequence[object]) -> bool:
     return bool(rows) and all(isinstance(row, (list, tuple, np.ndarray)) and np.ndim(row[0]) == 0 for row in rows)
 
 
-def prescribed_strain(eigenstrain: EigenstrainInput | None, matter: EigenstrainContext) -> Expr | None:
+def prescribed_strain(eigenstrain: EigenstrainInput | None, context: EigenstrainContext) -> Expr | None:
     """Return minus the eigenstrain of a body or layer, (3, 3) in UFL, which is added to the strain of displacements.
 
     Return None if it is zero.
 
     Args:
         eigenstrain: the eigenstrain as the user wrote it; None: there is none.
-        matter: data of the body or layer.
+        context: data of the body or layer.
 
     Raises:
         InputError: a value that is not an eigenstrain, or that does not suit this body or layer.
     """
     if eigenstrain is None:
         return None
-    strains = (_negative_tensor(summand.components(matter), matter) for summand in eigenstrains(eigenstrain))
-    strain = matter.kinematics.restricted(sum_strains(*strains))
-    return None if all(isinstance(strain[i, j], ufl.classes.Zero) for i in range(3) for j in range(3)) else strain
+    summands = (_negative_tensor(summand.components(context), context) for summand in eigenstrain_list(eigenstrain))
+    total = context.kinematics.admissible_part(sum_strains(*summands))
+    return None if all(isinstance(total[i, j], ufl.classes.Zero) for i in range(3) for j in range(3)) else total
 
 
 class VaryingStrainIntegrals:
@@ -411,15 +411,15 @@ class VaryingStrainIntegrals:
     """
 
     def __init__(self, terms: Sequence[Term], at: Coordinates) -> None:
-        self._at, self._forms = at, []
+        self._at, self._forms_by_term = at, []
         for p in terms:
             strain = p.prescribed_strain
             if strain is not None and (time_constants(strain) or depends_on_place(strain)):
                 q = ufl.TestFunction(fem.functionspace(at.mesh, ("DG", 0, (3, 3))))
                 q = q("+") if p.measure.integral_type() == "interior_facet" else q
-                self._forms.append((p, compiled(ufl.inner(strain, q) * p.measure)))
+                self._forms_by_term.append((p, compiled(ufl.inner(strain, q) * p.measure)))
 
-    def integrals(self, t: float) -> list[Array]:
+    def integrals_at(self, t: float) -> list[Array]:
         """Return, for each term with a strain that varies, the strain's integrals over this rank's cells or facets.
 
         They are those at the time t. Each array has the 9 components in one cell after those in another.
@@ -428,20 +428,20 @@ class VaryingStrainIntegrals:
             InputError: a strain that is not finite.
         """
         with self._at.clock.at(t):
-            integrals = [np.asarray(fem.assemble_vector(form).array) for _, form in self._forms]
-        for (p, _), values in zip(self._forms, integrals, strict=True):
+            integrals = [np.asarray(fem.assemble_vector(form).array) for _, form in self._forms_by_term]
+        for (p, _), values in zip(self._forms_by_term, integrals, strict=True):
             if self._at.mesh.comm.allreduce(int(not np.isfinite(values).all())):
                 text = "layer" if p.n is not None else "bodies"
                 raise InputError(f"the eigenstrain of the {p.key or text} is not finite at t = {t:g}")
         return integrals
 
 
-def _negative_tensor(rows: TensorRows, matter: EigenstrainContext) -> Expr:
+def _negative_tensor(rows: TensorRows, context: EigenstrainContext) -> Expr:
     """Return a table (3, 3) of numbers and UFL scalars, times -1, as a UFL tensor.
 
     Numbers become Constants, so that forms are compiled once for all numbers; zeros are left as they are.
     """
     numbers = np.array([[-c if isinstance(c, float) else 0.0 for c in row] for row in rows])
-    constant = fem.Constant(matter.at.mesh, numbers)
+    constant = fem.Constant(context.at.mesh, numbers)
     entries = [[constant[i, j] if numbers[i, j] else -c for j, c in enumerate(row)] for i, row in enumerate(rows)]
     return ufl.as_tensor(entries)

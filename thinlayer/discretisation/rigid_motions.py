@@ -29,14 +29,14 @@ from thinlayer.discretisation.time_functions import TimeLevel
 if TYPE_CHECKING:
     from thinlayer.discretisation.model import Model
 
-Resistance = Callable[[Sequence[fem.Function]], Array]
+ResistanceFunction = Callable[[Sequence[fem.Function]], Array]
 # plane (i, j) and sense of each rotation
 ROTATION_PLANES = {2: ((0, 1, 1.0),), 3: ((1, 2, 1.0), (0, 2, -1.0), (0, 1, 1.0))}
 # (k, d, d) matrices W of unit rotations: displacements W x, in 3D e_k x x
 UNIT_ROTATIONS = {2: np.array([[[0.0, -1.0], [1.0, 0.0]]]), 3: np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)}
 MIN_RELATIVE_EIGENVALUE = 1e-10  # least eigenvalue of the supports' Gram matrix of rigid motions, over its largest one
 # coordinates over the size of the structure, or force components over the largest one, that are shown as zero
-COMPONENT_TOLERANCE = 1e-12
+ZERO_TOLERANCE = 1e-12
 
 
 def motion_count(dim: int) -> int:
@@ -54,18 +54,18 @@ def motion_fields(x: Array, about: Array) -> Array:
     return np.concatenate([shifts, rotations], axis=2)
 
 
-def balanced_motions(kinematics: Kinematics, dim: int) -> Array:
+def resultant_mask(kinematics: Kinematics, dim: int) -> Array:
     """Return a factor for each of the k unit rigid motions: 0 if its resultant vanishes by axisymmetry, else 1.
 
     Translations come first in the result (k,), then rotations. `dim` is the number of dimensions.
     """
-    has_resultant = np.isin(np.arange(dim), kinematics.translations(dim))
-    return np.append(has_resultant, np.full(motion_count(dim) - dim, kinematics.rotations)).astype(float)
+    has_resultant = np.isin(np.arange(dim), kinematics.translation_axes(dim))
+    return np.append(has_resultant, np.full(motion_count(dim) - dim, kinematics.has_rigid_rotations)).astype(float)
 
 
 def moment_centre(kinematics: Kinematics, x: Array) -> Array:
     """Return the place `x` (d,) as the point of moments; in axisymmetry return its projection onto the axis."""
-    return np.where(np.isin(np.arange(len(x)), kinematics.translations(len(x))), x, 0.0)
+    return np.where(np.isin(np.arange(len(x)), kinematics.translation_axes(len(x))), x, 0.0)
 
 
 def motion_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
@@ -77,13 +77,13 @@ def motion_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
         The Constant, which is zero, and the displacement (d,) of the combination.
     """
     x, d = ufl.SpatialCoordinate(mesh), len(about)
-    motion = fem.Constant(mesh, np.zeros(motion_count(d)))
+    factors = fem.Constant(mesh, np.zeros(motion_count(d)))
     arm, rotations = x - ufl.as_vector(about.tolist()), enumerate(UNIT_ROTATIONS[d].tolist())
-    rotated = (motion[d + k] * ufl.dot(ufl.as_matrix(rotation), arm) for k, rotation in rotations)
-    return motion, sum(rotated, ufl.as_vector([motion[i] for i in range(d)]))
+    rotation_terms = (factors[d + k] * ufl.dot(ufl.as_matrix(rotation), arm) for k, rotation in rotations)
+    return factors, sum(rotation_terms, ufl.as_vector([factors[i] for i in range(d)]))
 
 
-def motion_values(x: Array, about: Array, rows: IntArray) -> Array:
+def motion_values(x: Array, about: Array, dofs: IntArray) -> Array:
     """Return the values (m, k) of the k unit rigid motions at m displacement components of a space.
 
     The motions are translations, then rotations.
@@ -91,9 +91,9 @@ def motion_values(x: Array, about: Array, rows: IntArray) -> Array:
     Args:
         x: (n, d) coordinates of the nodes of the space in d dimensions.
         about: (d,) the point about which motions rotate.
-        rows: (m,) local numbers of the displacement components: d for each node.
+        dofs: (m,) local numbers of the displacement components: d for each node.
     """
-    return motion_fields(x[rows // x.shape[1]], about)[np.arange(len(rows)), rows % x.shape[1]]
+    return motion_fields(x[dofs // x.shape[1]], about)[np.arange(len(dofs)), dofs % x.shape[1]]
 
 
 def scaled_motions(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
@@ -107,29 +107,29 @@ def scaled_motions(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
     period in 3D.
     """
     d, size, basis = joint.dim, joint.size, np.eye(motion_count(joint.dim))
-    coefficients = {f"translation {AXIS_NAMES[i]}": basis[i] for i in kinematics.translations(d)}
+    factors = {f"translation {AXIS_NAMES[i]}": basis[i] for i in kinematics.translation_axes(d)}
     if joint.periods:
         vectors = joint.periods.vectors(joint.points)
         if d == 3 and np.linalg.matrix_rank(vectors) == 1:
-            axis = vectors[0] / np.linalg.norm(vectors[0])
-            coefficients[f"rotation about ({', '.join(f'{c:.3g}' for c in axis)})"] = axis @ basis[d:] / size
-    elif kinematics.rotations:
-        for k, (i, j, sense) in reversed([*enumerate(ROTATION_PLANES[d])]):
-            coefficients[f"rotation {AXIS_NAMES[i]}{AXIS_NAMES[j]}"] = basis[d + k] * sense / size
-    return coefficients
+            direction = vectors[0] / np.linalg.norm(vectors[0])
+            factors[f"rotation about ({', '.join(f'{c:.3g}' for c in direction)})"] = direction @ basis[d:] / size
+    elif kinematics.has_rigid_rotations:
+        for k, (i, j, sign) in reversed([*enumerate(ROTATION_PLANES[d])]):
+            factors[f"rotation {AXIS_NAMES[i]}{AXIS_NAMES[j]}"] = basis[d + k] * sign / size
+    return factors
 
 
-def model_motion_values(model: Model, rows: IntArray, kinematics: Kinematics | None = None) -> Array:
+def model_motion_values(model: Model, dofs: IntArray, kinematics: Kinematics | None = None) -> Array:
     """Return the values (m, k) of the structure's k rigid motions, `scaled_motions`, at m displacement components.
 
     Args:
         model: the model.
-        rows: (m,) local numbers of the displacement components.
+        dofs: (m,) local numbers of the displacement components.
         kinematics: kinematics that decide which motions there are; None: those of the model.
     """
     joint = model.domain.joint
-    coefficients = [*scaled_motions(joint, kinematics or model.kinematics).values()]
-    return motion_values(model.places, joint.points.mean(axis=0), rows) @ np.transpose(coefficients)
+    factors = [*scaled_motions(joint, kinematics or model.kinematics).values()]
+    return motion_values(model.node_coordinates, joint.points.mean(axis=0), dofs) @ np.transpose(factors)
 
 
 def model_motions(model: Model, kinematics: Kinematics | None = None) -> dict[str, fem.Function]:
@@ -141,14 +141,14 @@ def model_motions(model: Model, kinematics: Kinematics | None = None) -> dict[st
         model: the model.
         kinematics: kinematics that decide which motions there are; None: those of the model.
     """
-    values = model_motion_values(model, np.arange(model.places.size), kinematics)
+    values = model_motion_values(model, np.arange(model.node_coordinates.size), kinematics)
     modes = {name: fem.Function(model.V) for name in scaled_motions(model.domain.joint, kinematics or model.kinematics)}
     for f, column in zip(modes.values(), values.T, strict=True):
         f.x.array[:] = column
     return modes
 
 
-def resistance_matrix(model: Model, resistances: Sequence[Resistance]) -> Array:
+def resistance_matrix(model: Model, resistances: Sequence[ResistanceFunction]) -> Array:
     """Return a matrix (m, m) whose null space is the rigid motions that nothing prevents. Collective.
 
     Rows and columns belong to the m motions of `scaled_motions`. Entry (i, j) is the sum of two contributions. The
@@ -162,13 +162,13 @@ def resistance_matrix(model: Model, resistances: Sequence[Resistance]) -> Array:
         resistances: for each part that resists motions, a function from the displacements of the m motions to its
             stiffness (m, m) against them.
     """
-    matrix = model.constraints.resistance(partial(model_motion_values, model))
+    matrix = model.constraints.violation_gram(partial(model_motion_values, model))
     motions = [*model_motions(model).values()] if resistances else []
     for resistance in resistances:
         stiffness = resistance(motions)
-        size = np.abs(stiffness).max()
-        if np.isfinite(size) and size > 0:
-            matrix = matrix + (stiffness + stiffness.T) / (2 * size)
+        largest = np.abs(stiffness).max()
+        if np.isfinite(largest) and largest > 0:
+            matrix = matrix + (stiffness + stiffness.T) / (2 * largest)
     return np.asarray(matrix, float)
 
 
@@ -182,7 +182,7 @@ def free_axes(joint: Joint, kinematics: Kinematics, resistance: Array) -> tuple[
             entry of about 0 means that neither supports nor other parts resist this translation.
     """
     # translations are the first motions of `scaled_motions`
-    axes = [*kinematics.translations(joint.dim)]
+    axes = [*kinematics.translation_axes(joint.dim)]
     diagonal = np.diag(resistance)[: len(axes)]
     limit = MIN_RELATIVE_EIGENVALUE * max(*diagonal, 1.0)
     return tuple(AXIS_NAMES[k] for k, r in zip(axes, diagonal, strict=True) if r <= limit)
@@ -195,9 +195,9 @@ def require_support(names: Sequence[str], resistance: Array) -> None:
         names: names of the m motions.
         resistance: (m, m) matrix from `resistance_matrix` for these motions.
     """
-    values, vectors = np.linalg.eigh(resistance)
-    if values[0] <= MIN_RELATIVE_EIGENVALUE * max(values[-1], 1.0):
-        motion = names[int(np.argmax(np.abs(vectors[:, 0])))]
+    eigenvalues, eigenvectors = np.linalg.eigh(resistance)
+    if eigenvalues[0] <= MIN_RELATIVE_EIGENVALUE * max(eigenvalues[-1], 1.0):
+        motion = names[int(np.argmax(np.abs(eigenvectors[:, 0])))]
         raise InputError(f"no support against rigid motion of the structure ({motion}); add supports")
 
 
@@ -229,7 +229,7 @@ class Resultant:
         return Resultant(-self.force, -self.moment, self.about)
 
     def __repr__(self) -> str:
-        force = at_place(np.where(np.abs(self.force) > COMPONENT_TOLERANCE * np.abs(self.force).max(), self.force, 0.0))
+        force = at_place(np.where(np.abs(self.force) > ZERO_TOLERANCE * np.abs(self.force).max(), self.force, 0.0))
         moment = f"{self.moment:.6g}" if np.ndim(self.moment) == 0 else at_place(self.moment)
         return f"force {force}, moment {moment} about {at_place(self.about)}"
 
@@ -249,10 +249,10 @@ def centroid(domain: Domain, name: str) -> Array:
     """Return the centroid (d,) of a named facet set, with the facets of a layer's side that continue it. Collective."""
     mesh = domain.mesh
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=domain.facet_tags)(domain.values(name, layer_sides=True))
-    unit = fem.Constant(mesh, np.zeros(domain.joint.dim + 1))
-    sums = unit_values(domain.comm, ufl.dot(unit, ufl.as_vector([*ufl.SpatialCoordinate(mesh), 1.0])) * ds, unit)
+    factors = fem.Constant(mesh, np.zeros(domain.joint.dim + 1))
+    sums = unit_values(domain.comm, ufl.dot(factors, ufl.as_vector([*ufl.SpatialCoordinate(mesh), 1.0])) * ds, factors)
     centre = sums[:-1] / sums[-1]
-    return np.asarray(np.where(np.abs(centre) > COMPONENT_TOLERANCE * domain.joint.size, centre, 0.0))
+    return np.asarray(np.where(np.abs(centre) > ZERO_TOLERANCE * domain.joint.size, centre, 0.0))
 
 
 def resultants_of_loads(model: Model, t: float, work: Callable[[Expr], Mapping[str, Expr]]) -> dict[str, Resultant]:
@@ -265,39 +265,41 @@ def resultants_of_loads(model: Model, t: float, work: Callable[[Expr], Mapping[s
     """
     level = TimeLevel(t)
     motion, v = motion_expression(model.domain.mesh, model.centre)
-    return {name: resultant(model, unit_values(model.comm, level.of(form), motion)) for name, form in work(v).items()}
+    return {
+        name: resultant(model, unit_values(model.comm, level.at_level(form), motion)) for name, form in work(v).items()
+    }
 
 
-def resultant(model: Model, values: Array) -> Resultant:
+def resultant(model: Model, motion_works: Array) -> Resultant:
     """Return the resultant of forces from their work in the k unit rigid motions about the model's centre.
 
     Components that vanish by axisymmetry are set to zero.
 
     Args:
         model: the model.
-        values: (k,) work in the translations, then in the rotations.
+        motion_works: (k,) work in the translations, then in the rotations.
     """
     d = model.joint.dim
-    work = np.asarray(values) * balanced_motions(model.kinematics, d)
+    work = np.asarray(motion_works) * resultant_mask(model.kinematics, d)
     return Resultant(work[:d], work[d] if d == 2 else work[d:], model.centre)
 
 
-def default_moment_point(model: Model, place: Place, chosen: Sequence[Place]) -> Array:
+def default_moment_point(model: Model, place: Place, places: Sequence[Place]) -> Array:
     """Return the default point (d,) of moments: the centroid of a facet set, or the vertex itself.
 
     Args:
         model: the model.
         place: name of the facet set, or coordinates of the vertex.
-        chosen: places whose reactions are summed for `place`. If `place` has no facets of its own, the result is the
+        places: places whose reactions are summed for `place`. If `place` has no facets of its own, the result is the
             mean of their centroids.
     """
     domain = model.domain
-    if isinstance(place, str) and place in domain.facet_values and domain.values(place, layer_sides=True):
+    if isinstance(place, str) and place in domain.set_tags and domain.values(place, layer_sides=True):
         return centroid(domain, place)
-    if names := [name for name in chosen if isinstance(name, str) and domain.facet_values.get(name)]:
+    if names := [name for name in places if isinstance(name, str) and domain.set_tags.get(name)]:
         return np.asarray(np.mean([centroid(domain, name) for name in names], axis=0))
     if isinstance(place, str):  # the side of a layer that is not meshed
-        return centroid(domain, FacetName.parse(place).whole)
+        return centroid(domain, FacetName.parse(place).set_name)
     joint = domain.joint
-    copies = np.all(joint.reference == joint.reference[joint.nearest_point(place)], axis=1)
-    return np.asarray(joint.points[copies].mean(axis=0))
+    is_copy = np.all(joint.reference == joint.reference[joint.nearest_point(place)], axis=1)
+    return np.asarray(joint.points[is_copy].mean(axis=0))

@@ -35,16 +35,16 @@ from forms.work import Interface
 from geometry.seam import FacetName
 from geometry.sheet import Rim, StraightEnd, straight_ends
 from geometry.topology import FloatArray, ridge_keys
-from thinlayer.discretisation.coefficient import Coordinates, Load, Pressure
+from thinlayer.discretisation.coefficient import Coordinates, LoadInput, Pressure
 from thinlayer.discretisation.forces import Forces, LoadRegion
 from thinlayer.discretisation.layer import SeamLayer, law_with_numbers
 from thinlayer.discretisation.mesh_functions import cellwise_function
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.sides import mean_on_facets, shares_within
+from thinlayer.discretisation.sides import mean_on_facets, strip_shares
 from thinlayer.errors import Violation
 
 # 7 zeta(3)/pi^3: mean distance from the end, over the thickness, of the tractions that balance a load along the end
-ANTIPLANE_MOMENT = 0.2713773
+ANTIPLANE_LOAD_DISTANCE = 0.2713773
 LoadPiece = tuple[Expr, LoadRegion]  # force, and the region where it acts
 
 
@@ -59,17 +59,17 @@ class SideLoad:
     """
 
     what: str
-    load: Load | Pressure
+    load: LoadInput | Pressure
     rim: Rim
 
     @classmethod
-    def of(cls, model: Model, layer: SeamLayer) -> Iterator[SideLoad]:
+    def loads_on_sides(cls, model: Model, layer: SeamLayer) -> Iterator[SideLoad]:
         """Yield the tractions on the sides of a layer in an interface model, except those that are zero."""
         rim = layer.sheet.rim
         for name, load in sorted((model.structure.tractions or {}).items()):
-            facet_set, value = FacetName.parse(name).continued, load.p if isinstance(load, Pressure) else load
+            facet_set, value = FacetName.parse(name).continued_set, load.p if isinstance(load, Pressure) else load
             is_zero = not callable(value) and not np.any(np.asarray(value, float))
-            if facet_set != name and not is_zero and (on_rim := rim.on(model.joint.facets[facet_set])).any():
+            if facet_set != name and not is_zero and (on_rim := rim.lies_on(model.joint.facets[facet_set])).any():
                 yield cls(f"traction on {name!r}", load, rim[on_rim])
 
 
@@ -86,8 +86,8 @@ def add_side_loads(forces: Forces, model: Model, layer: SeamLayer, sides: Interf
         InputError: it is not known how the layer transfers such a traction to its faces.
     """
     r = model.applicability[layer.name]
-    open_keys = ridge_keys(r.open_rim.vertices)
-    for load in SideLoad.of(model, layer):
+    open_keys = ridge_keys(r.loose_rim.vertices)
+    for load in SideLoad.loads_on_sides(model, layer):
         if layer.has_pressure_flow or r.weights is None or not np.isin(ridge_keys(load.rim.vertices), open_keys).all():
             violation = None if layer.has_pressure_flow else r.why_not("ends")
             why = "a support holds the side" if not violation else violation.reason
@@ -95,7 +95,7 @@ def add_side_loads(forces: Forces, model: Model, layer: SeamLayer, sides: Interf
             reason = f"the {load.what} acts on the side of {layer}, and how it reaches the faces is not known: {why}"
             raise Violation("loaded side", reason, "use order=0, which leaves it out, or mesh the layer").error()
         for force, place in _end_load(load, forces.at, model, layer, sides):
-            forces.add_weighted(layer.name, load.what, force, place)
+            forces.add_weighted_load(layer.name, load.what, force, place)
 
 
 def _end_load(load: SideLoad, at: Coordinates, model: Model, layer: SeamLayer, sides: Interface) -> Iterator[LoadPiece]:
@@ -112,16 +112,16 @@ def _end_load(load: SideLoad, at: Coordinates, model: Model, layer: SeamLayer, s
     """
     mesh, on_base = model.domain.mesh, layer.name in model.joint.base_seams
     for end in straight_ends(load.rim, layer.sheet):
-        densities = np.zeros((len(model.joint.cells), 1, 5))
-        upper = model.joint.surface_cells[layer.sheet.facets, 1]
-        densities[upper, 0] = _load_densities(end, load.rim, layer)
-        facet_densities = sides.upper(cellwise_function(model.domain, ("DG", 0, (5,)), densities))
+        cell_factors = np.zeros((len(model.joint.cells), 1, 5))
+        upper_cells = model.joint.surface_cells[layer.sheet.facets, 1]
+        cell_factors[upper_cells, 0] = _transfer_factors(end, load.rim, layer)
+        facet_factors = sides.upper(cellwise_function(model.domain, ("DG", 0, (5,)), cell_factors))
         m, offset = fem.Constant(mesh, end.m), fem.Constant(mesh, end.offset)
-        place = at.moved(at.x + (offset - ufl.dot(m, at.x)) * m)
-        yield place.traction(load.load, load.what, m), _transferred_load(facet_densities, m, sides, on_base)
+        end_place = at.with_place(at.x + (offset - ufl.dot(m, at.x)) * m)
+        yield end_place.traction(load.load, load.what, m), _transferred_load(facet_factors, m, sides, on_base)
 
 
-def _load_densities(end: StraightEnd, rim: Rim, layer: SeamLayer) -> FloatArray:
+def _transfer_factors(end: StraightEnd, rim: Rim, layer: SeamLayer) -> FloatArray:
     """Return five factors (n, 5) on the n facets of S that distribute a traction on the side of a free end over S.
 
     The first three multiply the traction's components along m (outward in S), along n and along the end. The products
@@ -135,41 +135,44 @@ def _load_densities(end: StraightEnd, rim: Rim, layer: SeamLayer) -> FloatArray:
     """
     sheet, eps, kinematics = layer.sheet, layer.eps, layer.structure.kinematics
     constants = free_end(poisson_ratio(law_with_numbers(layer.layer, kinematics)))
-    strips, points, within = EndStrips.of(constants), sheet.joint.points, partial(shares_within, end, sheet)
-    area = mean_on_facets(sheet, kinematics.factor_at(points[sheet.vertices].mean(axis=1)))
-    factor = area * np.bincount(np.searchsorted(sheet.facets, sheet.simplices[0]), sheet.areas)
-    middles = points[rim.vertices].mean(axis=1)
-    end_factor = kinematics.factor_at(middles[end.contains(middles)]).mean()
+    strips, points, share_of_strip = EndStrips.of_end(constants), sheet.joint.points, partial(strip_shares, end, sheet)
+    area_factor = mean_on_facets(sheet, kinematics.factors_at(points[sheet.vertices].mean(axis=1)))
+    weighted_areas = area_factor * np.bincount(np.searchsorted(sheet.facets, sheet.simplices[0]), sheet.areas)
+    midpoints = points[rim.vertices].mean(axis=1)
+    end_factor = kinematics.factors_at(midpoints[end.contains(midpoints)]).mean()
     l_N, l_T = strips.opening.length, strips.shear.length
-    shares = [within(eps * reach) for reach in (strips.r_N, strips.r_T, 2 * ANTIPLANE_MOMENT)]
-    forces = [eps * end.length * end_factor * share / (share @ factor) for share in shares]
-    jump_densities = constants.drawn_in / l_N * within(eps * l_N), constants.c_T / l_T * within(eps * l_T)
-    return np.stack([*forces, *jump_densities], axis=1)
+    shares = [share_of_strip(eps * reach) for reach in (strips.reach_N, strips.reach_T, 2 * ANTIPLANE_LOAD_DISTANCE)]
+    force_factors = [eps * end.length * end_factor * share / (share @ weighted_areas) for share in shares]
+    jump_factors = (
+        constants.inward_displacement / l_N * share_of_strip(eps * l_N),
+        constants.c_T / l_T * share_of_strip(eps * l_T),
+    )
+    return np.stack([*force_factors, *jump_factors], axis=1)
 
 
-def _transferred_load(shares: Expr, m: Expr, sides: Interface, based: bool) -> LoadRegion:
+def _transferred_load(factors: Expr, m: Expr, sides: Interface, based: bool) -> LoadRegion:
     """Return the region on S in which a traction on the layer's side does its work on the layer's faces.
 
     Args:
-        shares: (5,) factors from `_load_densities`, in UFL.
+        factors: (5,) factors from `_transfer_factors`, in UFL.
         m: (d,) outward normal of the end in S, in d dimensions.
         sides: the two sides of S, for the layer's seam.
         based: whether S stands on a rigid base.
     """
     n = sides.n
-    along_m, along_n, along_end, opening, shear = (shares[k] for k in range(5))
+    along_m, along_n, along_end, opening, shear = (factors[k] for k in range(5))
 
-    def mean_test(v: Expr) -> Expr:
-        face_part = (along_m - along_end) * ufl.dot(m, v) * m + (along_n - along_end) * ufl.dot(n, v) * n
-        return along_end * v + face_part
+    def mean_part(v: Expr) -> Expr:
+        normal_part = (along_m - along_end) * ufl.dot(m, v) * m + (along_n - along_end) * ufl.dot(n, v) * n
+        return along_end * v + normal_part
 
-    def jump_test(w: Expr) -> Expr:
+    def jump_part(w: Expr) -> Expr:
         return opening * ufl.dot(n, w) * m + shear * ufl.dot(m, w) * n
 
-    def faces_test(v: Expr) -> Expr:
-        return mean_test((sides.upper(v) + sides.lower(v)) / 2) - jump_test(sides.jump(v))
+    def side_displacement(v: Expr) -> Expr:
+        return mean_part((sides.upper(v) + sides.lower(v)) / 2) - jump_part(sides.jump(v))
 
-    def base_test(v: Expr) -> Expr:
-        return mean_test(sides.upper(v) / 2) + jump_test(sides.upper(v))
+    def base_displacement(v: Expr) -> Expr:
+        return mean_part(sides.upper(v) / 2) + jump_part(sides.upper(v))
 
-    return LoadRegion(sides.measure, sides.factor, sides.upper, faces_test, base_test if based else None)
+    return LoadRegion(sides.measure, sides.factor, sides.upper, side_displacement, base_displacement if based else None)

@@ -15,14 +15,14 @@ from forms.work import Interface
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.seam import FacetName, S
-from geometry.sheet import Rim, Sheet, StraightEnd, continued_ridges, share_within
+from geometry.sheet import Rim, Sheet, StraightEnd, continued_ridges, fraction_below
 from geometry.topology import FloatArray, ridge_keys
 from thinlayer.discretisation.boundary import AXIS_NAMES, nodes_on_axis, side_normals
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.mesh_functions import cellwise_function
 from thinlayer.discretisation.part_definition import PartDefinition
 
-COSINE_TOLERANCE = 1e-6  # tolerance of squared cosines between directions
+SQUARED_COSINE_TOLERANCE = 1e-6  # tolerance of squared cosines between directions
 FLAT_SQUARED_COSINE = 1e-3  # squared cosine up to which directions count as orthogonal: within 2 degrees
 CURVED_SQUARED_COSINE = 0.03  # the same for curved S, from which straight facets deviate by 10 degrees
 NO_END = 1e3  # distance of the nearest end, over the size of the joint, where there is no end
@@ -43,16 +43,16 @@ def side_kinds(layer: SeamLayer) -> npt.NDArray[np.str_]:
 
     Constraints along the end itself do not matter.
     """
-    sheet, projectors = layer.sheet, constrained_directions(layer)
+    sheet, projectors = layer.sheet, held_projectors(layer)
     normals = sheet.joint.interface_normals[sheet.simplices[0][sheet.rim.simplex]]
-    shares = np.stack([np.einsum("ni,nij,nj->n", e, projectors, e) for e in (sheet.rim.outward, normals)], axis=1)
+    sq_cosines = np.stack([np.einsum("ni,nij,nj->n", e, projectors, e) for e in (sheet.rim.outward, normals)], axis=1)
     tolerance = FLAT_SQUARED_COSINE if sheet.planar else CURVED_SQUARED_COSINE
-    along, across = (shares > tolerance).T
-    kinds = np.array([["free", "antisymmetric"], ["symmetric", "held"]])[along.astype(int), across.astype(int)]
-    return np.where(((shares <= tolerance) | (shares >= 1 - tolerance)).all(axis=1), kinds, "oblique")
+    m_held, n_held = (sq_cosines > tolerance).T
+    kinds = np.array([["free", "antisymmetric"], ["symmetric", "held"]])[m_held.astype(int), n_held.astype(int)]
+    return np.where(((sq_cosines <= tolerance) | (sq_cosines >= 1 - tolerance)).all(axis=1), kinds, "oblique")
 
 
-def constrained_directions(layer: SeamLayer, of_layer: bool = True) -> FloatArray:
+def held_projectors(layer: SeamLayer, of_layer: bool = True) -> FloatArray:
     """Return projections (n, d, d) onto the directions in which a layer's side cannot move, at n ridges where S ends.
 
     The side is the layer's own boundary at such a ridge.
@@ -63,20 +63,20 @@ def constrained_directions(layer: SeamLayer, of_layer: bool = True) -> FloatArra
             on the layer's own side.
     """
     structure, rim, joint = layer.structure, layer.sheet.rim, layer.sheet.joint
-    d, keys, axes = joint.dim, ridge_keys(rim.vertices), AXIS_NAMES[: joint.dim]
-    dyads = np.zeros((len(keys), d, d))
+    d, rim_keys, axes = joint.dim, ridge_keys(rim.vertices), AXIS_NAMES[: joint.dim]
+    dyads = np.zeros((len(rim_keys), d, d))
     dyads[nodes_on_axis(structure.kinematics, joint)[rim.vertices].all(axis=1)] = np.eye(d)
     entries = [(place, [*value] if isinstance(value, Mapping) else axes) for place, value in structure.supports.items()]
-    plates = [part for part in structure.parts if isinstance(part, PartDefinition) and part.ties_nodes]
-    for place, components in [*entries, *((part.place, part.components or axes) for part in plates)]:
-        name = FacetName.parse(place).continued if isinstance(place, str) else S
+    mpc_parts = [part for part in structure.parts if isinstance(part, PartDefinition) and part.has_constraint]
+    for place, components in [*entries, *((part.place, part.components or axes) for part in mpc_parts)]:
+        name = FacetName.parse(place).continued_set if isinstance(place, str) else S
         if name in (S, *joint.seams) or name not in joint.facets or (name != place and not of_layer):
             continue  # a vertex, the side of one body, or that of the layer
-        on_rim = np.isin(keys, continued_ridges(joint, joint.facets[name]))
+        on_rim = np.isin(rim_keys, continued_ridges(joint, joint.facets[name]))
         for axis in components:
             direction = np.eye(d)[axes.index(axis)] if axis in axes else _rim_normals(joint, rim, name)
             dyads += np.where(on_rim[:, None], direction, 0.0)[:, :, None] * direction[..., None, :]
-    return np.asarray(dyads @ np.linalg.pinv(dyads, rcond=COSINE_TOLERANCE, hermitian=True))
+    return np.asarray(dyads @ np.linalg.pinv(dyads, rcond=SQUARED_COSINE_TOLERANCE, hermitian=True))
 
 
 def _rim_normals(joint: Joint, rim: Rim, name: str) -> FloatArray:
@@ -93,14 +93,14 @@ def mean_on_facets(sheet: Sheet, values: FloatArray) -> FloatArray:
 
     In 2D the values are on m segments.
     """
-    facet, count = np.searchsorted(sheet.facets, sheet.simplices[0]), len(sheet.facets)
-    return np.asarray(np.bincount(facet, sheet.areas * values, count) / np.bincount(facet, sheet.areas, count))
+    facet, n_facets = np.searchsorted(sheet.facets, sheet.simplices[0]), len(sheet.facets)
+    return np.asarray(np.bincount(facet, sheet.areas * values, n_facets) / np.bincount(facet, sheet.areas, n_facets))
 
 
-def shares_within(end: StraightEnd, sheet: Sheet, reach: float) -> FloatArray:
+def strip_shares(end: StraightEnd, sheet: Sheet, reach: float) -> FloatArray:
     """Return the fraction (n,) of each facet of S that lies in the strip of width `reach` along a straight end."""
     x = sheet.joint.points[sheet.vertices]
-    return mean_on_facets(sheet, share_within(end.distance(x), reach) * end.is_in_front(x.mean(axis=1)))
+    return mean_on_facets(sheet, fraction_below(end.distance(x), reach) * end.is_in_front(x.mean(axis=1)))
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class FacetWeights:
 
     Attributes:
         a_N, a_T: (n,) relative loss of stiffness against openings and against shear, the mean over each facet.
-        resistance: (n,) relative increase of the resistance to a flow along S under pressure, the mean over each facet.
+        flow_resistance: (n,) relative increase of the resistance to a flow along S under pressure, mean over each facet.
         m: (n, d) unit normal in S of the nearest end, outward, in d dimensions; zero where there is none.
         offset: (n,) value of m . x at points x of the nearest end, a length.
         sheet, eps, strips: the seam, its thickness and the strips along ends, from which the weights are made.
@@ -117,7 +117,7 @@ class FacetWeights:
 
     a_N: FloatArray
     a_T: FloatArray
-    resistance: FloatArray
+    flow_resistance: FloatArray
     m: FloatArray
     offset: FloatArray
     sheet: Sheet
@@ -125,7 +125,7 @@ class FacetWeights:
     strips: EndStrips
 
     @classmethod
-    def of(cls, ends: list[StraightEnd], sheet: Sheet, eps: float, strips: EndStrips) -> FacetWeights:
+    def of_ends(cls, ends: list[StraightEnd], sheet: Sheet, eps: float, strips: EndStrips) -> FacetWeights:
         """Return the weights of straight free ends on a seam.
 
         Args:
@@ -137,12 +137,12 @@ class FacetWeights:
         joint, count = sheet.joint, len(sheet.facets)
         weights = np.zeros((3, count))
         nearest, m, offset = np.full(count, np.inf), np.zeros((count, joint.dim)), np.full(count, NO_END * joint.size)
-        centre = np.stack([mean_on_facets(sheet, c) for c in joint.points[sheet.vertices].mean(axis=1).T], axis=1)
+        centroids = np.stack([mean_on_facets(sheet, c) for c in joint.points[sheet.vertices].mean(axis=1).T], axis=1)
         for end in ends:
             for k, strip in enumerate((strips.opening, strips.shear, strips.resistance)):
-                weights[k] += strip.c / strip.length * shares_within(end, sheet, strip.length * eps)
-            closer = end.is_in_front(centre) & (end.distance(centre) < nearest)
-            nearest[closer], m[closer], offset[closer] = end.distance(centre)[closer], end.m, end.offset
+                weights[k] += strip.c / strip.length * strip_shares(end, sheet, strip.length * eps)
+            is_closer = end.is_in_front(centroids) & (end.distance(centroids) < nearest)
+            nearest[is_closer], m[is_closer], offset[is_closer] = end.distance(centroids)[is_closer], end.m, end.offset
         return cls(weights[0], weights[1], weights[2], m, offset, sheet, eps, strips)
 
     @property
@@ -159,11 +159,11 @@ class FacetWeights:
         """
         joint, mesh, eps, strips = self.sheet.joint, domain.mesh, self.eps, self.strips
         values = np.zeros((len(joint.cells), 4 + joint.dim))
-        upper = joint.surface_cells[self.sheet.facets, 1]
-        values[upper] = np.column_stack([self.a_N, self.a_T, 1 / (1 + self.resistance), self.offset, self.m])
+        upper_cells = joint.surface_cells[self.sheet.facets, 1]
+        values[upper_cells] = np.column_stack([self.a_N, self.a_T, 1 / (1 + self.flow_resistance), self.offset, self.m])
         fields = sides.upper(cellwise_function(domain, ("DG", 0, (4 + joint.dim,)), values[:, None]))
         m = ufl.as_vector([fields[4 + k] for k in range(joint.dim)])
         distance = fields[3] - ufl.dot(m, sides.upper(ufl.SpatialCoordinate(mesh)))
-        reaches = [fem.Constant(mesh, eps * length) if length else None for length in (strips.r_N, strips.r_T)]
+        reaches = [fem.Constant(mesh, eps * length) if length else None for length in (strips.reach_N, strips.reach_T)]
         f_N, f_T = (1.0 if r is None else ufl.max_value(0.0, ufl.min_value(1.0, distance / r)) for r in reaches)
         return EndWeights(m, fields[0], fields[1], f_N, f_T, fields[2])

@@ -18,7 +18,7 @@ from forms.tensors import MANDEL_PAIRS, Expr, mandel_tensor, mandel_vector, thre
 from forms.work import Term, energy, stress, with_added_strain
 from geometry.seam import BASE, S
 from geometry.topology import IntArray
-from thinlayer.discretisation.form_compilation import compiled_scalars, unit_values, whole_structure_form
+from thinlayer.discretisation.form_compilation import checked_user_form, compiled_functionals, unit_values
 from thinlayer.discretisation.key import BODY_KIND, LAYER_KIND, PRESSURE_KIND, Key
 from thinlayer.discretisation.layer import BODIES
 from thinlayer.discretisation.model import Model
@@ -26,7 +26,7 @@ from thinlayer.discretisation.prescribed_strains import (
     MEAN_STRAIN,
     VOIGT_PAIRS_OF_DIM,
     VOIGT_POSITIONS_OF_DIM,
-    voigt_strain,
+    from_voigt,
 )
 from thinlayer.discretisation.rigid_motions import (
     Resultant,
@@ -35,7 +35,7 @@ from thinlayer.discretisation.rigid_motions import (
     resultant,
     resultants_of_loads,
 )
-from thinlayer.discretisation.supports import Place, is_part
+from thinlayer.discretisation.supports import Place, is_same_or_part
 from thinlayer.discretisation.time_functions import TimeLevel
 from thinlayer.errors import FormerNames
 from thinlayer.system.ranks import carry_cell_values
@@ -116,7 +116,7 @@ class Configuration:
             out.
         at_rest: whether this is the configuration before the first step, with all strains zero, prescribed strains
             included.
-        reactions: (n, k) reactions of the n places in `Model.holders`, k = 3 in 2D, 6 in 3D: the force, then the moment
+        reactions: (n, k) reactions of the n places in `Model.held_places`, k = 3 in 2D, 6 in 3D: the force, then the moment
             about `Model.centre`. None: they were not computed.
         stresses: key, as in `memory` -> stresses of a compiled law at the time t, (points, 6) in Mandel's order.
     """
@@ -179,10 +179,10 @@ class State(Configuration):
             InputError: it is no form, or depends on the time; a number in it is not finite or not real; no cell or
                 facet has one of its tags.
         """
-        return self._integral(whole_structure_form(form, self.model))
+        return self._integrate(checked_user_form(form, self.model))
 
-    def _integral(self, form: ufl.Form) -> float:
-        return float(self.model.comm.allreduce(sum(map(fem.assemble_scalar, compiled_scalars(form)))))
+    def _integrate(self, form: ufl.Form) -> float:
+        return float(self.model.comm.allreduce(sum(map(fem.assemble_scalar, compiled_functionals(form)))))
 
     def energies(self) -> dict[str, float]:
         """Return the stored energies of "bodies", "layer" and other parts by key, and the work of "loads". Collective.
@@ -194,19 +194,19 @@ class State(Configuration):
         half the work of the loads (Clapeyron). An energy is NaN if a law does not declare its energy.
         """
         model, layers = self.model, self.layers
-        added = {part.key: self.stored.get(part.key, 0.0) for part in model.parts if not part.ties_nodes}
+        added = {part.key: self.stored.get(part.key, 0.0) for part in model.parts if not part.has_constraint}
         of_bodies = {p.key: self.stored[p.key] for p in model.bodies if p.key in self.stored}
         of_layers = {key: energy for key, energy in self.stored.items() if key not in {*added, *of_bodies}}
         for key in {p.key: None for p in layers}:
-            of_layers[key] = of_layers.get(key, 0.0) + self._stored([p for p in layers if p.key == key])
-        bodies, layer = self._stored(self.bodies) + sum(of_bodies.values()), sum(of_layers.values())
-        seams = {str(Key(LAYER_KIND, name)): energy for name, energy in model.by_seam(of_layers).items()}
+            of_layers[key] = of_layers.get(key, 0.0) + self._form_energy([p for p in layers if p.key == key])
+        bodies, layer = self._form_energy(self.bodies) + sum(of_bodies.values()), sum(of_layers.values())
+        seams = {str(Key(LAYER_KIND, name)): energy for name, energy in model.seam_sums(of_layers).items()}
         return {BODIES: bodies, LAYER_KIND: layer, **seams, **added, "loads": self.load_work()}
 
     def load_work(self) -> float:
         """Return the work of the loads at the state's time in its displacements. Collective."""
         part_work = sum(part.load_work(self.model, self) for part in self.model.parts)
-        return self._integral(self.model.external_work(self.u, self.t)) + part_work
+        return self._integrate(self.model.external_work(self.u, self.t)) + part_work
 
     def reaction(self, place: Place, about: Sequence[float] | None = None) -> Resultant:
         """Return the reaction of a place: of its supports and springs, or of the rigid base of a layer. Collective.
@@ -227,12 +227,12 @@ class State(Configuration):
         """
         model, reactions = self.model, self.reactions_by_place()
         bases = {BASE, *model.joint.base_seams}
-        places = [name for name in reactions if is_part(name, place)]
+        places = [name for name in reactions if is_same_or_part(name, place)]
         if place == S or (place in bases and not places):
             places = [name for name in reactions if name in bases]
         if not places:
-            holders = ", ".join(map(repr, reactions)) or "nothing"
-            raise InputError(f"nothing holds {place!r}: it is free of supports and springs; held are: {holders}")
+            held_places = ", ".join(map(repr, reactions)) or "nothing"
+            raise InputError(f"nothing holds {place!r}: it is free of supports and springs; held are: {held_places}")
         point = moment_centre(model.kinematics, default_moment_point(model, place, places)) if about is None else about
         return reduce(add, (reactions[name] for name in places)).at(point)
 
@@ -247,11 +247,11 @@ class State(Configuration):
         model = self.model
         if self.reactions is None:
             raise InputError("this state has no reactions: it was not solved for")
-        part_rows = [row for part in model.parts for row in part.reaction(model, self.u)]
-        rows = [*zip(model.holders, self.reactions, strict=True), *part_rows]
-        reactions = [(place, resultant(model, values)) for place, values in rows]
-        on_bases = resultants_of_loads(model, self.t, model.forces.work_on_bases)
-        reactions += [(name, -load) for name, load in on_bases.items()]
+        part_reactions = [row for part in model.parts for row in part.reaction(model, self.u)]
+        all_reactions = [*zip(model.held_places, self.reactions, strict=True), *part_reactions]
+        reactions = [(place, resultant(model, values)) for place, values in all_reactions]
+        base_loads = resultants_of_loads(model, self.t, model.forces.work_on_bases)
+        reactions += [(name, -load) for name, load in base_loads.items()]
         total: dict[Place, Resultant] = {}
         for place, reaction in reactions:
             total[place] = total[place] + reaction if place in total else reaction
@@ -272,12 +272,12 @@ class State(Configuration):
         """
         model, d = self.model, self.model.joint.dim
         if model.strain:
-            return model.strain.at(self.t)
+            return model.strain.tensor_at(self.t)
         if MEAN_STRAIN not in self.fields:
             return np.zeros((d, d))
         E, dofmap = self.fields[MEAN_STRAIN].x.array, self.fields[MEAN_STRAIN].function_space.dofmap
-        owned = E[: dofmap.index_map.size_local * dofmap.index_map_bs]
-        return np.concatenate(model.comm.allgather(owned))[VOIGT_POSITIONS_OF_DIM[d]] / (2 - np.eye(d))
+        owned_values = E[: dofmap.index_map.size_local * dofmap.index_map_bs]
+        return np.concatenate(model.comm.allgather(owned_values))[VOIGT_POSITIONS_OF_DIM[d]] / (2 - np.eye(d))
 
     @cached_property
     def bodies(self) -> list[Term]:
@@ -305,11 +305,11 @@ class State(Configuration):
         for key, points in self.model.quadratures.items():
             law = points.term.law
             if "elastic_fraction" in law.parameters() and key in self.stresses:
-                values = law.parameters() | law.fields_at(points.joint_x)
+                constants = law.parameters() | law.fields_at(points.joint_x)
                 term = next(new for old, new in zip(self.model.terms, terms, strict=True) if old is points.term)
                 e = points.values(mandel_vector(term.strain(self.u)))
-                spring_work = values["lmbda"] * e[:, :3].sum(axis=1) ** 2 + 2 * values["mu"] * (e**2).sum(axis=1)
-                spring_work *= values["elastic_fraction"]
+                spring_work = constants["lmbda"] * e[:, :3].sum(axis=1) ** 2 + 2 * constants["mu"] * (e**2).sum(axis=1)
+                spring_work *= constants["elastic_fraction"]
                 other_work = abs((self.stresses[key] * e).sum(axis=1) - spring_work)
                 work[int(Key.parse(key).kind == BODY_KIND)] += points.weights @ spring_work, points.weights @ other_work
         work = self.model.comm.allreduce(work)
@@ -320,7 +320,7 @@ class State(Configuration):
 
         Terms on S, for which `on_s` is true, are without this strain.
         """
-        terms = TimeLevel(self.t).terms(terms)
+        terms = TimeLevel(self.t).terms_at_level(terms)
         if on_s or not self.model.stress:
             return terms
         return with_added_strain(terms, three_dimensional(fem.Constant(self.model.domain.mesh, self.mean_strain())))
@@ -351,11 +351,11 @@ class State(Configuration):
                 yield p, stress(p, self.u), p.measure
                 continue
             if p.measure.integral_type() != "cell":
-                raise InputError(f"{type(p.law.in_space).__name__} on S has no field of stress; see Surface.traction")
+                raise InputError(f"{type(p.law.law_3d).__name__} on S has no field of stress; see Surface.traction")
             rules = self.model.quadratures.items()
-            key, points = next((key, rule) for key, rule in rules if rule.term.measure is p.measure)
+            key, points = next((key, quadrature) for key, quadrature in rules if quadrature.term.measure is p.measure)
             values = self.stresses.get(key, np.zeros((points.count, len(MANDEL_PAIRS))))
-            yield p, mandel_tensor(points.function(values)), points.measure
+            yield p, mandel_tensor(points.mesh_function(values)), points.measure
 
     def mean_stress(self) -> Array:
         """Return the mean stress (d, d) of the bodies and of meshed layers. Collective.
@@ -363,24 +363,24 @@ class State(Configuration):
         In a periodic cell it is the stress of the cell as a whole, with layers on S included, see `Model.volume`.
         """
         model, d = self.model, self.model.joint.dim
-        components = fem.Constant(model.domain.mesh, np.zeros(len(VOIGT_PAIRS_OF_DIM[d])))
+        voigt_factors = fem.Constant(model.domain.mesh, np.zeros(len(VOIGT_PAIRS_OF_DIM[d])))
         terms = self.bodies if model.broken else [*self.bodies, *self.layers]
-        unit = three_dimensional(voigt_strain(components))
+        unit = three_dimensional(from_voigt(voigt_factors))
         work_form = sum(ufl.inner(s, unit) * p.weight * measure for p, s, measure in self._terms_with_stress(terms))
-        return unit_values(model.comm, work_form, components)[VOIGT_POSITIONS_OF_DIM[d]] / model.volume
+        return unit_values(model.comm, work_form, voigt_factors)[VOIGT_POSITIONS_OF_DIM[d]] / model.volume
 
-    def _stored(self, terms: Sequence[Term]) -> float:
+    def _form_energy(self, terms: Sequence[Term]) -> float:
         """Return the stored energy of those terms whose laws are in UFL forms. Collective.
 
         It is NaN if one of these laws does not declare its energy.
         """
-        in_forms = [p for p in terms if not p.law.traits.compiled]
-        if not all(p.law.traits.has_energy for p in in_forms):
+        form_terms = [p for p in terms if not p.law.traits.compiled]
+        if not all(p.law.traits.has_energy for p in form_terms):
             return math.nan
-        return self._integral(energy(in_forms, self.u)) if in_forms else 0.0
+        return self._integrate(energy(form_terms, self.u)) if form_terms else 0.0
 
 
-def cell_values(f: fem.Function, model: Model, cells: IntArray) -> Array:
+def node_values(f: fem.Function, model: Model, cells: IntArray) -> Array:
     """Return the values of a function at the nodes of any cells, also of those on other ranks. Collective.
 
     Args:
@@ -395,8 +395,8 @@ def cell_values(f: fem.Function, model: Model, cells: IntArray) -> Array:
     dofmap, n_owned = f.function_space.dofmap, model.domain.mesh.topology.index_map(model.joint.dim).size_local
     nodes, values = dofmap.list[:n_owned], f.x.array.reshape(-1, dofmap.bs)
     by_cell, owned = values[nodes].reshape(n_owned, nodes.shape[1] * dofmap.bs), model.domain.original_cells[:n_owned]
-    wanted, positions = np.unique(cells, return_inverse=True)
-    cell_data = carry_cell_values(model.comm, owned, lambda k: by_cell[k], wanted)
+    distinct_cells, positions = np.unique(cells, return_inverse=True)
+    cell_data = carry_cell_values(model.comm, owned, lambda k: by_cell[k], distinct_cells)
     return np.asarray(cell_data.reshape(-1, nodes.shape[1], dofmap.bs)[positions.reshape(cells.shape)])
 
 
@@ -412,9 +412,9 @@ def transfer(f: fem.Function, source: Model, V: fem.FunctionSpace, target: Model
         target: the model on whose bodies the values are wanted.
     """
     cell_numbers = target.domain.original_cells
-    in_source = np.flatnonzero(cell_numbers < len(source.joint.cells))
+    body_cells = np.flatnonzero(cell_numbers < len(source.joint.cells))
     out = fem.Function(V)
-    out.x.array.reshape(-1, V.dofmap.bs)[V.dofmap.list[in_source]] = cell_values(f, source, cell_numbers[in_source])
+    out.x.array.reshape(-1, V.dofmap.bs)[V.dofmap.list[body_cells]] = node_values(f, source, cell_numbers[body_cells])
     out.x.scatter_forward()
     return out
 

@@ -13,24 +13,24 @@ from forms.base import Array, InputError, require
 from forms.kernel import KernelLaw
 from forms.kinematics import KINEMATICS_BY_NAME
 from forms.law import BulkLaw, Law, explained_errors
-from forms.law_tangents import declared_or_computed_tangent, needs_director, require_stable
+from forms.law_tangents import declared_or_computed_tangent, depends_on_normal, require_stable
 from geometry.joint import Joint
 from geometry.refusals import require_known
 from geometry.seam import LAYER, FacetName, S
 from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.discretisation.boundary import require_revolution
-from thinlayer.discretisation.coefficient import Load, Pressure, values_by_body
+from thinlayer.discretisation.coefficient import LoadInput, Pressure, values_by_body
 from thinlayer.discretisation.forces import BodyForce
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Bond, Layers
-from thinlayer.discretisation.model import copied
+from thinlayer.discretisation.model import copy_without_caches
 from thinlayer.discretisation.part_definition import PartDefinition
 from thinlayer.discretisation.point_loads import ConcentratedLoad, check_loads
 from thinlayer.discretisation.prescribed_strains import EigenstrainInput as Eigenstrain
-from thinlayer.discretisation.prescribed_strains import Strain
-from thinlayer.discretisation.supports import ByPlace
+from thinlayer.discretisation.prescribed_strains import MeanTensorInput
+from thinlayer.discretisation.supports import SupportsByPlace
 from thinlayer.system.fingerprint import digest
 from thinlayer.system.ranks import errors_on_all, require_same
 
@@ -110,15 +110,15 @@ class Structure:
         joint: Joint,
         *,
         body: BulkLaw | Mapping[str, BulkLaw],
-        supports: ByPlace,
-        tractions: Mapping[str, Load | Pressure] | None = None,
+        supports: SupportsByPlace,
+        tractions: Mapping[str, LoadInput | Pressure] | None = None,
         body_force: BodyForce | None = None,
         loads: Sequence[ConcentratedLoad] = (),
         plane: str = "strain",
         element: str | None = None,
         parts: Sequence[PartDefinition] = (),
-        strain: Strain | None = None,
-        stress: Strain | None = None,
+        strain: MeanTensorInput | None = None,
+        stress: MeanTensorInput | None = None,
         eigenstrain: Eigenstrains | None = None,
         comm: MPI.Intracomm | None = None,
     ) -> None:
@@ -134,13 +134,13 @@ class Structure:
             self.loads = check_loads(loads)
             self._check_choices()
             self.degree = int(self.element[1])
-            self.body_laws = self._laws_of(body)
-            strains = values_by_body(eigenstrain, joint, "eigenstrain")
-            self.eigenstrains = {name: value for name, value in strains.items() if value is not None}
-            for law, C in zip(self.bodies_with_numbers, self.bodies_at_rest, strict=True):
-                require_stable(law, C, slots=self.kinematics.slots(joint.dim))
+            self.body_laws = self._laws_by_body(body)
+            eigenstrains = values_by_body(eigenstrain, joint, "eigenstrain")
+            self.eigenstrains = {name: value for name, value in eigenstrains.items() if value is not None}
+            for law, C in zip(self.body_laws_at_extremes, self.body_tangents, strict=True):
+                require_stable(law, C, slots=self.kinematics.strain_indices(joint.dim))
         self.data_hash = require_same(
-            comm, joint=joint, body=body, supports=_ordered(supports), tractions=tractions, body_force=body_force,
+            comm, joint=joint, body=body, supports=_ordered_pairs(supports), tractions=tractions, body_force=body_force,
             loads=self.loads, plane=plane, element=self.element, parts=self.parts, strain=strain, stress=stress,
             eigenstrain=eigenstrain,
         )  # fmt: skip
@@ -231,10 +231,10 @@ class Structure:
     def with_loads(
         self,
         *,
-        tractions: Mapping[str, Load | Pressure] | None = None,
+        tractions: Mapping[str, LoadInput | Pressure] | None = None,
         body_force: BodyForce | None = None,
         loads: Sequence[ConcentratedLoad] | None = None,
-        supports: ByPlace | None = None,
+        supports: SupportsByPlace | None = None,
     ) -> Self:
         """Return the same structure with other loads or supports, which are not checked. Collective.
 
@@ -244,23 +244,23 @@ class Structure:
             loads: list of `PointLoad` and `LineLoad`; None: unchanged.
             supports: place -> prescribed displacements; None: unchanged.
         """
-        new = copied(self)
+        new = copy_without_caches(self)
         data = {"tractions": tractions, "body_force": body_force, "loads": loads and tuple(loads), "supports": supports}
         changed = {name: value for name, value in data.items() if value is not None}
         vars(new).update(changed)
-        hashed = changed if supports is None else changed | {"supports": _ordered(supports)}
+        hashed = changed if supports is None else changed | {"supports": _ordered_pairs(supports)}
         new.data_hash = digest([self.data_hash, require_same(self.comm, **hashed)])
         return new
 
-    def layers_alone(self, names: Collection[str]) -> Self:
+    def with_layers_only(self, names: Collection[str]) -> Self:
         """Return the structure that has only the layers on the seams `names`, with their own loads, on one process.
 
         It has no bodies' laws, and no other parts such as springs.
         """
-        new, force = copied(self), self.body_force
+        new, force = copy_without_caches(self), self.body_force
         new.joint = replace(self.joint, seams={name: s for name, s in self.joint.seams.items() if name in names})
         new.comm, new.parts, new.loads, new.body_laws, new.eigenstrains = MPI.COMM_SELF, (), (), {}, {}
-        new.tractions = {k: v for k, v in (self.tractions or {}).items() if FacetName.parse(k).region == LAYER}
+        new.tractions = {k: v for k, v in (self.tractions or {}).items() if FacetName.parse(k).part_name == LAYER}
         new.body_force = {k: v for k, v in force.items() if k in (*names, S)} if isinstance(force, Mapping) else None
         return new
 
@@ -274,13 +274,13 @@ class Structure:
         return Sheet(self.joint)
 
     @cached_property
-    def bodies_at_rest(self) -> list[Array | None]:
-        """Tangents (6, 6) at zero strain, in Mandel's notation, of `bodies_with_numbers`; None where not known."""
+    def body_tangents(self) -> list[Array | None]:
+        """Tangents (6, 6) at zero strain, in Mandel's notation, of `body_laws_at_extremes`; None where not known."""
         n = self.sheet.mean_normal
-        return [declared_or_computed_tangent(self.kinematics.law(law), n) for law in self.bodies_with_numbers]
+        return [declared_or_computed_tangent(self.kinematics.law(law), n) for law in self.body_laws_at_extremes]
 
     @cached_property
-    def bodies_with_numbers(self) -> list[BulkLaw]:
+    def body_laws_at_extremes(self) -> list[BulkLaw]:
         """Laws of all bodies with numbers as parameters, for checks.
 
         A law with functions of the place as parameters occurs several times. It has the values at those places where
@@ -289,11 +289,11 @@ class Structure:
         joint, laws = self.joint, []
         for name, law in self.body_laws.items():
             cells = joint.corners[joint.region == joint.regions.index(name)] if law.fields else joint.corners[:1]
-            laws += law.samples(joint.points[cells].mean(axis=1).T)
+            laws += law.laws_at_extremes(joint.points[cells].mean(axis=1).T)
         return laws
 
     def _check_choices(self) -> None:
-        joint, elements = self.joint, ELEMENT_NAMES[is_tensor(self.joint.cell_type)]
+        joint, element_names = self.joint, ELEMENT_NAMES[is_tensor(self.joint.cell_type)]
         require_known("plane", self.plane, KINEMATICS_BY_NAME)
         self.kinematics = KINEMATICS_BY_NAME[self.plane]
         if joint.dim == 3 and self.plane != "strain":
@@ -301,13 +301,13 @@ class Structure:
         require_revolution(self.kinematics, joint)
         if self.strain is not None and self.stress is not None:
             raise InputError("give a mean strain or a mean stress, not both")
-        if not (self.kinematics.rotations or (self.strain is None and self.stress is None)):
+        if not (self.kinematics.has_rigid_rotations or (self.strain is None and self.stress is None)):
             raise InputError(f"plane={self.plane!r}: a mean strain or stress is for periodic cells without an axis")
-        if self.element not in elements:
-            cells = f"{joint.cell_type} cells; allowed: {', '.join(elements)}"
-            raise InputError(f"element {self.element!r} does not exist on {cells}")
+        if self.element not in element_names:
+            cells_text = f"{joint.cell_type} cells; allowed: {', '.join(element_names)}"
+            raise InputError(f"element {self.element!r} does not exist on {cells_text}")
 
-    def _laws_of(self, body: BulkLaw | Mapping[str, BulkLaw]) -> dict[str, BulkLaw]:
+    def _laws_by_body(self, body: BulkLaw | Mapping[str, BulkLaw]) -> dict[str, BulkLaw]:
         """Return the law of each body by name, from one law for all bodies or a mapping.
 
         Raises:
@@ -331,7 +331,7 @@ def require_body_law(name: str, law: Law) -> None:
         name: name of the body.
         law: the law.
     """
-    traits, kind = law.traits, type(law).__name__
+    traits, law_name = law.traits, type(law).__name__
     reason = ""
     if not isinstance(law, BulkLaw):
         reason = "it gives tractions for jumps, which a body has not"
@@ -343,16 +343,16 @@ def require_body_law(name: str, law: Law) -> None:
         reason = "its phases are those of a layer's columns"
     elif traits.compiled:  # others raise errors themselves, as n is None in a body
         with explained_errors(law, law.methods[0]):
-            if needs_director(law):
+            if depends_on_normal(law):
                 reason = "its stress depends on the normal of S, which a body has not"
                 reason += ", or its class does not say isotropic = True" * isinstance(law, KernelLaw)
     if reason:
-        raise InputError(f"body {name!r}: {kind} is for layers: {reason}")
+        raise InputError(f"body {name!r}: {law_name} is for layers: {reason}")
     if traits.softens:
         reason = "all strain would gather in one row of cells; let a layer soften"
-        raise InputError(f"body {name!r}: the stress of {kind} falls as strains grow: {reason}")
+        raise InputError(f"body {name!r}: the stress of {law_name} falls as strains grow: {reason}")
 
 
-def _ordered(data: ByPlace | None) -> object:
+def _ordered_pairs(data: SupportsByPlace | None) -> object:
     """Return a mapping as a list of pairs in its order, because supports are numbered in this order."""
     return [list(entry) for entry in data.items()] if isinstance(data, Mapping) else data

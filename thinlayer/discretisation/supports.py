@@ -18,22 +18,22 @@ from geometry.domain import Domain
 from geometry.refusals import require_known
 from geometry.seam import FacetName
 from geometry.topology import BoolArray, Indices
-from thinlayer.discretisation.boundary import AXIS_NAMES, boundary_values, node_normals, nodes_on_axis, smooth_surfaces
+from thinlayer.discretisation.boundary import AXIS_NAMES, boundary_tags, node_normals, nodes_on_axis, smooth_surfaces
 from thinlayer.discretisation.coefficient import Coefficient, Coordinates, Value
 from thinlayer.system.compat import interpolate, interpolation_points
 
 LOAD_SUM_TOLERANCE = 1e-10  # sum of the loads along an axis, over the sum of their sizes, that counts as rounding
-LENGTH_TOLERANCE = 1e-13  # a difference that counts as rounding, over the size of the structure
+RELATIVE_LENGTH_TOLERANCE = 1e-13  # a difference that counts as rounding, over the size of the structure
 NORMAL_COMPONENT = "n"  # the component along the normal of the boundary
 Place = str | tuple[float, ...]
 Support = float | Mapping[str, Value]
-ByPlace = Mapping[str, Support] | Mapping[tuple[float, ...], Support] | Mapping[Place, Support]
-Components = dict[str, Value]
+SupportsByPlace = Mapping[str, Support] | Mapping[tuple[float, ...], Support] | Mapping[Place, Support]
+AxisValues = dict[str, Value]
 
 
-def is_part(place: Place, of: Place) -> bool:
+def is_same_or_part(place: Place, of: Place) -> bool:
     """Return whether a place is the place `of` or a part of it, as the facet set "NAME/REGION" is a part of "NAME"."""
-    return place == of or (isinstance(place, str) and FacetName.parse(place).whole == of)
+    return place == of or (isinstance(place, str) and FacetName.parse(place).set_name == of)
 
 
 class Supports:
@@ -46,8 +46,8 @@ class Supports:
             layer's own side. A place may also be the coordinates of a vertex in the joint as drawn, before S is opened
             to the layer's thickness (on S: the nodes on both sides). Components are {"x": value, ...}, or one number
             for all of them; a value is a number or a function (x, t) of UFL coordinates. {"n": value} prescribes the
-            displacement along the outer normal alone, on any inclined or curved facets: see `Prescribed`. Where places
-            overlap, values must agree.
+            displacement along the outer normal alone, on any inclined or curved facets: see `SupportConditions`. Where
+            places overlap, values must agree.
         at: place and time as arguments of these functions.
         clamped: names of facet sets that do not move; conditions of other supports at their nodes are dropped.
         kinematics: kinematics of the mesh; on an axis of revolution the component x is fixed.
@@ -65,42 +65,42 @@ class Supports:
     """
 
     def __init__(
-        self, domain: Domain, supports: ByPlace, at: Coordinates, clamped: Sequence[str], kinematics: Kinematics
+        self, domain: Domain, supports: SupportsByPlace, at: Coordinates, clamped: Sequence[str], kinematics: Kinematics
     ) -> None:
         require(isinstance(supports, Mapping), "supports", supports, "it must be {place: {component: value}}")
         self.domain, self.at, self.clamped = domain, at, tuple(clamped)
         self.axes = AXIS_NAMES[: domain.joint.dim]
-        entries: list[tuple[Place, Components]] = []
+        entries: list[tuple[Place, AxisValues]] = []
         for place, support in supports.items():
             if isinstance(place, str):
-                boundary_values(domain, kinematics, place, f"support on {place!r}", inside=True, side=True)
+                boundary_tags(domain, kinematics, place, f"support on {place!r}", inside=True, side=True)
             else:
                 domain.joint.nearest_point(place)
             entries.append((place, self._components(place, support)))
         self.user_entries = tuple(entries)
         self.values, self.moving_places = dict[tuple[int, str], Coefficient](), list[Place]()
-        for number, (place, components) in enumerate(entries):
+        for entry, (place, components) in enumerate(entries):
             for axis, value in components.items():
-                self.values[number, axis] = coeff = at.coefficient(value, f"support on {place!r}: component {axis}", ())
+                self.values[entry, axis] = coeff = at.coefficient(value, f"support on {place!r}: component {axis}", ())
                 self.moving_places += [place] if coeff.varies or coeff.value != 0 else []
         self.anchor_axes: tuple[str, ...] = ()
         self.on_axis = nodes_on_axis(kinematics, domain.joint)
 
     @property
-    def entries(self) -> tuple[tuple[Place, Components], ...]:
+    def entries(self) -> tuple[tuple[Place, AxisValues], ...]:
         """All supports as pairs of a place and its components with their values; clamped facets come last."""
-        zeros: Components = dict.fromkeys(self.axes, 0.0)
+        zeros: AxisValues = dict.fromkeys(self.axes, 0.0)
         return (*self.user_entries, *((place, zeros) for place in self.clamped))
 
-    def _components(self, place: Place, support: Support) -> Components:
+    def _components(self, place: Place, support: Support) -> AxisValues:
         require(not callable(support) and support is not None, f"support on {place!r}", support, "give {axis: value}")
-        components: Components = dict(support if isinstance(support, Mapping) else dict.fromkeys(self.axes, support))
+        components: AxisValues = dict(support if isinstance(support, Mapping) else dict.fromkeys(self.axes, support))
         allowed = (*self.axes, NORMAL_COMPONENT) if isinstance(place, str) else self.axes  # a vertex has no normal
         for axis in components:
             require_known("component", axis, allowed, f"support on {place!r}")
         return components
 
-    def dofs(self, V: fem.FunctionSpace, place: Place, axis: str) -> Indices:
+    def dofs_at_place(self, V: fem.FunctionSpace, place: Place, axis: str) -> Indices:
         """Return the local degrees of freedom in V, ghosts included, of one displacement component at a place.
 
         For the component "n", along the normal, these are the degrees of freedom of all components. Collective.
@@ -111,7 +111,7 @@ class Supports:
             axis: the component: "x", "y", "z" or "n".
         """
         if axis == NORMAL_COMPONENT:
-            return np.concatenate([self.dofs(V, place, component) for component in self.axes])
+            return np.concatenate([self.dofs_at_place(V, place, component) for component in self.axes])
         if isinstance(place, str):
             facets = self.domain.facets(place, layer_sides=True)
             return fem.locate_dofs_topological(V.sub(self.axes.index(axis)), self.domain.joint.dim - 1, facets)
@@ -125,8 +125,8 @@ class Supports:
             clamped: whether to include clamped facets, and the vertex at which a periodic joint is fixed.
         """
         entries, anchors = (self.entries, [self.anchor_dofs(V)]) if clamped else (self.user_entries, [])
-        dofs = [self.dofs(V, place, axis) for place, components in entries for axis in components]
-        return np.unique(np.concatenate([*dofs, *anchors, self.axis_dofs(V)]))
+        dofs = [self.dofs_at_place(V, place, axis) for place, components in entries for axis in components]
+        return np.unique(np.concatenate([*dofs, *anchors, self.revolution_axis_dofs(V)]))
 
     def anchor_dofs(self, V: fem.FunctionSpace) -> Indices:
         """Return the local degrees of freedom of V, ghosts included, at the vertex at which a periodic joint is fixed.
@@ -135,8 +135,8 @@ class Supports:
         """
         if not self.anchor_axes:
             return np.empty(0, np.int32)
-        owned = self.domain.mesh.topology.index_map(self.domain.joint.dim).size_local
-        cells = np.flatnonzero(self.domain.original_cells[:owned] == 0)
+        n_owned = self.domain.mesh.topology.index_map(self.domain.joint.dim).size_local
+        cells = np.flatnonzero(self.domain.original_cells[:n_owned] == 0)
         corner_dofs = np.asarray(V.dofmap.list)[cells][:, V.dofmap.dof_layout.entity_dofs(0, 0)].ravel()
         marked = fem.Function(V)
         for axis in self.anchor_axes:
@@ -145,7 +145,7 @@ class Supports:
         marked.x.scatter_forward()
         return np.flatnonzero(marked.x.array).astype(np.int32)
 
-    def require_balance(self, b: PETSc.Vec, t: float) -> None:
+    def require_balanced_loads(self, b: PETSc.Vec, t: float) -> None:
         """Raise InputError if loads have a resultant along a component that is only fixed at one vertex. Collective.
 
         These are the components `anchor_axes` of a periodic joint.
@@ -154,13 +154,13 @@ class Supports:
             b: nodal forces of the loads.
             t: their time, for the message.
         """
-        total = self.domain.comm.allreduce(b.array_r.reshape(-1, len(self.axes)).sum(axis=0))
+        sums = self.domain.comm.allreduce(b.array_r.reshape(-1, len(self.axes)).sum(axis=0))
         for axis in self.anchor_axes:
-            if abs(force := float(total[self.axes.index(axis)])) > LOAD_SUM_TOLERANCE * b.norm(PETSc.NormType.NORM_1):
+            if abs(force := float(sums[self.axes.index(axis)])) > LOAD_SUM_TOLERANCE * b.norm(PETSc.NormType.NORM_1):
                 text = f"the loads of the periodic joint add up to {force:g} along {axis} at t = {t:g}"
                 raise InputError(f"{text}, and nothing balances them; add supports, or loads whose sum is zero")
 
-    def axis_dofs(self, V: fem.FunctionSpace) -> Indices:
+    def revolution_axis_dofs(self, V: fem.FunctionSpace) -> Indices:
         """Return the local degrees of freedom of V, ghosts included, of the component x on an axis of revolution.
 
         Collective.
@@ -191,12 +191,12 @@ def vertex_dofs(V: fem.FunctionSpace, vertices: Indices, component: int) -> Indi
     dofmap, connectivity = V.dofmap, V.mesh.topology.connectivity(V.mesh.topology.dim, 0)
     cell_vertices = connectivity.array.reshape(connectivity.num_nodes, -1)
     layout_dofs = [dofmap.dof_layout.entity_dofs(0, k)[0] for k in range(cell_vertices.shape[1])]
-    blocks = np.asarray(dofmap.list)[:, layout_dofs][np.isin(cell_vertices, vertices)]
-    return np.unique(blocks * dofmap.bs + component).astype(np.int32)
+    nodes = np.asarray(dofmap.list)[:, layout_dofs][np.isin(cell_vertices, vertices)]
+    return np.unique(nodes * dofmap.bs + component).astype(np.int32)
 
 
 @dataclass(frozen=True)
-class _Source:
+class _ValueSource:
     """Values of one component of a support: a function in the displacement space, and an expression if it varies.
 
     Attributes:
@@ -207,14 +207,14 @@ class _Source:
         expression: expression that is interpolated into this function for each time; None: the value is constant.
     """
 
-    entry: int
+    entry_index: int
     place: Place
     axis: str
     value: fem.Function
     expression: fem.Expression | None = None
 
 
-class Prescribed:
+class SupportConditions:
     """Conditions of supports on the displacements in a space: direction . u = value at a node.
 
     Supports along the normal: facets whose normals at a node differ by less than 30 degrees are one smooth surface with
@@ -242,48 +242,48 @@ class Prescribed:
         self.size = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
         self.extent = supports.domain.joint.size
         entries = ((k, place, axis) for k, (place, components) in enumerate(supports.entries) for axis in components)
-        self._sources = [self._source(*entry) for entry in entries]
-        if any(source.axis == NORMAL_COMPONENT for source in self._sources) and not self._nodal:
+        self._sources = [self._make_source(*entry) for entry in entries]
+        if any(source.axis == NORMAL_COMPONENT for source in self._sources) and not self._has_nodal_dofs:
             raise InputError("supports along normals need nodal displacements, not elements S2; use Q2 or P2")
         self._find_conditions()
 
     # ---------------------------------------------------------------- conditions
-    def _source(self, entry: int, place: Place, axis: str) -> _Source:
+    def _make_source(self, entry: int, place: Place, axis: str) -> _ValueSource:
         value, coefficient = fem.Function(self.V), self.supports.values.get((entry, axis))
         if coefficient is not None and coefficient.varies:
             on_mesh = fem.Constant(self.V.mesh, np.zeros(self.d))  # as functions may return plain numbers
             expression = ufl.as_vector([coefficient.expression] * self.d) + on_mesh
-            return _Source(entry, place, axis, value, fem.Expression(expression, interpolation_points(self.V)))
+            return _ValueSource(entry, place, axis, value, fem.Expression(expression, interpolation_points(self.V)))
         if coefficient is not None and coefficient.value:
             interpolate(value, lambda x: np.full((self.d, x.shape[1]), float(coefficient.components[()])))
-        return _Source(entry, place, axis, value)
+        return _ValueSource(entry, place, axis, value)
 
     def _find_conditions(self) -> None:
         """Set the attributes of the conditions on this rank.
 
-        For each condition also store where its value comes from: a `_Source`, and the degree of freedom of its
+        For each condition also store where its value comes from: a `_ValueSource`, and the degree of freedom of its
         function.
         """
         supports, V, d = self.supports, self.V, self.d
         along_axes = ((k, c) for k, c in enumerate(self._sources) if c.axis != NORMAL_COMPONENT)
-        source_dofs = [(k, supports.dofs(V, c.place, c.axis)) for k, c in along_axes]
+        source_dofs = [(k, supports.dofs_at_place(V, c.place, c.axis)) for k, c in along_axes]
         conditions: list[tuple[np.ndarray, np.ndarray, Array]] = []
-        for number, dofs in (*source_dofs, (-1, supports.anchor_dofs(V)), (-1, supports.axis_dofs(V))):
+        for source_index, dofs in (*source_dofs, (-1, supports.anchor_dofs(V)), (-1, supports.revolution_axis_dofs(V))):
             owned = np.unique(dofs[dofs < self.size])
-            conditions.append((np.full(len(owned), number), owned, np.eye(d)[owned % d]))
+            conditions.append((np.full(len(owned), source_index), owned, np.eye(d)[owned % d]))
         conditions.append(self._normal_conditions())
-        source, dof, directions = (np.concatenate(column) for column in zip(*conditions, strict=True))
-        entry = np.array([*(component.entry for component in self._sources), -1])[source]
-        clamped = entry >= len(supports.user_entries)  # other conditions are dropped at a base
+        source_indices, dof, directions = (np.concatenate(column) for column in zip(*conditions, strict=True))
+        entry = np.array([*(value_source.entry_index for value_source in self._sources), -1])[source_indices]
+        by_clamping = entry >= len(supports.user_entries)  # other conditions are dropped at a base
         is_clamped = np.zeros(self.size, bool)
-        is_clamped[dof[clamped]] = True
-        kept = clamped | ~((np.abs(directions) > 0) & is_clamped.reshape(-1, d)[dof // d]).any(axis=1)
-        self.entry, self._source_of = entry[kept], source[kept]
-        self._dof, self.directions = dof[kept], directions[kept]
-        self.blocks = self._dof // d
-        bsr = self.directions[:, None], self.blocks, np.arange(len(self.entry) + 1)
-        self.conditions = scipy.sparse.bsr_matrix(bsr, (len(self.entry), self.size)).tocsr()
-        self.conditions.eliminate_zeros()
+        is_clamped[dof[by_clamping]] = True
+        is_kept = by_clamping | ~((np.abs(directions) > 0) & is_clamped.reshape(-1, d)[dof // d]).any(axis=1)
+        self.entry, self._source_indices = entry[is_kept], source_indices[is_kept]
+        self._value_dofs, self.directions = dof[is_kept], directions[is_kept]
+        self.condition_nodes = self._value_dofs // d
+        bsr_arrays = self.directions[:, None], self.condition_nodes, np.arange(len(self.entry) + 1)
+        self.condition_rows = scipy.sparse.bsr_matrix(bsr_arrays, (len(self.entry), self.size)).tocsr()
+        self.condition_rows.eliminate_zeros()
 
     def _normal_conditions(self) -> tuple[np.ndarray, np.ndarray, Array]:
         """Return the m conditions along normals at nodes of this rank.
@@ -293,54 +293,54 @@ class Prescribed:
             (m, d).
         """
         d, domain = self.d, self.supports.domain
-        columns: list[Array] = [np.empty((0, d + 2))]  # source, block, normal
-        for number, component in enumerate(self._sources):
-            if component.axis == NORMAL_COMPONENT:
-                nodes, n = node_normals(domain, self.V, str(component.place))
-                columns.append(np.column_stack([np.full(len(nodes), number), nodes, n]))
-        table, rows = np.concatenate(columns), [np.empty((0, d + 2))]
+        tables: list[Array] = [np.empty((0, d + 2))]  # source, block, normal
+        for source_index, value_source in enumerate(self._sources):
+            if value_source.axis == NORMAL_COMPONENT:
+                nodes, n = node_normals(domain, self.V, str(value_source.place))
+                tables.append(np.column_stack([np.full(len(nodes), source_index), nodes, n]))
+        table, rows = np.concatenate(tables), [np.empty((0, d + 2))]
         table = table[np.argsort(table[:, 1], kind="stable")]
         for node_rows in np.split(table, np.flatnonzero(np.diff(table[:, 1])) + 1) if len(table) else []:
-            surface, unit = smooth_surfaces(node_rows[:, 2:])
-            pairs = np.unique(np.column_stack([node_rows[:, 0], surface]), axis=0).astype(int)
-            rows += [np.array([[source, node_rows[0, 1] * d, *unit[k]]]) for source, k in pairs]
+            surface_numbers, unit_normals = smooth_surfaces(node_rows[:, 2:])
+            pairs = np.unique(np.column_stack([node_rows[:, 0], surface_numbers]), axis=0).astype(int)
+            rows += [np.array([[source, node_rows[0, 1] * d, *unit_normals[k]]]) for source, k in pairs]
         conditions = np.concatenate(rows)
         return conditions[:, 0].astype(int), conditions[:, 1].astype(int), conditions[:, 2:]
 
     # ---------------------------------------------------------------- values
     @property
-    def varies(self) -> BoolArray:
+    def varies_mask(self) -> BoolArray:
         """Mask (k,) of those conditions whose value is a function of place or time."""
-        return np.array([*(source.expression is not None for source in self._sources), False])[self._source_of]
+        return np.array([*(source.expression is not None for source in self._sources), False])[self._source_indices]
 
-    def values(self, t: float) -> Array:
+    def values_at(self, t: float) -> Array:
         """Return the values (k,) of the k conditions at the time t, which may not be finite. Collective."""
         values = np.zeros(len(self.entry))
         with self.supports.at.clock.at(t):
-            for number, source in enumerate(self._sources):
+            for source_index, source in enumerate(self._sources):
                 if source.expression is not None:
                     interpolate(source.value, source.expression)
-                mask = self._source_of == number
-                values[mask] = source.value.x.array[self._dof[mask]]
+                mask = self._source_indices == source_index
+                values[mask] = source.value.x.array[self._value_dofs[mask]]
         return values
 
     def condition_text(self, row: int, value: float) -> str:
         """Return words for error messages on the condition number `row` and its value."""
-        if self._source_of[row] < 0:
+        if self._source_indices[row] < 0:
             return "on the axis of revolution x = 0"
-        source = self._sources[self._source_of[row]]
+        source = self._sources[self._source_indices[row]]
         return f"{source.place!r} prescribes {source.axis} = {value:.6g}"
 
-    def place_of(self, row: int) -> Array | None:
+    def point_of_condition(self, row: int) -> Array | None:
         """Return the coordinates (d,) of the node of the condition number `row`.
 
         Return None if the degrees of freedom of the space are not values at nodes.
         """
-        if not self._nodal:
+        if not self._has_nodal_dofs:
             return None
-        x = self.V.tabulate_dof_coordinates()[self.blocks[row], : self.d]
-        return np.where(np.abs(x) > LENGTH_TOLERANCE * self.extent, x, 0.0)
+        x = self.V.tabulate_dof_coordinates()[self.condition_nodes[row], : self.d]
+        return np.where(np.abs(x) > RELATIVE_LENGTH_TOLERANCE * self.extent, x, 0.0)
 
     @property
-    def _nodal(self) -> bool:
+    def _has_nodal_dofs(self) -> bool:
         return bool(self.V.ufl_element().basix_element.interpolation_is_identity)

@@ -29,7 +29,7 @@ from thinlayer.system.compat import ufl_replace
 # relative tolerance of equal times, such as a sum of steps and the end of a table, and of equal slopes
 TIME_TOLERANCE = 1e-12
 RATIONAL_OPERATORS = (Sum, Product, Division)
-SAMPLE_TIMES = np.array([-2.5, 0.0, 1.0, 7.0])  # times at which a table's rational argument is tested for linearity
+TEST_TIMES = np.array([-2.5, 0.0, 1.0, 7.0])  # times at which a table's rational argument is tested for linearity
 
 
 class Clock:
@@ -48,12 +48,12 @@ class Clock:
     @contextmanager
     def at(self, t: float) -> Iterator[None]:
         """Return a context in which forms are assembled at the time t."""
-        before = float(self.symbol)
+        old_time = float(self.symbol)
         self._set_time(t)
         try:
             yield
         finally:
-            self._set_time(before)
+            self._set_time(old_time)
 
     def _set_time(self, t: float) -> None:
         for constant in self.symbol.time_constants:
@@ -87,7 +87,7 @@ class TimeConstant(fem.Constant):
 
     def at(self, t: float) -> float | Array:
         """Return the value at the time t: the time itself, or the values (m,) of the table."""
-        return t if self._table is None else self._table.at(self._argument_at(t))
+        return t if self._table is None else self._table.values_at(self._argument_at(t))
 
     def _argument_at(self, t: float) -> float:
         """Return the argument of the table at the time t; NaN where the expression is not defined."""
@@ -97,7 +97,7 @@ class TimeConstant(fem.Constant):
             return math.nan
 
     @property
-    def breaks(self) -> set[float]:
+    def kinks(self) -> set[float]:
         """Times at which the slope of the table's values changes.
 
         They are known only if the table's argument is linear in the time; otherwise the set is empty.
@@ -106,10 +106,10 @@ class TimeConstant(fem.Constant):
             return set()
         if not all(isinstance(node, (Terminal, *RATIONAL_OPERATORS)) for node in unique_pre_traversal(self._argument)):
             return set()
-        y = np.array([self._argument_at(t) for t in SAMPLE_TIMES])
+        y = np.array([self._argument_at(t) for t in TEST_TIMES])
         rate, start = float(y[2] - y[1]), float(y[1])
-        is_linear = np.abs(start + rate * SAMPLE_TIMES - y).max() <= TIME_TOLERANCE * np.abs(y).max()  # False for NaN
-        return {(t - start) / rate for t in self._table.breaks} if is_linear and rate else set()
+        is_linear = np.abs(start + rate * TEST_TIMES - y).max() <= TIME_TOLERANCE * np.abs(y).max()  # False for NaN
+        return {(t - start) / rate for t in self._table.kinks} if is_linear and rate else set()
 
 
 def time_constants(expression: Expr) -> list[TimeConstant]:
@@ -121,30 +121,30 @@ class TimeLevel:
     """A time, besides that of the clock, at which expressions and forms are evaluated.
 
     Expressions at this level contain constants that are separate from those of the clock. A form may thus contain
-    several times, and is compiled once. To evaluate a compiled form at another time, call `set`.
+    several times, and is compiled once. To evaluate a compiled form at another time, call `set_time`.
     """
 
     def __init__(self, t: float = 0.0) -> None:
         self._t, self._constants = t, dict[TimeConstant, fem.Constant]()
 
-    def set(self, t: float) -> None:
+    def set_time(self, t: float) -> None:
         """Set the time of this level, and so the values of its constants in compiled forms."""
         self._t = t
-        for clock, constant in self._constants.items():
-            constant.value = clock.at(t)
+        for time_constant, constant in self._constants.items():
+            constant.value = time_constant.at(t)
 
-    def of(self, expression: Expr) -> Expr:
+    def at_level(self, expression: Expr) -> Expr:
         """Return an expression or a form in which constants of this time level replace those of the clock."""
-        clocks = time_constants(expression)
-        for clock in clocks:
+        constants = time_constants(expression)
+        for clock in constants:
             if clock not in self._constants:
                 self._constants[clock] = fem.Constant(clock.mesh, np.array(clock.at(self._t), float))
-        return ufl_replace(expression, {c: self._constants[c] for c in clocks}) if clocks else expression
+        return ufl_replace(expression, {c: self._constants[c] for c in constants}) if constants else expression
 
-    def terms(self, terms: Iterable[Term]) -> list[Term]:
+    def terms_at_level(self, terms: Iterable[Term]) -> list[Term]:
         """Return terms whose prescribed strains are those at this time level."""
         strains = ((p, p.prescribed_strain) for p in terms)
-        return [p if e is None else replace(p, prescribed_strain=self.of(e)) for p, e in strains]
+        return [p if e is None else replace(p, prescribed_strain=self.at_level(e)) for p, e in strains]
 
 
 class StepStrains:
@@ -158,14 +158,14 @@ class StepStrains:
         terms: the terms with prescribed strains.
 
     Attributes:
-        grows: whether a prescribed strain changes over the step.
+        has_increment: whether a prescribed strain changes over the step.
     """
 
     def __init__(self, mesh: Mesh, terms: Iterable[Term]) -> None:
         self._varies = any(p.prescribed_strain is not None and time_constants(p.prescribed_strain) for p in terms)
         self._old_factor, self._theta, self._now_factor = (fem.Constant(mesh, 1.0) for _ in range(3))
         self._old, self._new, self._now = TimeLevel(), TimeLevel(), TimeLevel()
-        self.grows = True
+        self.has_increment = True
 
     def begin(self, old: float, new: float, theta: float, *, at_rest: bool) -> None:
         """Begin a step from one time to another.
@@ -177,31 +177,31 @@ class StepStrains:
             at_rest: whether prescribed strains are zero at the start, as in the first step.
         """
         self._old_factor.value, self._theta.value = 0.0 if at_rest else 1.0, theta
-        self.grows = at_rest or self._varies
-        self._old.set(old)
-        self._new.set(new)
+        self.has_increment = at_rest or self._varies
+        self._old.set_time(old)
+        self._new.set_time(new)
 
-    def balanced(self, f: Expr) -> Expr:
+    def at_balance_time(self, f: Expr) -> Expr:
         """Return an expression f at the time at which forces balance: theta f(new) + (1 - theta) f(old).
 
         Displacements are averaged in the same way.
         """
         if not time_constants(f):
             return f
-        return self._theta * self._new.of(f) + (1 - self._theta) * self._old_factor * self._old.of(f)
+        return self._theta * self._new.at_level(f) + (1 - self._theta) * self._old_factor * self._old.at_level(f)
 
     def growth(self, f: Expr) -> Expr:
         """Return the increment f(new) - f(old) of an expression f over the step."""
-        return self._new.of(f) - self._old_factor * self._old.of(f)
+        return self._new.at_level(f) - self._old_factor * self._old.at_level(f)
 
     def now(self, f: Expr) -> Expr:
         """Return an expression f at the time that `set_now` sets."""
-        return self._now_factor * self._now.of(f)
+        return self._now_factor * self._now.at_level(f)
 
     def set_now(self, t: float, *, at_rest: bool = False) -> None:
         """Set the time of the expressions from `now`; if `at_rest`, make these expressions zero."""
         self._now_factor.value = 0.0 if at_rest else 1.0
-        self._now.set(t)
+        self._now.set_time(t)
 
 
 class PiecewiseLinear:
@@ -210,15 +210,15 @@ class PiecewiseLinear:
     Attributes:
         times: (n,) the n times, increasing.
         columns: (n, m) values at these times, with m components.
-        scalar: whether each value is a number instead of components.
-        breaks: the first and the last time, and those between at which the slope changes.
+        is_scalar: whether each value is a number instead of components.
+        kinks: the first and the last time, and those between at which the slope changes.
     """
 
     def __init__(self, times: Array, values: Array) -> None:
-        self.times, self.columns, self.scalar = times, values.reshape(len(times), -1), values.ndim == 1
+        self.times, self.columns, self.is_scalar = times, values.reshape(len(times), -1), values.ndim == 1
         slopes = np.diff(self.columns, axis=0) / np.diff(times)[:, None]
-        changes = np.abs(np.diff(slopes, axis=0)) > TIME_TOLERANCE * np.abs(slopes).max(axis=0)
-        self.breaks = tuple(map(float, times[[True, *changes.any(axis=1), True]]))
+        slope_changes = np.abs(np.diff(slopes, axis=0)) > TIME_TOLERANCE * np.abs(slopes).max(axis=0)
+        self.kinks = tuple(map(float, times[[True, *slope_changes.any(axis=1), True]]))
 
     def __call__(self, t: Expr) -> Expr | list[Expr]:
         """Return the value at t, a number or a UFL expression: one scalar, or a list of components.
@@ -226,14 +226,14 @@ class PiecewiseLinear:
         It is in UFL if t is, otherwise it consists of numbers.
         """
         if is_number(t) or isinstance(t, ufl.constantvalue.RealValue | ufl.constantvalue.Zero):
-            y = [*map(float, self.at(float(t)))]
+            y = [*map(float, self.values_at(float(t)))]
         else:
             t = ufl.as_ufl(t)
             now = _time_constant(t)
             y = [self._line(c, t) for c in self.columns.T] if now is None else [*TimeConstant(now.mesh, now, t, self)]
-        return y[0] if self.scalar else y
+        return y[0] if self.is_scalar else y
 
-    def at(self, t: float) -> Array:
+    def values_at(self, t: float) -> Array:
         """Return the values (m,) of the m components at the time t, a number."""
         first, last = self.times[[0, -1]]
         tolerance = TIME_TOLERANCE * max(abs(first), abs(last))
@@ -278,23 +278,23 @@ def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr
     """
     try:
         times = real_values(sorted(values))
-        rows = real_values([values[t] for t in sorted(values)])
+        value_rows = real_values([values[t] for t in sorted(values)])
     except (TypeError, ValueError, LookupError) as error:
         raise InputError(f"piecewise needs {{time: number or components}}: {error}") from error
-    if len(times) < 2 or rows.ndim > 2 or not (np.isfinite(times).all() and np.isfinite(rows).all()):
+    if len(times) < 2 or value_rows.ndim > 2 or not (np.isfinite(times).all() and np.isfinite(value_rows).all()):
         raise InputError(f"piecewise needs two times or more, each with a number or components, not {values!r}")
-    table = PiecewiseLinear(times, rows)
+    table = PiecewiseLinear(times, value_rows)
 
     def at(_: Expr, t: Expr) -> Expr:
         return table(t)
 
-    vars(at)["times"] = table.breaks
+    vars(at)["times"] = table.kinks
     return at
 
 
 def _time_constant(expression: Expr) -> TimeConstant | None:
     """Return the clock's time constant in an expression that depends on the time alone; None for other expressions."""
     terminals = [node for node in unique_pre_traversal(expression) if isinstance(node, Terminal)]
-    others = {node for node in terminals if not isinstance(node, (ConstantValue, MultiIndex))}
-    terminal = others.pop() if len(others) == 1 else None
+    non_constants = {node for node in terminals if not isinstance(node, (ConstantValue, MultiIndex))}
+    terminal = non_constants.pop() if len(non_constants) == 1 else None
     return terminal if isinstance(terminal, TimeConstant) and terminal._time is None else None

@@ -12,7 +12,7 @@ from typing import Any
 from docutils import nodes
 from sphinx.util.docutils import SphinxDirective
 
-from thinlayer.running.catalogue import Study, duration, studies
+from thinlayer.running.catalogue import Study, duration_text, studies
 
 CLONE = Path(__file__).parents[2]
 PICTURES = "../../../studies/pictures/"  # from a page of the reference
@@ -34,7 +34,7 @@ class Studies(SphinxDirective):
         """A study's name, picture, summary, and times."""
         drawn = sorted((CLONE / "studies/pictures").glob(f"{study.name}*.[sp][vn]g"))
         picture = "".join(f"![{study.summary}]({PICTURES}{path.name})\n\n" for path in drawn[:1])
-        times = f"{duration(study.full)}, with `--quick` {duration(study.quick)}"
+        times = f"{duration_text(study.full)}, with `--quick` {duration_text(study.quick)}"
         return self.parse_text_to_nodes(f"**{study.name}**\n\n{picture}{study.summary}\n\n{times}")
 
 

@@ -22,12 +22,12 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.estimating.global_local import DEFAULT_WIDTH, GlobalLocal, GoalBounds
 from thinlayer.estimating.goals import Compliance, Goal
-from thinlayer.estimating.result import ESTIMATED_FIELDS, FIXED_GOAL_SHARE, Estimate, GoalError, LayerError
+from thinlayer.estimating.result import ESTIMATED_FIELDS, FIXED_GOAL_TOLERANCE, Estimate, GoalError, LayerError
 from thinlayer.estimating.surface_errors import relative_errors, squared_norms
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.history import History
-from thinlayer.solving.layer_subproblem import MESH_REMEDY, LayerSubproblem
+from thinlayer.solving.layer_subproblem import MESH_ADVICE, LayerSubproblem
 from thinlayer.solving.part_sum import PartSum
 from thinlayer.solving.petsc import Options
 from thinlayer.solving.solve import solve
@@ -36,7 +36,7 @@ from thinlayer.system.ranks import errors_on_all
 from thinlayer.time.marching import march
 
 # relative rounding of goals, measured for rubber between steel that is 1e6 times as stiff; it widens their bounds
-GOAL_TOLERANCE = 3e-8
+GOAL_ROUNDING = 3e-8
 
 
 @report("estimate")
@@ -93,52 +93,54 @@ def estimate(
     require(isinstance(solution, State), "estimate: the state", solution, hint)
     with errors_on_all(solution.model.comm):
         require(is_finite(width) and width > 0, "estimate: width", width, "allowed: > 0, over the change of a goal")
-        checked = _checked_goals(goals)
+        named_goals = _checked_goals(goals)
     model = _with_layers(solution, layer)
     seams = _checked_seams(model, solution.model.bonds, seam)
     with errors_on_all(model.comm):
         _require_subproblem(model, state, [model.layers[name] for name in seams])
         for name in solution.model.bonds:
             model.applicability[name].require("bonded", "estimate: ")
-        for goal in checked.values():
+        for goal in named_goals.values():
             goal.check(model)
     order_1 = {name: _order_1_layer(model.applicability[name]) for name in seams}
-    meshed = {name: replace(thin_layer, order=0, edges=None) for name, thin_layer in order_1.items()}
-    layers = LayerSubproblem(model, meshed, solution.t)
-    values = {name: goal.value(solution, model) for name, goal in checked.items()}
+    meshed_layers = {name: replace(thin_layer, order=0, edges=None) for name, thin_layer in order_1.items()}
+    subproblem = LayerSubproblem(model, meshed_layers, solution.t)
+    goal_values = {name: goal.value(solution, model) for name, goal in named_goals.items()}
     bounds: dict[str, GoalBounds] = {}
-    old: State | None = None
-    failed: list[SolveError] = []
+    old_state: State | None = None
+    solve_errors: list[SolveError] = []
     has_bounds = model.linear and model.symmetric and isinstance(state, State)
     bound_width = width if has_bounds else None
-    for order, candidate in enumerate(_models(model, order_1)):  # their tangents are preconditioners of the iteration
+    for order, candidate in enumerate(
+        _start_models(model, order_1)
+    ):  # their tangents are preconditioners of the iteration
         try:
-            *earlier, first = _states_of_path(state, candidate, order > 0, options)
+            *earlier, first_state = _states_of_path(state, candidate, order > 0, options)
             before = earlier[-1] if earlier else None
-            old = before if solution.model.bonds or not order else old
-            _advance_layers(earlier, first, layers, options)
-            with Adjoint(first, before, options) as adjoint:
-                iteration = GlobalLocal(adjoint, layers)
-                iterate, weights = iteration.run(checked, values, bounds, bound_width)
-                energy = None if model.linear or before else iteration.energy(solution, iterate)
-                (last, layer_state), failed = iteration.states(iterate), []
-                if iteration.is_near(iterate, values, bounds, bound_width):
+            old_state = before if solution.model.bonds or not order else old_state
+            _advance_layers(earlier, first_state, subproblem, options)
+            with Adjoint(first_state, before, options) as adjoint:
+                iteration = GlobalLocal(adjoint, subproblem)
+                iterate, adjoints = iteration.run(named_goals, goal_values, bounds, bound_width)
+                energy = None if model.linear or before else iteration.energy_bounds(solution, iterate)
+                (last_state, layer_state), solve_errors = iteration.states(iterate), []
+                if iteration.may_end(iterate, goal_values, bounds, bound_width):
                     break
         except SolveError as error:
             if has_bounds:
                 raise
-            failed = [error.with_traceback(None)]  # as in `Solver._try_in_turn`
-    if failed:
-        raise failed.pop()
-    squares = {name: squared_norms(solution, last, model.layers[name], layer_state) for name in seams}
-    errors = {name: LayerError(meshed[name], *relative_errors(square)) for name, square in squares.items()}
+            solve_errors = [error.with_traceback(None)]  # as in `Solver._try_in_turn`
+    if solve_errors:
+        raise solve_errors.pop()
+    squares = {name: squared_norms(solution, last_state, model.layers[name], layer_state) for name in seams}
+    errors = {name: LayerError(meshed_layers[name], *relative_errors(square)) for name, square in squares.items()}
     goal_errors = {}
-    for name, goal in checked.items():
-        goal_bounds = bounds.get(name, GoalBounds(goal.value(last, model), math.nan, math.nan))
-        goal_errors[name] = _goal_error(name, values[name], goal.scale(last, model), goal_bounds, has_bounds)
+    for name, goal in named_goals.items():
+        goal_bounds = bounds.get(name, GoalBounds(goal.value(last_state, model), math.nan, math.nan))
+        goal_errors[name] = _goal_error(name, goal_values[name], goal.scale(last_state, model), goal_bounds, has_bounds)
     traction, jump = relative_errors(sum(squares.values(), np.zeros(4)))
-    seconds, data = time.perf_counter() - start, (layers, first, old, weights, checked, options)
-    return Estimate(solution, last, errors, goal_errors, traction, jump, seconds, layer_state, energy, *data)
+    seconds, data = time.perf_counter() - start, (subproblem, first_state, old_state, adjoints, named_goals, options)
+    return Estimate(solution, last_state, errors, goal_errors, traction, jump, seconds, layer_state, energy, *data)
 
 
 def _checked_seams(model: InterfaceModel, bonds: Collection[str], seam: str) -> list[str]:
@@ -175,16 +177,16 @@ def _goal_error(name: str, value: float, scale: float, bounds: GoalBounds, bound
         SolveError: the estimate is not finite, or the lower bound exceeds the upper one.
     """
     has_bounds = bounded and bounds.upper - bounds.lower < math.inf
-    slack = GOAL_TOLERANCE * max(abs(value), abs(bounds.estimate)) + bounds.rounding if has_bounds else math.nan
+    rounding = GOAL_ROUNDING * max(abs(value), abs(bounds.estimate)) + bounds.rounding if has_bounds else math.nan
     if not math.isfinite(bounds.estimate):
-        raise SolveError(f"estimate: {name} is not finite where a law fails", advice=MESH_REMEDY)
-    if bounds.lower - bounds.upper > slack + FIXED_GOAL_SHARE * scale:
+        raise SolveError(f"estimate: {name} is not finite where a law fails", advice=MESH_ADVICE)
+    if bounds.lower - bounds.upper > rounding + FIXED_GOAL_TOLERANCE * scale:
         conflict = f"at least {bounds.lower:.9g}, and at most {bounds.upper:.9g}"
-        raise SolveError(f"estimate: the bounds of {name} contradict each other: {conflict}", advice=MESH_REMEDY)
-    return GoalError(value, bounds.estimate, scale, bounds.lower - slack, bounds.upper + slack)
+        raise SolveError(f"estimate: the bounds of {name} contradict each other: {conflict}", advice=MESH_ADVICE)
+    return GoalError(value, bounds.estimate, scale, bounds.lower - rounding, bounds.upper + rounding)
 
 
-def _models(model: InterfaceModel, layers: Mapping[str, ThinLayer]) -> Iterator[InterfaceModel]:
+def _start_models(model: InterfaceModel, layers: Mapping[str, ThinLayer]) -> Iterator[InterfaceModel]:
     """Yield the interface models from which the iteration is started in turn, until it converges.
 
     The first one is `model` itself. The second one has laws of order 1, for the layers `layers` by the names of their
@@ -192,7 +194,7 @@ def _models(model: InterfaceModel, layers: Mapping[str, ThinLayer]) -> Iterator[
     """
     yield model
     try:
-        yield model.improved(layers)
+        yield model.with_interface_laws(layers)
     except InputError:  # as for laws of order 1 at junctions
         return
 
@@ -237,10 +239,10 @@ def _advance_layers(earlier: Sequence[State], last: State, layers: LayerSubprobl
         layers: the meshed layers.
         options: {name of a PETSc option without its prefix: value}.
     """
-    path, before = [*earlier, last], None
-    layer_state = layers.rest(path[0].t)
-    layers.begin(layer_state, path[0].t)
-    for now, following in pairwise(path):
+    states, before = [*earlier, last], None
+    layer_state = layers.rest_state(states[0].t)
+    layers.begin(layer_state, states[0].t)
+    for now, following in pairwise(states):
         if not now.at_rest:
             with Adjoint(now, before, options) as adjoint:
                 iteration = GlobalLocal(adjoint, layers)
@@ -249,7 +251,7 @@ def _advance_layers(earlier: Sequence[State], last: State, layers: LayerSubprobl
         layers.begin(layer_state, following.t)
 
 
-def _require_subproblem(model: InterfaceModel, state: State | History, dropped: Sequence[SeamLayer]) -> None:
+def _require_subproblem(model: InterfaceModel, state: State | History, meshed_layers: Sequence[SeamLayer]) -> None:
     """Raise InputError unless the layers of a model can be meshed without its bodies. Collective.
 
     Neither plates nor inclined supports may constrain nodes on S. If a law or part has a memory or a rate, the state
@@ -258,7 +260,7 @@ def _require_subproblem(model: InterfaceModel, state: State | History, dropped: 
     Args:
         model: the interface model, with layers in place of bonds.
         state: the state or history that is estimated.
-        dropped: the layers that are meshed for the estimate.
+        meshed_layers: the layers that are meshed for the estimate.
     """
     for name in model.layers:
         model.applicability[name].require("estimate", "estimate: ")
@@ -269,13 +271,13 @@ def _require_subproblem(model: InterfaceModel, state: State | History, dropped: 
         return
     equations = Equations(model)
     try:
-        dropped_parts = [part for part in equations.layers if any(layer.owns_key(part.key) for layer in dropped)]
+        dropped_parts = [part for part in equations.layers if any(layer.owns_key(part.key) for layer in meshed_layers)]
         others = PartSum(part for part in equations.parts if part not in dropped_parts)
         reason = f"estimate: {{}} remembers steps beside the layers; {remedy}"
-        others.refuse(dict.fromkeys(("remembers", "rate"), reason))
+        others.refuse_traits(dict.fromkeys(("remembers", "rate"), reason))
         if isinstance(state, State):
             reason = "estimate: {} remembers, and steps in time have led to this state; give the history"
-            equations.refuse(dict.fromkeys(("remembers", "rate"), reason))
+            equations.refuse_traits(dict.fromkeys(("remembers", "rate"), reason))
     finally:
         equations.destroy()
 
@@ -300,11 +302,11 @@ def _has_multi_point_constraints(model: InterfaceModel) -> bool:
     constraints, d = model.constraints, model.joint.dim
     if constraints.T is None:
         return False
-    rows = local_csr(constraints.T)
-    turned = abs(rows - scipy.sparse.eye(*rows.shape, k=constraints.row_start)).sum(axis=1) > 0
+    T = local_csr(constraints.T)
+    is_constrained = abs(T - scipy.sparse.eye(*T.shape, k=constraints.row_start)).sum(axis=1) > 0
     nodes = np.concatenate([side.ravel() for name in model.layers for side in nodes_of_sides(model, model.V, name)])
     dofs = (nodes[:, None] * d + np.arange(d)).ravel()
-    return bool(model.comm.allreduce(int(np.asarray(turned)[dofs[dofs < constraints.n]].any()), max))
+    return bool(model.comm.allreduce(int(np.asarray(is_constrained)[dofs[dofs < constraints.n]].any()), max))
 
 
 def _order_1_layer(applicability: Applicability) -> ThinLayer:
@@ -314,7 +316,7 @@ def _order_1_layer(applicability: Applicability) -> ThinLayer:
     says which laws the layer may have.
     """
     try:
-        return replace(applicability.next_order(), edges="plain")
+        return replace(applicability.layer_of_order_1(), edges="plain")
     except InputError:
         return applicability.layer.as_thin_layer
 
@@ -330,8 +332,8 @@ def _with_layers(state: State, layer: Layers | None) -> InterfaceModel:
     model = state.model
     if not isinstance(model, InterfaceModel):
         raise InputError(f"estimate: a {model.name} model drops no mesh; give a state of an interface model")
-    left_out = layer if isinstance(layer, Mapping) else dict.fromkeys(model.bonds, layer) if layer else {}
+    layers_at_bonds = layer if isinstance(layer, Mapping) else dict.fromkeys(model.bonds, layer) if layer else {}
     bonded = ", ".join(model.bonds) or "no seam"
-    if set(left_out) != set(model.bonds) or (layer is not None and not model.bonds):
+    if set(layers_at_bonds) != set(model.bonds) or (layer is not None and not model.bonds):
         raise InputError(f"estimate: give layer=, what was left out at bonds, for these and no others: {bonded}")
-    return InterfaceModel(model.structure, {**model.on_seams, **left_out}) if left_out else model
+    return InterfaceModel(model.structure, {**model.on_seams, **layers_at_bonds}) if layers_at_bonds else model

@@ -47,19 +47,19 @@ from thinlayer.errors import SolveError
 from thinlayer.estimating.goals import Goal
 from thinlayer.pointwise.quadrature import set_owned_values
 from thinlayer.solving.adjoint import Adjoint
-from thinlayer.solving.layer_subproblem import MESH_REMEDY, LayerSubproblem, line_search_share
-from thinlayer.solving.part_sum import ROUNDING_SHARE, PartSum
+from thinlayer.solving.layer_subproblem import MESH_ADVICE, LayerSubproblem, line_search_fraction
+from thinlayer.solving.part_sum import FORCE_ROUNDING, PartSum
 
-MAX_STEPS = 5
+MAX_ITERATIONS = 5
 ITERATE_TOLERANCE = 1e-10  # relative difference of two iterates that counts as rounding
 RESULTANT_TOLERANCE = 1e-9  # resultant of the forces on a layer, over the sum of their sizes, that counts as rounding
 COUPLE_REDUCTION = 0.01  # largest resultant that couples leave, over the resultant that counts as rounding
 NEW_AXIS_SHARE = 0.1  # share of a resultant along no earlier axis above which a couple is added
 MAX_NEWTON_STEPS, MAX_CG_STEPS = 20, 30  # largest numbers of Newton steps, and of conjugate steps in each
 GAIN_TOLERANCE = 1e-20  # gain of a step, over the work of the forces on the layers, that counts as rounding
-RELATIVE_RESIDUAL = 1e-3  # largest final residual, over the residual of the interface law
-MISSING_FORCE_SHARE = 1e-4  # part of the largest final residual, over the forces on the faces
-MAX_WIDTH_RATIO = 1e3  # width of bounds over their rounding below which they are narrow in any case
+RESIDUAL_TOLERANCE = 1e-3  # largest final residual, over the residual of the interface law
+FACE_FORCE_TOLERANCE = 1e-4  # part of the largest final residual, over the forces on the faces
+NARROW_WIDTH_RATIO = 1e3  # width of bounds over their rounding below which they are narrow in any case
 MIN_CG_GAIN = 1e-3  # gain of a conjugate step over the gain of its Newton step at which conjugate steps end
 ENERGY_TOLERANCE = 1e-6  # gain of a Newton step over the gain of all steps at which Newton's method ends
 DEFAULT_WIDTH = 0.05  # default width of bounds over the change at which steps end
@@ -76,19 +76,19 @@ class BodyEquilibrium(NamedTuple):
         v: (n,) displacements of the layers' faces, or z there; zero at other unknowns of the layers.
         F: (n,) forces on the faces that the bodies need for equilibrium.
         load: (n,) loads on the layers; for z, the derivative of the goal by the layers' unknowns.
-        values: (n,) prescribed displacements of the layers' lateral sides; for z, their values in the adjoint problem.
+        side_u: (n,) prescribed displacements of the layers' lateral sides; for z, their values in the adjoint problem.
         directions: four arrays for each conjugate-gradient step that led to the iterate. They are the changes d of u
             (m,), of v (n,) and of F (n,), and (K_b + E) d at the faces (n,).
-        gained: twice the decrease of the energy by these steps.
+        energy_gain: twice the decrease of the energy by these steps.
     """
 
     u: Array
     v: Array
     F: Array
     load: Array
-    values: Array
+    side_u: Array
     directions: tuple[tuple[Array, Array, Array, Array], ...] = ()
-    gained: float = 0.0
+    energy_gain: float = 0.0
 
     def is_near(self, other: BodyEquilibrium) -> bool:
         """Return whether this iterate and `other` agree to rounding on the layers' faces.
@@ -96,7 +96,7 @@ class BodyEquilibrium(NamedTuple):
         Conjugate-gradient steps from both then agree, too. The result is the same on all ranks, as every rank has the
         values on all faces.
         """
-        pairs = ((self.v, other.v), (self.F, other.F), (self.load, other.load), (self.values, other.values))
+        pairs = ((self.v, other.v), (self.F, other.F), (self.load, other.load), (self.side_u, other.side_u))
         return all(np.abs(a - b).max(initial=0.0) <= ITERATE_TOLERANCE * np.abs(a).max(initial=0.0) for a, b in pairs)
 
 
@@ -123,13 +123,13 @@ class GoalBounds(NamedTuple):
         lower, upper = max(self.lower, other.lower), min(self.upper, other.upper)
         return self._replace(estimate=min(max(self.estimate, lower), upper), lower=lower, upper=upper)
 
-    def is_narrow(self, value: float, share: float) -> bool:
+    def is_narrow(self, value: float, fraction: float) -> bool:
         """Return whether the bounds are at most as wide as a fraction of the goal's change.
 
-        The change is that from `value`, the goal with the interface laws, to the estimate; `share` is the fraction.
+        The change is that from `value`, the goal with the interface laws, to the estimate; `fraction` is the fraction.
         Bounds are also narrow if their width is little more than rounding.
         """
-        return self.upper - self.lower <= max(share * abs(self.estimate - value), MAX_WIDTH_RATIO * self.rounding)
+        return self.upper - self.lower <= max(fraction * abs(self.estimate - value), NARROW_WIDTH_RATIO * self.rounding)
 
 
 class GlobalLocal:
@@ -152,20 +152,20 @@ class GlobalLocal:
         dropped = [self.model.layers[name] for name in layers.seams]
         self._law_parts = [part for part in self.equations.layers if any(layer.owns_key(part.key) for layer in dropped)]
         others = PartSum(part for part in self.equations.parts if part not in self._law_parts)
-        if others.with_own:
-            key = others.with_own[0].key
+        if others.field_parts:
+            key = others.field_parts[0].key
             raise InputError(f"estimate: {key!r} has unknowns of its own; mesh the layer (structure.full)")
         self._other_parts, self._nonlinear = others.parts, others.traits.nonlinear
         self._K_b = adjoint.tangent_of(others)
-        self._x = self.equations.u.x.petsc_vec.duplicate()
+        self._work_vector = self.equations.u.x.petsc_vec.duplicate()
         self._loads = self.equations.loads.array_r - adjoint.layer_loads
-        self._shares = layers.free_face_values(layers.K.diagonal())[:, None]
-        gram = layers.R.T @ (self._shares * layers.R)
-        self._R = layers.R @ np.linalg.inv(np.linalg.cholesky(gram)).T if gram.size else layers.R
-        self._reset()
+        self._face_stiffnesses = layers.free_face_values(layers.K.diagonal())[:, None]
+        gram = layers.R.T @ (self._face_stiffnesses * layers.R)
+        self._motion_basis = layers.R @ np.linalg.inv(np.linalg.cholesky(gram)).T if gram.size else layers.R
+        self._reset_couples()
 
-    def _reset(self) -> None:
-        self._axes = np.empty((self._R.shape[1], 0))  # axes of the motions that have couples
+    def _reset_couples(self) -> None:
+        self._axes = np.empty((self._motion_basis.shape[1], 0))  # axes of the motions that have couples
         self._couples: list[tuple[Array, Array]] = []
 
     # ---------------------------------------------------------------- the interface model
@@ -182,16 +182,16 @@ class GlobalLocal:
 
     def _face_forces(self, forces: Array) -> Array:
         """Return the nodal forces on the layers' faces (n,), which are some of the nodal forces `forces` (m,)."""
-        return self.layers.free_face_values(self.layers.at_faces(forces))
+        return self.layers.free_face_values(self.layers.to_layers(forces))
 
     def _resistance(self, d: Array) -> Array:
         """Return the forces (m,) with which all parts except the layers' laws resist small displacements `d` (m,).
 
         The forces are linearised at the state from which the iteration starts.
         """
-        self._x.array[:] = d
-        out = self._x.duplicate()
-        (self._K_b.multTranspose if self.adjoint.transposed else self._K_b.mult)(self._x, out)
+        self._work_vector.array[:] = d
+        out = self._work_vector.duplicate()
+        (self._K_b.multTranspose if self.adjoint.transposed else self._K_b.mult)(self._work_vector, out)
         forces = np.asarray(out.array_r.copy())
         out.destroy()
         return forces
@@ -203,10 +203,10 @@ class GlobalLocal:
             The displacements (m,) under these forces; and the forces (n,) that the interface laws bear: `r` minus what
             bodies and other parts bear.
         """
-        d = self.adjoint.displacements(*self.layers.face_values(r))
+        d = self.adjoint.displacements(*self.layers.to_interface(r))
         return d, r - self._face_forces(self._resistance(d))
 
-    def _with_couples(self, u: Array, F: Array, load: Array, values: Array) -> BodyEquilibrium:
+    def _with_couples(self, u: Array, F: Array, load: Array, side_u: Array) -> BodyEquilibrium:
         """Return an iterate with additional loads on the layers' faces ("couples"), which balance their resultants.
 
         Without couples, F and the loads on a layer may have a resultant. A couple is a load on the faces in proportion
@@ -217,19 +217,19 @@ class GlobalLocal:
             u: (m,) displacements, without couples.
             F: (n,) forces of the bodies on the faces, without couples.
             load: (n,) loads on the layers.
-            values: (n,) prescribed displacements of the layers' lateral sides.
+            side_u: (n,) prescribed displacements of the layers' lateral sides.
         """
-        iterate = BodyEquilibrium(u, self.layers.at_faces(u), F, load, values)
+        iterate = BodyEquilibrium(u, self.layers.to_layers(u), F, load, side_u)
         for _ in range(len(self._axes) + 1):  # a couple may leave a resultant along other axes
-            left, least = self._resultant(iterate)
-            if left <= COUPLE_REDUCTION * least:  # well below rounding, as the resultants of steps add up
+            resultant, limit = self._resultant(iterate)
+            if resultant <= COUPLE_REDUCTION * limit:  # well below rounding, as the resultants of steps add up
                 break
-            along = self._R.T @ (iterate.F + load)
+            along = self._motion_basis.T @ (iterate.F + load)
             self._add_couple(along)
-            resultants = self._axes.T @ self._R.T @ np.column_stack([dF for _, dF in self._couples])
-            for share, (d, dF) in zip(-np.linalg.solve(resultants, self._axes.T @ along), self._couples, strict=True):
-                u, F = u + share * d, F + share * dF
-            iterate = BodyEquilibrium(u, self.layers.at_faces(u), F, load, values)
+            resultants = self._axes.T @ self._motion_basis.T @ np.column_stack([dF for _, dF in self._couples])
+            for factor, (d, dF) in zip(-np.linalg.solve(resultants, self._axes.T @ along), self._couples, strict=True):
+                u, F = u + factor * d, F + factor * dF
+            iterate = BodyEquilibrium(u, self.layers.to_layers(u), F, load, side_u)
         return iterate
 
     def _add_couple(self, along: Array) -> None:
@@ -245,15 +245,15 @@ class GlobalLocal:
         new_part = along - self._axes @ (self._axes.T @ along)
         if norm(new_part) > NEW_AXIS_SHARE * norm(along):  # a smaller part is left to the next pass, or is rounding
             axis = new_part / norm(new_part)
-            couple = self._shares[:, 0] * (self._R @ axis)
-            d, pulled = self._displacements_under(couple)
-            self._couples.append((d, pulled - couple))
+            couple = self._face_stiffnesses[:, 0] * (self._motion_basis @ axis)
+            d, law_forces = self._displacements_under(couple)
+            self._couples.append((d, law_forces - couple))
             self._axes = np.column_stack([self._axes, axis])
 
     def _resultant(self, iterate: BodyEquilibrium) -> tuple[float, float]:
         """Return the largest resultant of the forces on the layers in `iterate`, and a bound of its rounding error."""
         total, layers = iterate.F + iterate.load, self.layers
-        rounding = ROUNDING_SHARE * float(np.abs(layers.K.diagonal()).sum() * np.abs(iterate.v).max())
+        rounding = FORCE_ROUNDING * float(np.abs(layers.K.diagonal()).sum() * np.abs(iterate.v).max())
         return np.abs(layers.R.T @ total).max(initial=0.0), RESULTANT_TOLERANCE * float(np.abs(total).sum()) + rounding
 
     # ---------------------------------------------------------------- iterates
@@ -268,7 +268,7 @@ class GlobalLocal:
         self._start_forces = start.F
         return self._linearised(start)
 
-    def weights(self, goal: Goal) -> tuple[Array, BodyEquilibrium]:
+    def weights_and_adjoint(self, goal: Goal) -> tuple[Array, BodyEquilibrium]:
         """Return the nodal weights (m,) of a goal, at this rank's displacements, and its adjoint solution.
 
         The weights are the derivative of `goal` by the displacements, at the state of the interface model. The adjoint
@@ -276,7 +276,7 @@ class GlobalLocal:
         """
         q, g = goal.dual(self.adjoint)
         if self.model.linear and goal.is_linear(self.model):
-            self.adjoint.require_dual(goal.name, goal.value, q, g, layers=bool(goal.in_layers(self.layers)[0].any()))
+            self.adjoint.check_goal(goal.name, goal.value, q, g, on_layers=bool(goal.in_layers(self.layers)[0].any()))
         b = q.array_r[: self.n].copy()
         z = self.adjoint.weights(q, g).u.x.array[: self.n].copy()
         with self._transposed():
@@ -293,25 +293,25 @@ class GlobalLocal:
             yield
             return
         self.adjoint.transposed = True
-        self._reset()
+        self._reset_couples()
         try:
             yield
         finally:
             self.adjoint.transposed = False
-            self._reset()
+            self._reset_couples()
 
     def layer_unknowns(self, iterate: BodyEquilibrium) -> Array:
         """Return the unknowns (n,) of the meshed layers in equilibrium with the face displacements of `iterate`."""
-        return self.layers.dirichlet_displacements(iterate.v, iterate.load, iterate.values)
+        return self.layers.dirichlet_displacements(iterate.v, iterate.load, iterate.side_u)
 
     def residual(self, iterate: BodyEquilibrium) -> Array:
         """Return the residual (n,) of `iterate`: the forces on the layers' faces that meshed layers do not balance.
 
         It is r = F - (E u - l) in the notation of the module.
         """
-        return iterate.F - self.layers.dirichlet_reactions(iterate.v, iterate.load, iterate.values)
+        return iterate.F - self.layers.dirichlet_reactions(iterate.v, iterate.load, iterate.side_u)
 
-    def step(self, old: BodyEquilibrium) -> BodyEquilibrium:
+    def cg_step(self, old: BodyEquilibrium) -> BodyEquilibrium:
         """Return the iterate after one conjugate-gradient step from `old` towards the structure with meshed layers."""
         layers, r, zero = self.layers, self.residual(old), np.zeros_like(old.v)
         d, F = self._displacements_under(r)
@@ -319,14 +319,14 @@ class GlobalLocal:
         d, v, F = new.u, new.v, new.F - r
         Kd = layers.dirichlet_reactions(v, zero, zero) - F
         for d_old, v_old, F_old, Kd_old in old.directions:
-            share = (v_old @ Kd) / (v_old @ Kd_old)
-            d, v, F, Kd = d - share * d_old, v - share * v_old, F - share * F_old, Kd - share * Kd_old
-        if not (size := v @ Kd) > 0:  # the residual is zero
+            ratio = (v_old @ Kd) / (v_old @ Kd_old)
+            d, v, F, Kd = d - ratio * d_old, v - ratio * v_old, F - ratio * F_old, Kd - ratio * Kd_old
+        if not (curvature := v @ Kd) > 0:  # the residual is zero
             return old
-        length = (r @ v) / size
-        directions, gained = (*old.directions, (d, v, F, Kd)), old.gained + float(length * (r @ v))
-        u, v, F = old.u + length * d, old.v + length * v, old.F + length * F
-        return old._replace(u=u, v=v, F=F, directions=directions, gained=gained)
+        step_length = (r @ v) / curvature
+        directions, energy_gain = (*old.directions, (d, v, F, Kd)), old.energy_gain + float(step_length * (r @ v))
+        u, v, F = old.u + step_length * d, old.v + step_length * v, old.F + step_length * F
+        return old._replace(u=u, v=v, F=F, directions=directions, energy_gain=energy_gain)
 
     def _linearised(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
         """Linearise the layers at the face displacements of `iterate`, and return the iterate with their loads.
@@ -344,10 +344,10 @@ class GlobalLocal:
         if not self._nonlinear:
             return iterate
         missing = self._missing_forces(iterate.u)
-        missing[self.layers.face_values(iterate.F)[0]] = 0.0
+        missing[self.layers.to_interface(iterate.F)[0]] = 0.0
         d = self.adjoint.displacements(np.arange(self.n), missing)
-        v, F = iterate.v + self.layers.at_faces(d), iterate.F - self._face_forces(self._resistance(d))
-        return iterate._replace(u=iterate.u + d, v=v, F=F, gained=iterate.gained + self._work(missing, d))
+        v, F = iterate.v + self.layers.to_layers(d), iterate.F - self._face_forces(self._resistance(d))
+        return iterate._replace(u=iterate.u + d, v=v, F=F, energy_gain=iterate.energy_gain + self._work(missing, d))
 
     def _work(self, forces: Array, d: Array) -> float:
         """Return the work of nodal forces `forces` (m,) in small displacements `d` (m,), summed over all ranks.
@@ -355,7 +355,7 @@ class GlobalLocal:
         Forces at prescribed displacements are left out, as rounding may change these displacements.
         """
         constraints = self.equations.constraints
-        forces = constraints.forces(forces).copy()
+        forces = constraints.forces_on_y(forces).copy()
         forces[constraints.bc_dofs] = 0.0
         return self._dot(forces, constraints.unknowns(d))
 
@@ -367,25 +367,25 @@ class GlobalLocal:
         Raises:
             SolveError: the conjugate-gradient steps do not converge.
         """
-        target = self._equilibrate_bodies(iterate)
+        cg_end = self._equilibrate_bodies(iterate)
         for _ in range(MAX_CG_STEPS):
-            before, target = target.gained, self.step(target)
-            if target.gained - before <= MIN_CG_GAIN * (target.gained - iterate.gained):
+            old_gain, cg_end = cg_end.energy_gain, self.cg_step(cg_end)
+            if cg_end.energy_gain - old_gain <= MIN_CG_GAIN * (cg_end.energy_gain - iterate.energy_gain):
                 break
         else:
             text = f"estimate: the interface law is too far from its layer: {MAX_CG_STEPS} steps hardly lead to it"
-            raise SolveError(text, advice=MESH_REMEDY)
-        du, dv, new = target.u - iterate.u, target.v - iterate.v, iterate
+            raise SolveError(text, advice=MESH_ADVICE)
+        du, dv, new = cg_end.u - iterate.u, cg_end.v - iterate.v, iterate
 
-        def decrease(share: float) -> float:
+        def decrease(step_length: float) -> float:
             nonlocal new
-            u = iterate.u + share * du
+            u = iterate.u + step_length * du
             missing = self._missing_forces(u)
-            new = self._linearised(target._replace(u=u, v=iterate.v + share * dv, F=self._face_forces(missing)))
-            return self._work(missing, du) - float(self.layers.dirichlet_reactions(new.v, new.load, new.values) @ dv)
+            new = self._linearised(cg_end._replace(u=u, v=iterate.v + step_length * dv, F=self._face_forces(missing)))
+            return self._work(missing, du) - float(self.layers.dirichlet_reactions(new.v, new.load, new.side_u) @ dv)
 
-        if (start := target.gained - iterate.gained) > GAIN_TOLERANCE * abs(iterate.F @ iterate.v):
-            line_search_share(decrease, start)
+        if (start := cg_end.energy_gain - iterate.energy_gain) > GAIN_TOLERANCE * abs(iterate.F @ iterate.v):
+            line_search_fraction(decrease, start)
         return new
 
     def newton(self) -> BodyEquilibrium:
@@ -395,18 +395,18 @@ class GlobalLocal:
             SolveError: no convergence.
         """
         iterate, u = self.first_iterate(), self.state.u.x.array
-        moved = self.model.comm.allreduce(float(np.abs(u).max(initial=0.0)), op=MPI.MAX)
-        rounding = ROUNDING_SHARE * self.equations.scale.stiffness[0] * moved
+        largest_displacement = self.model.comm.allreduce(float(np.abs(u).max(initial=0.0)), op=MPI.MAX)
+        rounding = FORCE_ROUNDING * self.equations.scale.stiffness[0] * largest_displacement
         if norm(iterate.F) <= rounding:  # supports have moved a structure without forces on the layers
             return iterate
-        least = RELATIVE_RESIDUAL * norm(self.residual(iterate)) + RESULTANT_TOLERANCE * norm(iterate.F)
+        limit = RESIDUAL_TOLERANCE * norm(self.residual(iterate)) + RESULTANT_TOLERANCE * norm(iterate.F)
         for _ in range(MAX_NEWTON_STEPS):
             old, iterate = iterate, self.newton_step(iterate)
-            gained, tolerance = iterate.gained - old.gained, GAIN_TOLERANCE * abs(float(iterate.F @ iterate.v))
-            if gained <= max(ENERGY_TOLERANCE * iterate.gained, tolerance) and norm(self.residual(iterate)) <= least:
+            gain, tolerance = iterate.energy_gain - old.energy_gain, GAIN_TOLERANCE * abs(float(iterate.F @ iterate.v))
+            if gain <= max(ENERGY_TOLERANCE * iterate.energy_gain, tolerance) and norm(self.residual(iterate)) <= limit:
                 return iterate
         text = f"estimate: the structure with its layers is not found in {MAX_NEWTON_STEPS} of Newton's steps"
-        raise SolveError(f"{text}, at t = {self.state.t:g}", advice=MESH_REMEDY)
+        raise SolveError(f"{text}, at t = {self.state.t:g}", advice=MESH_ADVICE)
 
     def _dot(self, a: Array, b: Array) -> float:
         """Return the scalar product of the vectors `a` and `b` (m,), summed over all ranks."""
@@ -414,9 +414,9 @@ class GlobalLocal:
 
     def _require_balance(self, iterate: BodyEquilibrium) -> None:
         """Raise SolveError if the forces on the layers in `iterate` have a resultant that is more than rounding."""
-        left, least = self._resultant(iterate)
-        if left > 2 * least:
-            raise SolveError(f"estimate: forces on the layers have a resultant, {left:.2g}; allowed: {least:.2g}")
+        resultant, limit = self._resultant(iterate)
+        if resultant > 2 * limit:
+            raise SolveError(f"estimate: forces on the layers have a resultant, {resultant:.2g}; allowed: {limit:.2g}")
 
     def energy_gap(self, iterate: BodyEquilibrium) -> float:
         """Return twice an upper bound of the energy of `iterate` above the solution's energy (Prager and Synge).
@@ -425,7 +425,7 @@ class GlobalLocal:
         """
         return self.layers.compliance(self.residual(iterate))[1]
 
-    def energy(self, state: State, iterate: BodyEquilibrium) -> GoalBounds | None:
+    def energy_bounds(self, state: State, iterate: BodyEquilibrium) -> GoalBounds | None:
         """Return bounds of the energy of a state with the layers meshed, above the least energy. Collective.
 
         This is J(u_0) - min J in the notation of the module.
@@ -447,14 +447,14 @@ class GlobalLocal:
             w = layers.equilibrate_dirichlet(iterate.v)
             w_neumann = layers.equilibrate_neumann(w, iterate.F)
             gap = layers.bregman_divergence(w, w_neumann)[1]
-            law_bounds = layers.bregman_divergence(layers.equilibrate_dirichlet(layers.at_faces(u)), w_neumann)
+            law_bounds = layers.bregman_divergence(layers.equilibrate_dirichlet(layers.to_layers(u)), w_neumann)
         except SolveError:
             return None
         body_energy = self._dot(du, self._resistance(du)) / 2
         lower, upper = (body_energy + part for part in law_bounds)
         return GoalBounds((lower - gap + upper) / 2, max(lower - gap, 0.0), upper)
 
-    def is_near(
+    def may_end(
         self, last: BodyEquilibrium, values: Mapping[str, float], bounds: Mapping[str, GoalBounds], width: float | None
     ) -> bool:
         """Return whether the iteration may end: all bounds are narrow, and the residual of the last iterate is small.
@@ -470,15 +470,15 @@ class GlobalLocal:
         """
         if width is None:
             return True
-        narrow, share = all(b.is_narrow(values[name], width) for name, b in bounds.items()), min(width, DEFAULT_WIDTH)
-        if not narrow or self.energy_gap(last) > share**2 * last.gained:
+        narrow, ratio = all(b.is_narrow(values[name], width) for name, b in bounds.items()), min(width, DEFAULT_WIDTH)
+        if not narrow or self.energy_gap(last) > ratio**2 * last.energy_gain:
             return False
         # a small energy may hide large forces, as in incompressible layers
-        allowed = share * norm(last.F - self._start_forces) + MISSING_FORCE_SHARE * norm(last.F)
+        allowed = ratio * norm(last.F - self._start_forces) + FACE_FORCE_TOLERANCE * norm(last.F)
         return bool(norm(self.residual(last)) <= allowed)
 
     # ---------------------------------------------------------------- goals
-    def bounds(self, at_rest: float, q: Array, last: BodyEquilibrium, z: BodyEquilibrium) -> GoalBounds:
+    def goal_bounds(self, at_rest: float, q: Array, last: BodyEquilibrium, z: BodyEquilibrium) -> GoalBounds:
         """Return the estimate and the bounds of a linear goal with the layer meshed. Collective.
 
         Args:
@@ -493,11 +493,11 @@ class GlobalLocal:
         r, r_z = self.residual(last), self.residual(z)
         self._require_balance(last)
         self._require_balance(z)
-        (moved, work), (_, work_z) = map(self.layers.compliance, (r, r_z))
+        (displacements, work), (_, work_z) = map(self.layers.compliance, (r, r_z))
         half_width = math.sqrt(work) * math.sqrt(work_z) / 2 if max(work, work_z) < math.inf else math.inf
         estimate = self.goal_estimate(at_rest, q, last, z)
-        middle = float(estimate + r_z @ moved / 2)
-        rounding = float(self.equations.scale.rounding(np.abs(last.v).max())[0]) * math.sqrt(self._dot(z.u, z.u))
+        middle = float(estimate + r_z @ displacements / 2)
+        rounding = float(self.equations.scale.force_rounding(np.abs(last.v).max())[0]) * math.sqrt(self._dot(z.u, z.u))
         return GoalBounds(estimate, middle - half_width, middle + half_width, rounding)
 
     def goal_estimate(self, at_rest: float, q: Array, last: BodyEquilibrium, z: BodyEquilibrium) -> float:
@@ -516,7 +516,7 @@ class GlobalLocal:
         bulk = self._dot(q, self.equations.constraints.unknowns(last.u)) + self._dot(z.u, self._missing_forces(last.u))
         return float(at_rest + bulk + z.load @ w - w_z @ (layers.K @ w - last.load))
 
-    def work_of_laws(self, u: fem.Function, z: BodyEquilibrium, *, bonded: bool = False) -> Array:
+    def nodal_work_of_laws(self, u: fem.Function, z: BodyEquilibrium, *, bonded: bool = False) -> Array:
         """Return the work of the interface laws in an adjoint solution, for each displacement of this rank (m,).
 
         Each entry is the nodal force of the laws, minus the load on the layers, times the adjoint solution there.
@@ -542,7 +542,7 @@ class GlobalLocal:
     def run(
         self, goals: Mapping[str, Goal], values: Mapping[str, float], bounds: dict[str, GoalBounds], width: float | None
     ) -> tuple[BodyEquilibrium, dict[str, BodyEquilibrium]]:
-        """Iterate until the bounds of all goals are narrow, or `MAX_STEPS` times. Collective.
+        """Iterate until the bounds of all goals are narrow, or `MAX_ITERATIONS` times. Collective.
 
         Args:
             goals: name -> goal.
@@ -555,20 +555,20 @@ class GlobalLocal:
             The last iterate; and name of a goal -> its adjoint solution.
         """
         iterate = self.newton() if width is None else self.first_iterate()
-        weights = {name: self.weights(goal) for name, goal in goals.items()}
+        duals = {name: self.weights_and_adjoint(goal) for name, goal in goals.items()}
         # goals whose adjoint solution is the state itself, such as the compliance
-        same_names = [name for name, (_, z) in weights.items() if iterate.is_near(z)]
-        linear = {name: goal for name, goal in goals.items() if goal.is_linear(self.model)}
-        at_rest = {name: goal.at_rest(self.state, self.model) for name, goal in linear.items()}
-        for step in range(MAX_STEPS + 1):
-            for name, rest in at_rest.items():
-                q, z = weights[name]
+        self_adjoint = [name for name, (_, z) in duals.items() if iterate.is_near(z)]
+        linear_goals = {name: goal for name, goal in goals.items() if goal.is_linear(self.model)}
+        values_at_rest = {name: goal.at_rest(self.state, self.model) for name, goal in linear_goals.items()}
+        for step in range(MAX_ITERATIONS + 1):
+            for name, value_at_rest in values_at_rest.items():
+                q, z = duals[name]
                 if width is None:
-                    bounds[name] = GoalBounds(self.goal_estimate(rest, q, iterate, z), math.nan, math.nan)
+                    bounds[name] = GoalBounds(self.goal_estimate(value_at_rest, q, iterate, z), math.nan, math.nan)
                 else:
-                    bounds[name] = self.bounds(rest, q, iterate, z).within(bounds.get(name, GoalBounds()))
-            if step == MAX_STEPS or self.is_near(iterate, values, bounds, width):
+                    bounds[name] = self.goal_bounds(value_at_rest, q, iterate, z).within(bounds.get(name, GoalBounds()))
+            if step == MAX_ITERATIONS or self.may_end(iterate, values, bounds, width):
                 break
-            iterate = self.step(iterate)
-            weights = {name: (q, iterate if name in same_names else self.step(z)) for name, (q, z) in weights.items()}
-        return iterate, {name: z for name, (_, z) in weights.items()}
+            iterate = self.cg_step(iterate)
+            duals = {name: (q, iterate if name in self_adjoint else self.cg_step(z)) for name, (q, z) in duals.items()}
+        return iterate, {name: z for name, (_, z) in duals.items()}

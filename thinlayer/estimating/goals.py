@@ -20,13 +20,13 @@ from forms.tensors import Expr
 from geometry.refusals import require_known
 from geometry.seam import BASE, S
 from geometry.topology import BoolArray, IntArray
-from thinlayer.discretisation.form_compilation import compiled, whole_structure_form
+from thinlayer.discretisation.form_compilation import checked_user_form, compiled
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import nodes_of_sides
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.rigid_motions import balanced_motions
+from thinlayer.discretisation.rigid_motions import resultant_mask
 from thinlayer.discretisation.state import State, displacements_of
-from thinlayer.discretisation.supports import Place, is_part
+from thinlayer.discretisation.supports import Place, is_same_or_part
 from thinlayer.output.nodal_forces import nodal_forces
 from thinlayer.output.probe import Probe, cells_at
 from thinlayer.output.surface import Surface
@@ -154,7 +154,7 @@ class Compliance(Goal):
     name: ClassVar[str] = "compliance"  # type: ignore[misc]
 
     def value(self, state: State, model: InterfaceModel) -> float:
-        plate_motions = [value(state.t) for tie in model.constraints.mpcs for value in tie.motion.values()]
+        plate_motions = [value(state.t) for mpc in model.constraints.mpcs for value in mpc.motion.values()]
         if not (model.supports.moving_places or any(plate_motions)):
             return state.load_work()
         if math.isnan(state.prescribed_work):
@@ -165,13 +165,13 @@ class Compliance(Goal):
         return float(np.nansum(np.abs([*state.energies().values()])))  # a law need not declare its energy
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
-        return adjoint.load_weights(), adjoint.prescribed_motions()
+        return adjoint.load_weights(), adjoint.prescribed_displacements()
 
     def at_rest(self, state: State, model: InterfaceModel) -> float:
         return 0.0  # the reactions contain it
 
     def in_layers(self, layers: DirichletLayers) -> tuple[Array, Array]:
-        return layers.forces, layers.values
+        return layers.nodal_loads, layers.values
 
 
 def _rms_traction(surface: Surface, state: State) -> float:
@@ -205,7 +205,7 @@ class Reaction(DirectedGoal):
         Raises:
             InputError: the direction is zero, not of d components or, in axisymmetry, radial.
         """
-        axial: Array = super().unit(model) * balanced_motions(model.kinematics, model.joint.dim)[: model.joint.dim]
+        axial: Array = super().unit(model) * resultant_mask(model.kinematics, model.joint.dim)[: model.joint.dim]
         allowed = "give one with a part along the axis: forces along radii add up to zero"
         require(axial.any(), f"{self.name}: the direction", self.direction, allowed)
         return axial
@@ -226,15 +226,15 @@ class Reaction(DirectedGoal):
             raise InputError(f"{self.name}: a rigid base holds it, and has no weights; ask for another place")
         du, q = ufl.TestFunction(model.V), adjoint.zero_vector()
         for part in model.parts:
-            if any(is_part(place, self.place) for place, _ in part.reaction(model, adjoint.state.u)):
+            if any(is_same_or_part(place, self.place) for place, _ in part.reaction(model, adjoint.state.u)):
                 q.axpy(-1.0, adjoint.form_weights(part.work(model, du, ufl.as_vector(direction.tolist()))))
-        return q, adjoint.reaction_motions(self.place, direction)
+        return q, adjoint.support_force_weights(self.place, direction)
 
     def at_rest(self, state: State, model: InterfaceModel) -> float:
-        return model.constraints.prescribed_resultant(model.holder_rows(self.place), self.unit(model), state.t)
+        return model.constraints.prescribed_resultant(model.held_indices(self.place), self.unit(model), state.t)
 
     def in_layers(self, layers: DirichletLayers) -> tuple[Array, Array]:
-        return np.zeros_like(layers.load), layers.motion_of(self.place, self.unit(layers.model))
+        return np.zeros_like(layers.load), layers.support_force_weights(self.place, self.unit(layers.model))
 
 
 @dataclass(frozen=True)
@@ -268,7 +268,7 @@ class MeanTraction(DirectedGoal):
         v, u = self._test_function(model), displacements_of(state, model)
         bodies = replace(state, model=model, u=u).bodies  # with the strains that are prescribed at its time
         work_forms = [state.work(bodies, v)] if state.model.V is model.V else [forms.work(bodies, u, v)]
-        work_forms += [-model.external_work(v, state.t), model.added_work(u, v)]
+        work_forms += [-model.external_work(v, state.t), model.work_of_parts(u, v)]
         assembled = (fem.assemble_scalar(compiled(W)) for W in work_forms if W.integrals())
         return float(sum(state.model.comm.allreduce(value) for value in assembled))
 
@@ -282,7 +282,7 @@ class MeanTraction(DirectedGoal):
             raise InputError(f"{self.name}: a law of the bodies, or a part, is not linear; its weights are not known")
         u, du, v = fem.Function(model.V), ufl.TestFunction(model.V), self._test_function(model)
         work_form = forms.work([replace(term, prescribed_strain=None) for term in model.bodies], du, v)
-        if (added := model.added_work(u, v)).integrals():
+        if (added := model.work_of_parts(u, v)).integrals():
             work_form += ufl.derivative(added, u, du)
         return adjoint.form_weights(work_form), adjoint.zero_vector()
 
@@ -301,9 +301,9 @@ class MeanTraction(DirectedGoal):
             others = [nodes for other, pair in sides.items() if other != name for nodes in pair]
             mixed = nodal_sums(W, others, [np.ones(len(e))] * len(others)) + is_fixed.x.array.reshape(-1, len(e))
             w, v_on_S, surface = fem.Function(W), fem.Function(model.V), SurfaceMesh(model, name)
-            w.x.array[:] = (_reaction_shares(W, *sides[name], mixed > 0) * e).ravel()
+            w.x.array[:] = (_reaction_factors(W, *sides[name], mixed > 0) * e).ravel()
             v_on_S.interpolate(w)
-            lower, upper = surface.sides(v_on_S, model, surface.quadrature)
+            lower, upper = surface.side_values(v_on_S, model, surface.quadrature)
             area, jump = surface.integral(1.0), surface.integral(lower - upper) @ e
             if not jump > 0:
                 raise InputError(f"{self.name}: supports, plates or other seams hold all of its nodes, on both sides")
@@ -313,7 +313,7 @@ class MeanTraction(DirectedGoal):
         return v
 
 
-def _reaction_shares(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mixed: BoolArray) -> Array:
+def _reaction_factors(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mixed: BoolArray) -> Array:
     """Return the factors (nodes, d) of the bodies' nodal forces in the mean traction on a seam, in d dimensions.
 
     A factor is 1/2 where the forces on both sides of S are usable, and 1 where one of them is. It is 0 where a force is
@@ -326,7 +326,7 @@ def _reaction_shares(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mix
         mixed: (nodes, d) mask of nodal forces that contain other forces, and are therefore not usable.
     """
 
-    def facing(values: Array | BoolArray) -> Array:
+    def opposite_sums(values: Array | BoolArray) -> Array:
         """Return at each node on S the sum of `values` at the nodes that face it on the other side, (nodes, d).
 
         A node counts once for each of its facets.
@@ -335,16 +335,16 @@ def _reaction_shares(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mix
 
     node_sets = [upper, lower] if len(upper) == len(lower) else []  # on a rigid base no nodes face each other
     above, below = (nodal_sums(W, [nodes], [np.ones((*nodes.shape, mixed.shape[1]))]) > 0 for nodes in (upper, lower))
-    usable = (above != below) & ~mixed  # where a seam meets itself nodes may be on both sides
-    whole = usable & (facing(usable) < facing(np.ones_like(usable)))
-    shares = np.where(whole, 1.0, 0.5 * (usable & (facing(whole) == 0)))
+    is_usable = (above != below) & ~mixed  # where a seam meets itself nodes may be on both sides
+    counts_fully = is_usable & (opposite_sums(is_usable) < opposite_sums(np.ones_like(is_usable)))
+    factors = np.where(counts_fully, 1.0, 0.5 * (is_usable & (opposite_sums(counts_fully) == 0)))
     # other corners of a facet replace its corners where no reaction is usable
     sides = node_sets or [upper]
-    has_share = np.sum([shares[nodes] for nodes in sides], axis=0) > 0
-    factor = np.broadcast_to(has_share.shape[1] / np.maximum(has_share.sum(axis=1, keepdims=True), 1), has_share.shape)
-    n_facets = nodal_sums(W, sides, [np.ones(has_share.shape)] * len(sides))
-    shares *= nodal_sums(W, sides, [factor] * len(sides)) / np.maximum(n_facets, 1.0)
-    return np.where(above, -shares, shares)
+    nonzero = np.sum([factors[nodes] for nodes in sides], axis=0) > 0
+    weight = np.broadcast_to(nonzero.shape[1] / np.maximum(nonzero.sum(axis=1, keepdims=True), 1), nonzero.shape)
+    n_facets = nodal_sums(W, sides, [np.ones(nonzero.shape)] * len(sides))
+    factors *= nodal_sums(W, sides, [weight] * len(sides)) / np.maximum(n_facets, 1.0)
+    return np.where(above, -factors, factors)
 
 
 def nodal_sums(W: fem.FunctionSpace, nodes: Sequence[IntArray], values: Sequence[Array | BoolArray]) -> Array:
@@ -436,7 +436,7 @@ class Functional(Goal):
             raise InputError(f"the goal {self.name!r}: its function (u, model) fails: {error}") from error
         is_valid = isinstance(form, ufl.Form) and not form.arguments()
         require(is_valid, f"the goal {self.name!r}", form, "it must be a UFL form without test functions")
-        return whole_structure_form(form, model, f"the goal {self.name!r}")
+        return checked_user_form(form, model, f"the goal {self.name!r}")
 
     def value(self, state: State, model: InterfaceModel) -> float:
         form = self._form(displacements_of(state, model), model)

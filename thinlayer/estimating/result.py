@@ -25,9 +25,9 @@ from thinlayer.solving.petsc import Options
 from thinlayer.system.table import Table
 
 ESTIMATED_FIELDS = ("traction", "jump")  # quantities that every estimate has, besides goals
-ZERO_GOAL_SHARE = 1e-6  # goal over its scale that counts as zero
-DENSITY_ERROR = 0.2  # relative error of the integral of a density above which there is a warning
-FIXED_GOAL_SHARE = 1e-10  # change of a goal, over its scale, that is only rounding: equilibrium determines the goal
+ZERO_GOAL_TOLERANCE = 1e-6  # goal over its scale that counts as zero
+DENSITY_TOLERANCE = 0.2  # relative error of the integral of a density above which there is a warning
+FIXED_GOAL_TOLERANCE = 1e-10  # change of a goal, over its scale, that is only rounding: equilibrium determines the goal
 
 
 class GoalError(NamedTuple):
@@ -78,7 +78,7 @@ class GoalError(NamedTuple):
     @property
     def zero(self) -> bool:
         """Whether the goal is zero up to rounding, with the interface law and with the layer meshed."""
-        return max(abs(self.value), abs(self.better)) <= ZERO_GOAL_SHARE * self.scale
+        return max(abs(self.value), abs(self.better)) <= ZERO_GOAL_TOLERANCE * self.scale
 
     @property
     def at_most(self) -> float:
@@ -88,7 +88,7 @@ class GoalError(NamedTuple):
     @property
     def fixed(self) -> bool:
         """Whether meshing the layer does not change the goal (up to rounding), as equilibrium alone determines it."""
-        return abs(self.change) <= FIXED_GOAL_SHARE * self.scale
+        return abs(self.change) <= FIXED_GOAL_TOLERANCE * self.scale
 
 
 class LayerError(NamedTuple):
@@ -134,10 +134,10 @@ class Estimate:
     seconds: float
     inside: State
     energy: GoalBounds | None
-    _layers: LayerSubproblem
-    _first: State  # state from which steps led to `better`
-    _old: State | None  # previous state of `state`, or of the state solved in place of bonds; None: rest
-    _weights: Mapping[str, BodyEquilibrium]  # adjoint solutions of the goals
+    _subproblem: LayerSubproblem
+    _initial: State  # state from which steps led to `better`
+    _before: State | None  # previous state of `state`, or of the state solved in place of bonds; None: rest
+    _adjoint_solutions: Mapping[str, BodyEquilibrium]  # adjoint solutions of the goals
     _goals: Mapping[str, Goal]
     _options: Options | None
 
@@ -174,12 +174,12 @@ class Estimate:
             InputError: no such goal.
         """
         require_known("goal", goal, self._goals, "estimate")
-        with Adjoint(self._first if self.state.model.bonds else self.state, self._old, self._options) as adjoint:
-            iteration = GlobalLocal(adjoint, self._layers)
-            density = change_density(iteration, self.state, self.better, self._weights[goal])
+        with Adjoint(self._initial if self.state.model.bonds else self.state, self._before, self._options) as adjoint:
+            iteration = GlobalLocal(adjoint, self._subproblem)
+            density = change_density(iteration, self.state, self.better, self._adjoint_solutions[goal])
             linear = iteration.model.linear and self._goals[goal].is_linear(iteration.model)
         total, error = Surface(self.better.model).integral(density), self.goals[goal]
-        if abs(total - error.change) > DENSITY_ERROR * abs(error.change) + ZERO_GOAL_SHARE * error.scale:
+        if abs(total - error.change) > DENSITY_TOLERANCE * abs(error.change) + ZERO_GOAL_TOLERANCE * error.scale:
             text = f"the density of the change of {goal} adds up to {total:.3g}, not to {error.change:.3g}"
             why = "a support holds one side of a bond's end" if linear else "laws or the goal are not linear"
             warn("density", f"{text}, as {why}; it only shows where changes come from", self.better.model.comm)
@@ -216,14 +216,14 @@ class Estimate:
         """
         bounded_goals = [name for name, error in self.goals.items() if error.bounded]
         require_known("goal with bounds", goal, bounded_goals, "estimate, of linear laws")
-        coarse, z, model = self._layers, self._weights[goal], self.better.model
+        coarse, z, model = self._subproblem, self._adjoint_solutions[goal], self.better.model
         assert isinstance(model, InterfaceModel)
         layers = {name: error.layer for name, error in self.layers.items()}
         fine = DirichletLayers(LayerModel(model, layers, coarse.n_cells_through, at_ends), self.state.t)
-        coarse_w = coarse.dirichlet_displacements(coarse.at_faces(self.better.u.x.array), coarse.load, coarse.values)
-        weights, goal_values = coarse.dirichlet_displacements(z.v, z.load, z.values), []
-        fine_vectors = coarse.in_refined_cells(coarse_w, fine), coarse.in_refined_cells(weights, fine)
-        for subproblem, w, w_z in ((coarse, coarse_w, weights), (fine, *fine_vectors)):
+        coarse_w = coarse.dirichlet_displacements(coarse.to_layers(self.better.u.x.array), coarse.load, coarse.values)
+        coarse_w_z, goal_values = coarse.dirichlet_displacements(z.v, z.load, z.side_u), []
+        fine_vectors = coarse.interpolate_to_refined(coarse_w, fine), coarse.interpolate_to_refined(coarse_w_z, fine)
+        for subproblem, w, w_z in ((coarse, coarse_w, coarse_w_z), (fine, *fine_vectors)):
             load_z, values_z = self._goals[goal].in_layers(subproblem)
             w = subproblem.dirichlet_displacements(w, subproblem.load, subproblem.values)
             w_z = subproblem.dirichlet_displacements(w_z, load_z, values_z)
@@ -241,8 +241,8 @@ class Estimate:
         nan, rows = math.nan, []
         for name, error in self.layers.items():
             seam = f" {name}" if len(self.layers) > 1 else ""
-            values = ("traction", error.traction), ("jump", error.jump)
-            rows += [(f"{quantity}{seam}", nan, nan, value, nan, nan) for quantity, value in values]
+            field_errors = ("traction", error.traction), ("jump", error.jump)
+            rows += [(f"{quantity}{seam}", nan, nan, value, nan, nan) for quantity, value in field_errors]
         for name, goal in self.goals.items():
             rows.append((name, goal.value, goal.better, goal.relative, goal.lower, goal.upper))
         if energy := self.energy:
@@ -258,8 +258,8 @@ class Estimate:
         if self.state.sudden and any(law.traits.remembers and not law.traits.bounded for law in laws):
             caveats.append("at t = 0+, just after sudden loads; for later times march, and give the history")
         if self.energy:
-            between = f"{self.energy.lower:.3g} to {self.energy.upper:.3g}"
-            caveats.append(f"laws are not linear: goals have no bounds, the energy is {between} above the least")
+            bounds_text = f"{self.energy.lower:.3g} to {self.energy.upper:.3g}"
+            caveats.append(f"laws are not linear: goals have no bounds, the energy is {bounds_text} above the least")
         elif not all(goal.bounded for goal in self.goals.values()):
             caveats.append("goals without bounds")
         return caveats
@@ -270,13 +270,13 @@ class Estimate:
         errors = _fields_text(self.traction, self.jump) + [_goal_text(name, goal) for name, goal in self.goals.items()]
         sentences = [f"{self.dropped}: {', '.join(errors)}"]
         for name, error in self.layers.items():
-            where = f" {name}" if len(self.layers) > 1 else ""
+            seam_text = f" {name}" if len(self.layers) > 1 else ""
             if math.isnan(error.traction):
-                sentences.append(f"the layer{where} bears no traction")
-            elif where:
+                sentences.append(f"the layer{seam_text} bears no traction")
+            elif seam_text:
                 sentences.append(f"{name}: {', '.join(_fields_text(error.traction, error.jump))}")
-        cells = f"for these cells of the bodies, and {self._layers.n_cells_through} cells through the layer"
-        return [*sentences, cells, *self.caveats]
+        cells_text = f"for these cells of the bodies, and {self._subproblem.n_cells_through} cells through the layer"
+        return [*sentences, cells_text, *self.caveats]
 
     def __str__(self) -> str:
         return "; ".join(self.sentences)

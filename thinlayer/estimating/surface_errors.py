@@ -19,7 +19,7 @@ from thinlayer.surface.pressure_excess import jump_stiffness
 from thinlayer.surface.surface_mesh import SurfaceMesh
 
 # largest rounding of the traction, over stiffness times displacements, and of the jump, over displacements
-ROUNDING_SHARES = (1e-11, 1e-9)
+FIELD_ROUNDING = (1e-11, 1e-9)
 
 
 def squared_norms(before: State, better: State, seam_layer: SeamLayer, layers: State) -> Array:
@@ -40,9 +40,9 @@ def squared_norms(before: State, better: State, seam_layer: SeamLayer, layers: S
     t, w = (surface.traction if has_law else surface.reaction)(before), surface.jump(before)
     fields = [surface.traction(layers) - t, t] + ([surface.jump(better) - w, w] if has_law else [])
     squares = np.array([surface.norm(f) ** 2 for f in fields] + [0.0] * (4 - len(fields)))
-    size_squared = float(better.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) ** 2 * surface.integral(1.0)
-    least = np.square(ROUNDING_SHARES) * size_squared * (max(jump_stiffness(seam_layer.samples[0])) ** 2, 1.0)
-    squares[1::2] *= squares[1::2] > least  # rounding of bodies without forces there
+    u_squared = float(better.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) ** 2 * surface.integral(1.0)
+    rounding_squares = np.square(FIELD_ROUNDING) * u_squared * (max(jump_stiffness(seam_layer.samples[0])) ** 2, 1.0)
+    squares[1::2] *= squares[1::2] > rounding_squares  # rounding of bodies without forces there
     return np.asarray(squares)
 
 
@@ -53,7 +53,7 @@ def relative_errors(squares: Array) -> tuple[float, float]:
     """
     t_error, t, w_error, w = (float(root) for root in np.sqrt(squares))
     errors = t_error / t if t else math.nan, w_error / w if w else math.nan
-    return errors[0] * (errors[0] > ROUNDING_SHARES[1]), errors[1] * (errors[1] > ROUNDING_SHARES[1])
+    return errors[0] * (errors[0] > FIELD_ROUNDING[1]), errors[1] * (errors[1] > FIELD_ROUNDING[1])
 
 
 def change_density(iteration: GlobalLocal, state: State, better: State, z: BodyEquilibrium) -> Array:
@@ -75,13 +75,13 @@ def change_density(iteration: GlobalLocal, state: State, better: State, z: BodyE
     """
     model, layers = iteration.model, iteration.layers
     u, surface = displacements_of(state, model), SurfaceMesh(model)
-    sums, areas = np.zeros((2, len(model.joint.points)))
-    _add_nodal(sums, model, iteration.work_of_laws(u, z, bonded=bool(state.model.bonds)))
+    vertex_sums, areas = np.zeros((2, len(model.joint.points)))
+    _add_at_vertices(vertex_sums, model, iteration.nodal_work_of_laws(u, z, bonded=bool(state.model.bonds)))
     if z.load.any():
-        loads = state.model.forces.nodal_at(state.model.V, state.t, layers=True)
-        _add_nodal(sums, state.model, -loads.array_r * state.u.x.array[: loads.getLocalSize()])
+        loads = state.model.forces.nodal_forces_at(state.model.V, state.t, layers=True)
+        _add_at_vertices(vertex_sums, state.model, -loads.array_r * state.u.x.array[: loads.getLocalSize()])
         loads.destroy()
-    v, better_v = layers.at_faces(u.x.array), layers.at_faces(better.u.x.array)
+    v, better_v = layers.to_layers(u.x.array), layers.to_layers(better.u.x.array)
     layers.equilibrate_dirichlet(better_v)
     layers.transpose()
     layer_z, z_residual = iteration.layer_unknowns(z), iteration.residual(z)
@@ -89,16 +89,16 @@ def change_density(iteration: GlobalLocal, state: State, better: State, z: BodyE
     w = layers.equilibrate_dirichlet(v)
     layer_work = layers.work(w, layer_z)
     layer_work -= (z_residual * (better_v - v) + z.load * w)[: len(layer_work)]
-    band = layers.model.domain.joint
-    band_sums = np.zeros(len(band.points))
-    _add_nodal(band_sums, layers.model, layer_work)
-    _, joint_vertices = cKDTree(model.joint.points).query(band.reference)
-    sums = model.comm.allreduce(sums) - np.bincount(joint_vertices, band_sums, len(sums))
+    layer_joint = layers.model.domain.joint
+    layer_sums = np.zeros(len(layer_joint.points))
+    _add_at_vertices(layer_sums, layers.model, layer_work)
+    _, joint_vertices = cKDTree(model.joint.points).query(layer_joint.reference)
+    vertex_sums = model.comm.allreduce(vertex_sums) - np.bincount(joint_vertices, layer_sums, len(vertex_sums))
     np.add.at(areas, surface.vertices, surface.areas)
-    return np.asarray(sums[surface.vertices] / areas[surface.vertices])
+    return np.asarray(vertex_sums[surface.vertices] / areas[surface.vertices])
 
 
-def _add_nodal(sums: Array, model: Model, values: Array) -> None:
+def _add_at_vertices(sums: Array, model: Model, values: Array) -> None:
     """Add nodal values of a model to sums at the vertices of its joint.
 
     The value of a node inside an edge, face or cell is divided equally among the vertices of that edge, face or cell.
@@ -111,11 +111,11 @@ def _add_nodal(sums: Array, model: Model, values: Array) -> None:
     V, joint = model.V, model.domain.joint
     node_sums = values.reshape(-1, V.dofmap.bs).sum(axis=1)
     dofs = np.asarray(V.dofmap.list)
-    nodes, first = np.unique(dofs.ravel(), return_index=True)
-    owned = nodes < len(node_sums)
-    cell, local = np.divmod(first[owned], dofs.shape[1])
-    shares = np.zeros((dofs.shape[1], joint.corners.shape[1]))
+    nodes, first_positions = np.unique(dofs.ravel(), return_index=True)
+    is_owned = nodes < len(node_sums)
+    cell, local = np.divmod(first_positions[is_owned], dofs.shape[1])
+    weights = np.zeros((dofs.shape[1], joint.corners.shape[1]))
     for dim, entities in enumerate(sub_entities(joint.cell_type)):
         for entity, (vertices, *_) in enumerate(entities):
-            shares[np.ix_(V.dofmap.dof_layout.entity_dofs(dim, entity), vertices)] = 1 / len(vertices)
-    np.add.at(sums, joint.corners[model.domain.original_cells[cell]], shares[local] * node_sums[nodes[owned], None])
+            weights[np.ix_(V.dofmap.dof_layout.entity_dofs(dim, entity), vertices)] = 1 / len(vertices)
+    np.add.at(sums, joint.corners[model.domain.original_cells[cell]], weights[local] * node_sums[nodes[is_owned], None])

@@ -30,10 +30,10 @@ from thinlayer.time.marching import march
 
 THICKNESS_TOLERANCE = 0.01  # relative tolerance of the thickness
 THICKNESS_RATIO = math.sqrt(2)  # ratio of successive thicknesses, from the largest
-ALLOWED_IN_TURN = 5  # number of successive thicknesses at which the error must be allowed
+N_ALLOWED_IN_TURN = 5  # number of successive thicknesses at which the error must be allowed
 FALLING_STEPS = 16  # steps over which an error should fall; it stays over seven of them in nearly incompressible layers
 STALLED_ERROR_RATIO = 0.92  # error over the largest error of the last FALLING_STEPS steps above which it hardly falls
-MAX_STEPS = 40  # largest number of steps in search of a thickness that is thin enough
+MAX_THICKNESSES = 40  # largest number of steps in search of a thickness that is thin enough
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def thin_enough(
         >>> f"{limit.eps:.3g}"
         '0.123'
     """
-    on_seams, thin = _checked(structure, layer, tolerance, goal, seam, bonded)
+    on_seams, thinned_layer = _check_arguments(structure, layer, tolerance, goal, seam, bonded)
     seams = list(on_seams) if seam == S else [seam]
 
     def solve_model(model: Model) -> State | History:
@@ -135,27 +135,27 @@ def thin_enough(
     for name in seams if bonded else ():
         first_model.applicability[name].require("bonded", "thin_enough: ")
     bonded_state = solve_model(structure.interface(bonds, bodies=bodies)) if bonded else None
-    issued: dict[float, list[warnings.WarningMessage]] = {}
+    warnings_at: dict[float, list[warnings.WarningMessage]] = {}
     caveats: dict[float, list[str]] = {}
 
-    def error(eps: float) -> float:
-        with warnings.catch_warnings(record=True) as issued[eps]:  # warnings at the final thickness are passed on
+    def error_at(eps: float) -> float:
+        with warnings.catch_warnings(record=True) as warnings_at[eps]:  # warnings at the final thickness are passed on
             warnings.simplefilter("always", RangeWarning)
-            layers = dict.fromkeys(seams, replace(thin, eps=eps, law=thin.material, at=None))
+            layers = dict.fromkeys(seams, replace(thinned_layer, eps=eps, law=thinned_layer.material, at=None))
             state = bonded_state or solve_model(make_model({**on_seams, **layers}))
             error_estimate = estimate(state, layers if bonded else None, goals, seam=seam, options=options)
         caveats[eps] = error_estimate.caveats
-        return _error(error_estimate, quantity)
+        return _relative_error(error_estimate, quantity)
 
-    thickest = min(min(first_model.layers[name].sheet.heights) for name in seams)
-    eps, at_tolerance, errors = _search(error, thickest, tolerance)
-    for warning in issued[eps]:
+    thickest = min(min(first_model.layers[name].sheet.body_heights) for name in seams)
+    eps, at_tolerance, errors = _search_thickness(error_at, thickest, tolerance)
+    for warning in warnings_at[eps]:
         warnings.warn(warning.message, stacklevel=3)
     table = Table([{"eps": thickness, "error": errors[thickness]} for thickness in sorted(errors, reverse=True)])
     return ThinEnough(eps, tolerance, quantity, table, at_tolerance, "; ".join(caveats[eps]), bonded)
 
 
-def _checked(
+def _check_arguments(
     structure: Structure, layer: Layers, tolerance: float, goal: str | Goal, seam: str, bonded: bool
 ) -> tuple[dict[str, SeamContent], ThinLayer]:
     """Check arguments of `thin_enough`, and return the contents of the seams and the layer that becomes thinner.
@@ -190,7 +190,7 @@ def _checked(
     return on_seams, thin
 
 
-def _error(error_estimate: Estimate, quantity: str) -> float:
+def _relative_error(error_estimate: Estimate, quantity: str) -> float:
     """Return the relative error of `quantity` ("traction", "jump" or the name of a goal) in an estimate.
 
     For a goal with bounds it is the largest error within them. It is infinite for the traction or the jump of a layer
@@ -208,16 +208,16 @@ def _error(error_estimate: Estimate, quantity: str) -> float:
     return goal.at_most
 
 
-def _search(
-    error: Callable[[float], float], thickest: float, tolerance: float
+def _search_thickness(
+    error_at: Callable[[float], float], thickest: float, tolerance: float
 ) -> tuple[float, bool, dict[float, float]]:
     """Find the thickness below which errors are at most `tolerance`.
 
     Errors may change their sign, and so be small at a thickness and large at smaller thicknesses. Therefore the search
-    goes down from the thickest until errors are allowed at `ALLOWED_IN_TURN` successive thicknesses.
+    goes down from the thickest until errors are allowed at `N_ALLOWED_IN_TURN` successive thicknesses.
 
     Args:
-        error: function of the thickness that returns the relative error.
+        error_at: function of the thickness that returns the relative error.
         thickest: the largest thickness that is tried.
         tolerance: the relative error that is allowed.
 
@@ -228,40 +228,40 @@ def _search(
 
     errors: dict[float, float] = {}
 
-    def excess(eps: float) -> float:
+    def log_excess(eps: float) -> float:
         """Return log(error/tolerance) at the thickness `eps`, positive if the error is too large."""
         if eps not in errors:
-            errors[eps] = error(eps)
+            errors[eps] = error_at(eps)
         return math.log(max(errors[eps], 1e-300) / tolerance)
 
     low, n_passed, tried = thickest, 0, []
-    while n_passed < ALLOWED_IN_TURN:
-        n_passed = n_passed + 1 if excess(low) <= 0 else 0
+    while n_passed < N_ALLOWED_IN_TURN:
+        n_passed = n_passed + 1 if log_excess(low) <= 0 else 0
         tried.append(low)
         _require_falling([errors[eps] for eps in tried], low, n_passed)
         low /= THICKNESS_RATIO
-    low = tried[-ALLOWED_IN_TURN]
+    low = tried[-N_ALLOWED_IN_TURN]
     if low == thickest:
         return low, False, errors
-    high = tried[-ALLOWED_IN_TURN - 1]
+    high = tried[-N_ALLOWED_IN_TURN - 1]
     while high > (1 + THICKNESS_TOLERANCE) * low:
-        above, below = excess(high), excess(low)
-        share = -below / (above - below) if math.isfinite(above) else 0.5
-        middle = low * (high / low) ** min(max(share, 0.1), 0.9)
-        low, high = (low, middle) if excess(middle) > 0 else (middle, high)
+        log_high, log_low = log_excess(high), log_excess(low)
+        fraction = -log_low / (log_high - log_low) if math.isfinite(log_high) else 0.5
+        middle = low * (high / low) ** min(max(fraction, 0.1), 0.9)
+        low, high = (low, middle) if log_excess(middle) > 0 else (middle, high)
     return low, True, errors
 
 
-def _require_falling(errors: Sequence[float], low: float, passed: int) -> None:
+def _require_falling(errors: Sequence[float], low: float, n_passed: int) -> None:
     """Raise InputError if the last error is too large, and errors no longer fall with the thickness.
 
     Args:
         errors: errors at the thicknesses that were tried, the largest thickness first.
         low: the last and smallest of these thicknesses.
-        passed: number of successive thicknesses, up to the last one, at which the error is allowed.
+        n_passed: number of successive thicknesses, up to the last one, at which the error is allowed.
     """
-    least = STALLED_ERROR_RATIO * max(errors[-1 - FALLING_STEPS : -1], default=math.inf)
-    if not passed and len(errors) > FALLING_STEPS and (errors[-1] > least or len(errors) > MAX_STEPS):
+    stalled_error = STALLED_ERROR_RATIO * max(errors[-1 - FALLING_STEPS : -1], default=math.inf)
+    if not n_passed and len(errors) > FALLING_STEPS and (errors[-1] > stalled_error or len(errors) > MAX_THICKNESSES):
         text = f"no thickness down to {low:.3g} is thin enough: the error is {errors[-1]:.3g} there, and hardly falls"
         advice = "is the layer much softer than the bodies, and are there loads at this time?"
         raise InputError(f"thin_enough: {text} with it; {advice}")

@@ -19,13 +19,13 @@ from thinlayer.surface.pressure_excess import times_too_stiff
 from thinlayer.system.fingerprint import differences, differences_text
 from thinlayer.system.ranks import errors_on_all, require_same
 
-Where = Callable[[Array], object]
-JUMP_ROUNDING_SHARE = 1e-12  # jump, over the displacements, up to which it is their rounding error
-PROFILE_TOLERANCE = 1e-9  # relative difference of equal thickness profiles
+WhereFunction = Callable[[Array], object]
+JUMP_ROUNDING_RATIO = 1e-12  # jump, over the displacements, up to which it is their rounding error
+RELATIVE_PROFILE_TOLERANCE = 1e-9  # relative difference of equal thickness profiles
 
 
 def compare(
-    full: Solution, interface: Solution, *, seam: str = S, where: Where | None = None, at: float | None = None
+    full: Solution, interface: Solution, *, seam: str = S, where: WhereFunction | None = None, at: float | None = None
 ) -> dict[str, float]:
     """Measure the relative differences of traction and jump between an interface law and a meshed layer. Collective.
 
@@ -78,43 +78,43 @@ def compare(
     if not (isinstance(meshed, FullModel) and isinstance(limit, InterfaceModel)):
         raise InputError(f"compare needs a full and an interface model, not {meshed.name} and {limit.name}")
     _require_equal("joint and element", meshed.joint is limit.joint and meshed.element == limit.element, meshed, limit)
-    near = TIME_TOLERANCE * max(abs(full.t), abs(interface.t))
-    _require_equal("time", abs(full.t - interface.t) <= near, f"t = {full.t:g}", f"{interface.t:g}")
-    bare = [", ".join(n for n in model.joint.seams if n not in model.layers) or "none" for model in (meshed, limit)]
-    _require_equal("open or bonded joints", bare[0] == bare[1], *bare)
+    time_tolerance = TIME_TOLERANCE * max(abs(full.t), abs(interface.t))
+    _require_equal("time", abs(full.t - interface.t) <= time_tolerance, f"t = {full.t:g}", f"{interface.t:g}")
+    no_layer = [", ".join(n for n in model.joint.seams if n not in model.layers) or "none" for model in (meshed, limit)]
+    _require_equal("open or bonded joints", no_layer[0] == no_layer[1], *no_layer)
     for name, layer in limit.layers.items():
-        thin, other = meshed.layers[name].thin_layer, layer.thin_layer
-        if thin and other:
-            _require_equal(f"thickness of {layer}", thin.eps == other.eps, thin.eps, other.eps)
-    _require_same_places(meshed, limit)
+        meshed_thin, limit_thin = meshed.layers[name].thin_layer, layer.thin_layer
+        if meshed_thin and limit_thin:
+            _require_equal(f"thickness of {layer}", meshed_thin.eps == limit_thin.eps, meshed_thin.eps, limit_thin.eps)
+    _require_same_body_extent(meshed, limit)
     with errors_on_all(meshed.comm):
         _require_same_structure(meshed, limit)
     surface = Surface(limit, seam)
-    part = _part(surface, where)
+    indicator = _indicator(surface, where)
     row = {"eps": max(float(layer.thin_layer.eps) for layer in meshed.layers.values() if layer.thin_layer)}
-    moved = float(interface.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) * math.sqrt(surface.integral(part))
-    sizes = {}
-    for name, field in (("traction", surface.traction), ("jump", surface.jump)):
-        by_law = field(interface)
-        sizes[name] = surface.norm(by_law, part)
-        is_nonzero = sizes[name] > (JUMP_ROUNDING_SHARE * moved if name == "jump" else 0.0)
-        row[f"error_{name}"] = surface.norm(field(full) - by_law, part) / sizes[name] if is_nonzero else math.nan
-    return row | sizes | _too_stiff(interface, seam)
+    u_norm = float(interface.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) * math.sqrt(surface.integral(indicator))
+    norms = {}
+    for name, method in (("traction", surface.traction), ("jump", surface.jump)):
+        limit_f = method(interface)
+        norms[name] = surface.norm(limit_f, indicator)
+        is_nonzero = norms[name] > (JUMP_ROUNDING_RATIO * u_norm if name == "jump" else 0.0)
+        row[f"error_{name}"] = surface.norm(method(full) - limit_f, indicator) / norms[name] if is_nonzero else math.nan
+    return row | norms | _too_stiff_factors(interface, seam)
 
 
-def _require_equal(what: str, equal: bool, full: object, interface: object) -> None:
-    """Raise InputError if `equal` is False.
+def _require_equal(quantity: str, is_equal: bool, full: object, interface: object) -> None:
+    """Raise InputError if `is_equal` is False.
 
     Args:
-        what: the quantity that must be the same in both models, such as "time", for the message.
-        equal: whether the quantity is the same.
+        quantity: the quantity that must be the same in both models, such as "time", for the message.
+        is_equal: whether the quantity is the same.
         full, interface: values of the quantity in the full and in the interface model, for the message.
     """
-    if not equal:
-        raise InputError(f"compare needs the same {what}, not {full} and {interface}")
+    if not is_equal:
+        raise InputError(f"compare needs the same {quantity}, not {full} and {interface}")
 
 
-def _too_stiff(state: State, seam: str) -> dict[str, float]:
+def _too_stiff_factors(state: State, seam: str) -> dict[str, float]:
     """Return the factor by which each interface law overestimates its layer's stiffness in a state. Collective.
 
     Args:
@@ -125,52 +125,52 @@ def _too_stiff(state: State, seam: str) -> dict[str, float]:
         "too_stiff", or "too_stiff NAME" if the joint has several seams -> factor. Layers for which the factor is not
         defined, and laws with an unknown pressure on S, are left out.
     """
-    many = len(state.model.joint.seams) > 1
+    several = len(state.model.joint.seams) > 1
     layers = [layer for name, layer in state.model.layers.items() if seam in (S, name) and not layer.has_pressure_flow]
-    ratios = {f"too_stiff {layer.name}" if many else "too_stiff": times_too_stiff(state, layer) for layer in layers}
-    return {name: ratio for name, ratio in ratios.items() if ratio is not None}
+    factors = {f"too_stiff {layer.name}" if several else "too_stiff": times_too_stiff(state, layer) for layer in layers}
+    return {name: factor for name, factor in factors.items() if factor is not None}
 
 
-def _state_at(result: Solution, at: float | None) -> State:
+def _state_at(result: Solution, t: float | None) -> State:
     if isinstance(result, State):
-        if at is not None and not abs(result.t - at) <= TIME_TOLERANCE * max(abs(result.t), abs(at)):
-            raise InputError(f"compare: a state is of t = {result.t:g}, not of at = {at:g}; give its history, or no at")
+        if t is not None and not abs(result.t - t) <= TIME_TOLERANCE * max(abs(result.t), abs(t)):
+            raise InputError(f"compare: a state is of t = {result.t:g}, not of at = {t:g}; give its history, or no at")
         return result
-    return result.last if at is None else result.at(at)
+    return result.last if t is None else result.at(t)
 
 
-def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
+def _require_same_body_extent(full: FullModel, interface: InterfaceModel) -> None:
     """Raise InputError if the bodies end at different places in both models, and a layer's law has order 1.
 
     The bodies of a model are either "kept", with S as their boundary, or "extended", with the layer cut out of them. If
     the models differ in this, results differ as much as by the terms of order 1.
     """
     band = full.domain.joint.band
-    here = "kept" if interface.domain.joint.parted is None else "extended"
+    kind = "kept" if interface.domain.joint.parted is None else "extended"
     assert band is not None
-    if band.bodies != here and any(layer.thin_layer and layer.thin_layer.order for layer in interface.layers.values()):
-        models = f"bodies are {band.bodies} in the full model and {here} in the interface model"
-        raise InputError(f"compare: {models}, which alone is a difference of order 1; give both the same bodies='...'")
+    if band.bodies != kind and any(layer.thin_layer and layer.thin_layer.order for layer in interface.layers.values()):
+        clause = f"bodies are {band.bodies} in the full model and {kind} in the interface model"
+        raise InputError(f"compare: {clause}, which alone is a difference of order 1; give both the same bodies='...'")
 
 
 def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
     """Raise InputError unless both models have the same bodies, supports, loads, `plane` and variation of thickness."""
-    there, here = (
+    full_data, interface_data = (
         {name: model.description[name] for name in ("plane", "bodies", "loads")}
         | {"supports": model.description["supports"][: len(model.supports.user_entries)]}
         for model in (full, interface)
     )
-    if there != here:
-        changes = [*differences(there, here)]
+    if full_data != interface_data:
+        changes = [*differences(full_data, interface_data)]
         raise InputError(f"compare needs the same {changes[0][0][0]}: {differences_text(changes)}")
     for name, layer in interface.layers.items():
-        both = [seam_layer.thin_layer.profile for seam_layer in (full.layers[name], layer) if seam_layer.thin_layer]
-        shapes = [full.joint.relative_thickness(profile, name) for profile in both]  # a law on S has no thickness
-        if not np.allclose(shapes[0], shapes[-1], rtol=PROFILE_TOLERANCE, atol=0.0):
+        profiles = [seam_layer.thin_layer.profile for seam_layer in (full.layers[name], layer) if seam_layer.thin_layer]
+        ratios = [full.joint.relative_thickness(profile, name) for profile in profiles]  # a law on S has no thickness
+        if not np.allclose(ratios[0], ratios[-1], rtol=RELATIVE_PROFILE_TOLERANCE, atol=0.0):
             raise InputError(f"compare needs the same profile of the thickness of {layer} in both models")
 
 
-def _part(surface: Surface, where: Where | None) -> Array:
+def _indicator(surface: Surface, where: WhereFunction | None) -> Array:
     """Evaluate the user's function `where` at q quadrature points of n facets of S; all ranks get the same result.
 
     Args:
@@ -184,10 +184,10 @@ def _part(surface: Surface, where: Where | None) -> Array:
         InputError: the function has other values than true and false, or is true at no point.
     """
     with errors_on_all(surface.model.comm):
-        part = surface.where(1.0 if where is None else where)
-        if not np.isin(part, (0.0, 1.0)).all():
+        indicator = surface.where(1.0 if where is None else where)
+        if not np.isin(indicator, (0.0, 1.0)).all():
             raise InputError("where gives numbers; it must be true or false at each place, as lambda x: x[0] > 1")
-    require_same(surface.model.comm, where=part)
-    if not part.any():
+    require_same(surface.model.comm, where=indicator)
+    if not indicator.any():
         raise InputError("where is true nowhere on S, or between its quadrature points; choose a larger part")
-    return part
+    return indicator

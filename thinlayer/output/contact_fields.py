@@ -14,7 +14,7 @@ import ufl
 from forms.base import Array
 from forms.contact import Status
 from geometry.seam import S
-from geometry.topology import IntArray, connected, sum_by_number
+from geometry.topology import IntArray, components, sum_by_number
 from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, body_pairs
 from thinlayer.discretisation.state import State
 from thinlayer.output.nodal_forces import contact_forces, nodal_forces
@@ -24,7 +24,7 @@ from thinlayer.system.table import Table
 PINNED_STATUS, NO_CONTACT_STATUS = "pinned", "no contact law"
 STATUS_NAMES = {Status.SEPARATED: "separated", Status.SLIDING: "sliding", Status.STICK: "stick"}
 CONTACT_STATUSES = (*STATUS_NAMES.values(), PINNED_STATUS)
-ZERO_PRESSURE_SHARE = 1e-10  # pressure, over the largest one, that counts as zero
+ZERO_PRESSURE_RATIO = 1e-10  # pressure, over the largest one, that counts as zero
 SLIDING_TOLERANCE = 1e-9  # relative distance from the threshold at which a node of a law with memory counts as sliding
 
 
@@ -129,17 +129,17 @@ class Contact:
         """
         nodes, m = self.surface.nodes, len(self.status)
         a, b = nodes[:, np.triu_indices(nodes.shape[1], 1)].swapaxes(0, 1).reshape(2, -1)
-        _, kind = np.unique(self.status, return_inverse=True)
-        _, shared = np.unique(np.stack([self.surface.vertices, kind.ravel()]), axis=1, return_inverse=True)
-        same = self.status[a] == self.status[b]
-        first, second = np.append(a[same], np.arange(m)), np.append(b[same], m + shared.ravel())
-        zone = connected(first, second, 2 * m)[:m]
-        zones = [np.flatnonzero(zone == label) for label in dict.fromkeys(map(int, zone))]
-        return [self._zone(at) for at in zones if self.status[at[0]] != NO_CONTACT_STATUS]
+        _, status_codes = np.unique(self.status, return_inverse=True)
+        _, vertex_sets = np.unique(np.stack([self.surface.vertices, status_codes.ravel()]), axis=1, return_inverse=True)
+        is_same = self.status[a] == self.status[b]
+        edge_starts, edge_ends = np.append(a[is_same], np.arange(m)), np.append(b[is_same], m + vertex_sets.ravel())
+        zone_labels = components(edge_starts, edge_ends, 2 * m)[:m]
+        zone_nodes = [np.flatnonzero(zone_labels == label) for label in dict.fromkeys(map(int, zone_labels))]
+        return [self._make_zone(members) for members in zone_nodes if self.status[members[0]] != NO_CONTACT_STATUS]
 
-    def _zone(self, at: IntArray) -> Zone:
-        start, end = self.x[at].min(axis=0).tolist(), self.x[at].max(axis=0).tolist()
-        return Zone(str(self.status[at[0]]), float(self.areas[at].sum()), tuple(start), tuple(end), len(at))
+    def _make_zone(self, nodes: IntArray) -> Zone:
+        start, end = self.x[nodes].min(axis=0).tolist(), self.x[nodes].max(axis=0).tolist()
+        return Zone(str(self.status[nodes[0]]), float(self.areas[nodes].sum()), tuple(start), tuple(end), len(nodes))
 
     @property
     def table(self) -> Table:
@@ -154,17 +154,17 @@ class Contact:
         return Table.of(columns | {"status": self.status.tolist()})
 
     @property
-    def _counted(self) -> str:
+    def _counts_text(self) -> str:
         counts = ", ".join(f"{count} {name}" for name, count in self.counts.items() if count)
         return counts if self.surface.seam == S else f"{self.surface.seam}: {counts}"
 
     def __repr__(self) -> str:
-        return f"Contact({self._counted})"
+        return f"Contact({self._counts_text})"
 
     def __str__(self) -> str:
-        lines = [f"  {z.status:<10}{z.size:.6g} ({z.nodes} node{'s' * (z.nodes > 1)})" for z in self.zones]
-        forces = f"normal force {self.normal_force:.6g}, equilibrium {self.equilibrium:.1e}"
-        return "\n".join([self._counted, *lines, forces])
+        zone_lines = [f"  {z.status:<10}{z.size:.6g} ({z.nodes} node{'s' * (z.nodes > 1)})" for z in self.zones]
+        forces_text = f"normal force {self.normal_force:.6g}, equilibrium {self.equilibrium:.1e}"
+        return "\n".join([self._counts_text, *zone_lines, forces_text])
 
 
 def contact_values(surface: SurfaceMesh, state: State) -> dict[str, np.ndarray]:
@@ -179,21 +179,21 @@ def contact_values(surface: SurfaceMesh, state: State) -> dict[str, np.ndarray]:
         law acts on the surface.
     """
     seams = [name for name in state.model.contacts if surface.seam in (S, name)]
-    parts = [part for name in seams for part in state.model.comm.allgather(_rank_values(state, name))]
-    if not parts:
+    results = [result for name in seams for result in state.model.comm.allgather(_rank_values(state, name))]
+    if not results:
         return {}
-    nodal = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    at, m = surface.find(nodal.pop("number")), len(surface.numbers)
-    vertex, areas = nodal.pop("vertex"), nodal.pop("areas")
-    around = sum_by_number(at, areas, m)
-    values: dict[str, np.ndarray] = {"areas": around}
-    for name, array in nodal.items():
+    rows_of_name = {name: np.concatenate([result[name] for result in results]) for name in results[0]}
+    nodes, m = surface.positions_of(rows_of_name.pop("number")), len(surface.node_numbers)
+    is_vertex, areas = rows_of_name.pop("vertex"), rows_of_name.pop("areas")
+    area_sums = sum_by_number(nodes, areas, m)
+    values: dict[str, np.ndarray] = {"areas": area_sums}
+    for name, array in rows_of_name.items():
         if name in ("p", "t_T", "threshold"):  # vertices share the forces of nodes between them
-            values[name] = (sum_by_number(at, (array.T * areas).T, m).T / np.where(around > 0, around, 1.0)).T
+            values[name] = (sum_by_number(nodes, (array.T * areas).T, m).T / np.where(area_sums > 0, area_sums, 1.0)).T
             continue
         values[name] = np.zeros((m, *array.shape[1:])) if name != "status" else np.full(m, NO_CONTACT_STATUS)
-        values[name][at] = array  # a vertex without area, on the axis of revolution, has the value of a neighbour
-        values[name][at[vertex]] = array[vertex]
+        values[name][nodes] = array  # a vertex without area, on the axis of revolution, has the value of a neighbour
+        values[name][nodes[is_vertex]] = array[is_vertex]
     return values
 
 
@@ -212,25 +212,25 @@ def _rank_values(state: State, seam: str) -> dict[str, np.ndarray]:
         itself at the vertex; "number", the key of the vertex and of the two bodies that meet there (`Joint.pairs`).
     """
     model, law = state.model, state.model.contacts[seam]
-    nodes = ContactNodes(ContactSurface.of(model, seam), model.constraints.bc_dofs, gap=law.gaps)
+    nodes = ContactNodes(ContactSurface.for_seam(model, seam), model.constraints.bc_dofs, gap=law.gaps)
     w, slip = nodes.separation(state.u.x.petsc_vec), state.memory[model.layers[seam].key]
-    t, p, kind = law.traction(w, slip), law.pressure(w), law.status(w, slip)
+    t, p, statuses = law.traction(w, slip), law.pressure(w), law.status(w, slip)
     threshold = law.threshold(p)
     if law.memory:
-        at_limit = np.linalg.norm(t[:, :-1], axis=1) >= (1 - SLIDING_TOLERANCE) * threshold
-        kind = np.where((kind == Status.STICK) & at_limit, Status.SLIDING, kind)
-    largest = model.comm.allreduce(float(p.max(initial=0.0)), max)
-    kind = np.where(p <= ZERO_PRESSURE_SHARE * largest, Status.SEPARATED, kind)
-    status = np.array([STATUS_NAMES[Status(int(code))] for code in kind], dtype="<U9")
-    status[nodes.is_fixed.all(axis=1)] = PINNED_STATUS
-    node, number = body_pairs(model.joint, seam, nodes.file_numbers)
-    vertex_count = np.bincount(node, minlength=len(w))
+        is_at_threshold = np.linalg.norm(t[:, :-1], axis=1) >= (1 - SLIDING_TOLERANCE) * threshold
+        statuses = np.where((statuses == Status.STICK) & is_at_threshold, Status.SLIDING, statuses)
+    largest_pressure = model.comm.allreduce(float(p.max(initial=0.0)), max)
+    statuses = np.where(p <= ZERO_PRESSURE_RATIO * largest_pressure, Status.SEPARATED, statuses)
+    status_names = np.array([STATUS_NAMES[Status(int(code))] for code in statuses], dtype="<U9")
+    status_names[nodes.is_fixed.all(axis=1)] = PINNED_STATUS
+    row_nodes, pair_keys = body_pairs(model.joint, seam, nodes.node_ids)
+    vertex_count = np.bincount(row_nodes, minlength=len(w))
     values: dict[str, np.ndarray] = {
-        "vertex": vertex_count == 1, "status": status, "u_T": w[:, :-1], "u_N": -w[:, -1], "p": p, "t_T": t[:, :-1],
+        "vertex": vertex_count == 1, "status": status_names, "u_T": w[:, :-1], "u_N": -w[:, -1], "p": p, "t_T": t[:, :-1],
         "threshold": threshold, "slip": slip, "areas": nodes.weights / vertex_count, "frames": nodes.frames,
     }  # fmt: skip
     nodes.destroy()
-    return {"number": number} | {name: array[node] for name, array in values.items()}
+    return {"number": pair_keys} | {name: array[row_nodes] for name, array in values.items()}
 
 
 def balance_errors(state: State) -> tuple[float, float]:
@@ -248,16 +248,16 @@ def balance_errors(state: State) -> tuple[float, float]:
     bc_dofs = np.union1d(model.supports.bc_dofs_in(model.V), model.bc_dofs_in(model.V))
     bc_dofs = bc_dofs[bc_dofs < model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs]
     v = ufl.TestFunction(model.V)
-    stresses = nodal_forces(model.V, state.work(state.bodies + state.layers, v) + model.added_work_in(state, v))
-    loads, of_contact = nodal_forces(model.V, model.external_work(v, state.t)), contact_forces(state)
-    u, inner, outer, on_s = (f.x.petsc_vec for f in (state.u, stresses, loads, of_contact))
-    on_s.scale(-1.0)
-    spent, tractions, supplied = float(u.dot(inner)), float(u.dot(on_s)), float(u.dot(outer))
-    total = inner.array_r + on_s.array_r - outer.array_r
-    at_supports = comm.allreduce(float(total[bc_dofs] @ u.array_r[bc_dofs]))
-    total[bc_dofs] = 0.0
-    sums = comm.allreduce(total.reshape(-1, d).sum(axis=0))
-    sizes = comm.allreduce(sum(float(np.abs(f.array_r).sum()) for f in (inner, outer, on_s)))
-    largest = max(map(abs, (spent, tractions, supplied, at_supports)))
-    unbalanced, missing = float(np.abs(sums).max()), abs(spent + tractions - supplied - at_supports)
-    return unbalanced / sizes if sizes else 0.0, missing / largest if largest else 0.0
+    internal = nodal_forces(model.V, state.work(state.bodies + state.layers, v) + model.work_of_parts_in(state, v))
+    external, contact = nodal_forces(model.V, model.external_work(v, state.t)), contact_forces(state)
+    u, inner_vec, outer_vec, contact_vec = (f.x.petsc_vec for f in (state.u, internal, external, contact))
+    contact_vec.scale(-1.0)
+    stress_work, contact_work, load_work = float(u.dot(inner_vec)), float(u.dot(contact_vec)), float(u.dot(outer_vec))
+    residual = inner_vec.array_r + contact_vec.array_r - outer_vec.array_r
+    support_work = comm.allreduce(float(residual[bc_dofs] @ u.array_r[bc_dofs]))
+    residual[bc_dofs] = 0.0
+    resultant = comm.allreduce(residual.reshape(-1, d).sum(axis=0))
+    force_sum = comm.allreduce(sum(float(np.abs(f.array_r).sum()) for f in (inner_vec, outer_vec, contact_vec)))
+    largest_work = max(map(abs, (stress_work, contact_work, load_work, support_work)))
+    force_error, work_error = float(np.abs(resultant).max()), abs(stress_work + contact_work - load_work - support_work)
+    return force_error / force_sum if force_sum else 0.0, work_error / largest_work if largest_work else 0.0

@@ -11,9 +11,9 @@ from mpi4py import MPI
 from forms.base import InputError, require
 from geometry.parallel import default_comm, on_root, use_comm
 from thinlayer.errors import SolveError
-from thinlayer.output.row_file import GENERATOR_MESSAGE, RowFile, checked_row, make_room, require_csv
+from thinlayer.output.row_file import GENERATOR_TEXT, RowFile, checked_row, move_or_check_files, require_csv
 from thinlayer.system.fingerprint import Resume, random_states
-from thinlayer.system.folder import LOCK_FILE, lock_folder, own_folder, read_sealed
+from thinlayer.system.folder import LOCK_FILE, lock_folder, lock_from_root, read_sealed
 from thinlayer.system.progress import track
 from thinlayer.system.ranks import errors_on_all, require_same
 from thinlayer.system.table import Row, Table
@@ -94,45 +94,45 @@ def ensemble(
         require_csv(out, resume)
         inputs = _checked_cases(cases)
         ranks = comm.size if ranks is None else ranks
-        dividing = [n for n in range(1, comm.size + 1) if comm.size % n == 0]
-        require(ranks in dividing, "ranks", ranks, f"allowed: a number that divides the number of ranks, {comm.size}")
-        good = isinstance(part, tuple) and [*map(type, part)] == [int, int] and 0 <= part[0] < part[1]
-        require(good, "part", part, "allowed: (k, n), the k-th of n parts, 0 <= k < n")
-        shared = part[1] == 1 or (out is not None and resume)
-        require(shared, "part", part, "parts of an ensemble share a table: give out=... and resume=True")
+        divisors = [n for n in range(1, comm.size + 1) if comm.size % n == 0]
+        require(ranks in divisors, "ranks", ranks, f"allowed: a number that divides the number of ranks, {comm.size}")
+        is_valid_part = isinstance(part, tuple) and [*map(type, part)] == [int, int] and 0 <= part[0] < part[1]
+        require(is_valid_part, "part", part, "allowed: (k, n), the k-th of n parts, 0 <= k < n")
+        parts_can_join = part[1] == 1 or (out is not None and resume)
+        require(parts_can_join, "part", part, "parts of an ensemble share a table: give out=... and resume=True")
     require_same(None, cases=inputs, out=out and str(out), resume=resume, ranks=ranks, part=list(part))
-    group, groups = comm.rank // ranks, comm.size // ranks
-    first, step = part[0] * groups + group, part[1] * groups
+    group, n_groups = comm.rank // ranks, comm.size // ranks
+    first_run, step = part[0] * n_groups + group, part[1] * n_groups
     path = None if out is None else Path(out)
-    lock = f".{path and path.name}.{part[0]}-of-{part[1]}{LOCK_FILE}"
-    with ExitStack() as stack, own_folder(path and path.parent, name=lock):
+    lock_name = f".{path and path.name}.{part[0]}-of-{part[1]}{LOCK_FILE}"
+    with ExitStack() as stack, lock_from_root(path and path.parent, name=lock_name):
         subcomm = MPI.Intracomm(comm.Split(group))
         stack.callback(subcomm.Free)
-        there = {} if path is None else on_root(None, lambda: _existing_rows(path, make, inputs, resume))
-        left = [k for k in range(first, len(inputs), step) if k not in there]
-        name = f"{first}-of-{step}.json"
-        file = RowFile(_parts(path) / name, make, "ensemble") if path and subcomm.rank == 0 else None
+        stored_rows = {} if path is None else on_root(None, lambda: _stored_rows(path, make, inputs, resume))
+        runs = [k for k in range(first_run, len(inputs), step) if k not in stored_rows]
+        file_name = f"{first_run}-of-{step}.json"
+        file = RowFile(_row_folder(path) / file_name, make, "ensemble") if path and subcomm.rank == 0 else None
         rows, error = dict[int, Row](), None
         try:
-            if left:
+            if runs:
                 if file:
                     file.read(resume)
                 with use_comm(subcomm):
-                    _compute(subcomm, make, inputs, left, rows, file, alone=step == 1, keep_failures=keep_failures)
+                    _compute(subcomm, make, inputs, runs, rows, file, only_group=step == 1, keep_failures=keep_failures)
         except Exception as problem:  # raised below, so that the other groups continue
             error = problem
-        done = there | {k: row for some in comm.allgather(rows) for k, row in some.items()}
+        all_rows = stored_rows | {k: row for group_rows in comm.allgather(rows) for k, row in group_rows.items()}
         if path is not None:
-            done |= on_root(None, lambda: _merged(path, inputs))
+            all_rows |= on_root(None, lambda: _merge_rows(path, inputs))
         failure = None if error is None else f"group {group} of ranks has failed: {type(error).__name__}: {error}"
         if failures := [*filter(None, comm.allgather(failure))]:
             raise error or InputError(failures[0])
-        return _table(inputs, done)
+        return _table(inputs, all_rows)
 
 
 def _compute(
-    comm: MPI.Intracomm, make: Callable[[], RunFunction], cases: list[Row], left: Sequence[int], rows: dict[int, Row],
-    file: RowFile | None, *, alone: bool, keep_failures: bool,
+    comm: MPI.Intracomm, make: Callable[[], RunFunction], cases: list[Row], runs: Sequence[int], rows: dict[int, Row],
+    file: RowFile | None, *, only_group: bool, keep_failures: bool,
 ) -> None:  # fmt: skip
     """Compute the rows that a group of ranks still has to compute, and add them to `rows`. Collective over the group.
 
@@ -140,10 +140,10 @@ def _compute(
         comm: communicator of the group.
         make: the user's function, which is called here and returns the function of a case.
         cases: inputs of all runs.
-        left: numbers of the runs to compute.
+        runs: numbers of the runs to compute.
         rows: number of a run -> its row; rows are added.
         file: file to which each row is appended at once; None: rows are not stored.
-        alone: whether this group computes all cases; only then may runs take random numbers from one generator.
+        only_group: whether this group computes all cases; only then may runs take random numbers from one generator.
         keep_failures: whether a run that raises a SolveError gets a row with the error, instead of ending the ensemble.
     """
     with errors_on_all(comm):
@@ -151,32 +151,32 @@ def _compute(
         if not callable(run):
             raise InputError(f"make returns {run!r}; it must return a function of a case")
         if file:
-            file.watch((make, run))
-    states = random_states((make, run))
-    for k in track(left, "ensemble", "run {}"):
+            file.watch_generators((make, run))
+    generator_states = random_states((make, run))
+    for k in track(runs, "ensemble", "run {}"):
         case, row, failure = cases[k], Row(), None
         try:
             with errors_on_all(comm):
-                arguments = {name: value for name, value in case.items() if value is not None}  # None is refused
-                row = checked_row(run(arguments), f"the row of run {k}", (RUN_COLUMN, FAILURE_COLUMN, *case))
+                inputs = {name: value for name, value in case.items() if value is not None}  # None is refused
+                row = checked_row(run(inputs), f"the row of run {k}", (RUN_COLUMN, FAILURE_COLUMN, *case))
         except SolveError as error:
             if not keep_failures:
                 raise
             failure = str(error)
         rows[k] = {RUN_COLUMN: float(k), **case, **row} | ({FAILURE_COLUMN: failure} if keep_failures else {})
         with errors_on_all(comm):
-            if not alone and random_states((make, run)) != states:
-                raise InputError(f"groups and parts of an ensemble draw the same numbers, as from {GENERATOR_MESSAGE}")
+            if not only_group and random_states((make, run)) != generator_states:
+                raise InputError(f"groups and parts of an ensemble draw the same numbers, as from {GENERATOR_TEXT}")
         if file:
             file.add(rows[k])
 
 
 # ---------------------------------------------------------------- files, on one rank
-def _parts(path: Path) -> Path:
+def _row_folder(path: Path) -> Path:
     return path.with_name(f"{path.name}.parts")
 
 
-def _existing_rows(path: Path, make: Callable[[], RunFunction], cases: list[Row], resume: Resume) -> dict[int, Row]:
+def _stored_rows(path: Path, make: Callable[[], RunFunction], cases: list[Row], resume: Resume) -> dict[int, Row]:
     """Read the rows that earlier jobs of an ensemble have stored; with resume=False move their files away first.
 
     Args:
@@ -191,31 +191,31 @@ def _existing_rows(path: Path, make: Callable[[], RunFunction], cases: list[Row]
     Raises:
         InputError: rows of other cases or of another `make`, or rows that took random numbers from one generator.
     """
-    make_room(path, _parts(path), resume)
-    files = [RowFile(file, make, "ensemble") for file in sorted(_parts(path).glob("*-of-*.json"))]
-    rows = _by_run([row for file in files for row in file.read(resume)])
+    move_or_check_files(path, _row_folder(path), resume)
+    files = [RowFile(file, make, "ensemble") for file in sorted(_row_folder(path).glob("*-of-*.json"))]
+    rows = _row_of_run([row for file in files for row in file.read(resume)])
     for k, row in rows.items():
         case = cases[k] if k < len(cases) else {}
-        changed = [f"{name} = {row.get(name)!r} there" for name, value in case.items() if row.get(name) != value]
-        if wrong := changed or ["no such run here"] * (not case):
-            remedy = f"give another name, or remove it and {str(_parts(path))!r}"
-            raise InputError(f"{str(path)!r} is the table of other cases (run {k}: {wrong[0]}); {remedy}")
+        changed_inputs = [f"{name} = {row.get(name)!r} there" for name, value in case.items() if row.get(name) != value]
+        if reasons := changed_inputs or ["no such run here"] * (not case):
+            remedy = f"give another name, or remove it and {str(_row_folder(path))!r}"
+            raise InputError(f"{str(path)!r} is the table of other cases (run {k}: {reasons[0]}); {remedy}")
     return rows
 
 
-def _merged(path: Path, cases: list[Row]) -> dict[int, Row]:
+def _merge_rows(path: Path, cases: list[Row]) -> dict[int, Row]:
     """Write the rows that all jobs have stored to the csv table `path`, and return them: number of a run -> its row.
 
     A lock on the folder of stored rows prevents two jobs from doing so at the same time.
     """
-    with lock_folder(_parts(path), f".merge{LOCK_FILE}", wait=True):
-        rows = _by_run([row for file in _parts(path).glob("*-of-*.json") for row in read_sealed(file)["rows"]])
+    with lock_folder(_row_folder(path), f".merge{LOCK_FILE}", wait=True):
+        rows = _row_of_run([row for file in _row_folder(path).glob("*-of-*.json") for row in read_sealed(file)["rows"]])
         if rows:
-            _table(cases, rows).put(path)
+            _table(cases, rows).write_on_this_rank(path)
     return rows
 
 
-def _by_run(rows: Sequence[Row]) -> dict[int, Row]:
+def _row_of_run(rows: Sequence[Row]) -> dict[int, Row]:
     return {int(row[RUN_COLUMN]): row for row in rows}  # type: ignore[arg-type]
 
 
@@ -223,8 +223,8 @@ def _table(cases: list[Row], rows: Mapping[int, Row]) -> Table:
     """Make the table of `rows`, number of a run -> row, ordered by run; entries that a row lacks are None."""
     ordered = [rows[k] for k in sorted(rows)]
     names = dict.fromkeys(name for row in ([RUN_COLUMN, *cases[0]], *ordered) for name in row if name != FAILURE_COLUMN)
-    failed = [FAILURE_COLUMN] if any(FAILURE_COLUMN in row for row in ordered) else []
-    return Table({name: row.get(name) for name in (*names, *failed)} for row in ordered)
+    failure_columns = [FAILURE_COLUMN] if any(FAILURE_COLUMN in row for row in ordered) else []
+    return Table({name: row.get(name) for name in (*names, *failure_columns)} for row in ordered)
 
 
 def _checked_cases(cases: object) -> list[Row]:

@@ -7,7 +7,7 @@ import numpy as np
 from forms.base import Array, InputError
 from geometry.parallel import default_comm
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.prescribed_strains import VOIGT_PAIRS_OF_DIM, Strain
+from thinlayer.discretisation.prescribed_strains import VOIGT_PAIRS_OF_DIM, MeanTensorInput
 from thinlayer.discretisation.time_functions import piecewise
 from thinlayer.errors import SolveError
 from thinlayer.solving.solve import Solver
@@ -15,7 +15,7 @@ from thinlayer.system.ranks import errors_on_all
 
 # difference of the stiffness from its transpose, over its size, above which a law or a solve must be wrong
 ASYMMETRY_TOLERANCE = 1e-8
-BODY_STIFFNESS_TOLERANCE = 1e-12  # the same over the stiffness of the bodies, whose strains have rounding errors
+BODY_ASYMMETRY_TOLERANCE = 1e-12  # the same over the stiffness of the bodies, whose strains have rounding errors
 
 
 def homogenised_stiffness(model: Model) -> Array:
@@ -50,40 +50,40 @@ def homogenised_stiffness(model: Model) -> Array:
          [   0.    0. 1800.]]
     """
     with errors_on_all(model.comm if isinstance(model, Model) else default_comm()):
-        _check(model)
-    with Solver(model.under_mean_strain(_unit_strains(model.joint.dim))) as solver:
+        _require_linear_periodic(model)
+    with Solver(model.under_mean_strain(_unit_strain_function(model.joint.dim))) as solver:
         times = map(float, range(len(VOIGT_PAIRS_OF_DIM[model.joint.dim])))
-        stresses = [solver.step(solver.rest(t), t).mean_stress() for t in times]
+        stresses = [solver.step(solver.rest_state(t), t).mean_stress() for t in times]
     stiffness = np.column_stack([[stress[pair] for pair in VOIGT_PAIRS_OF_DIM[len(stress)]] for stress in stresses])
-    asymmetry, size = float(np.abs(stiffness - stiffness.T).max()), float(np.abs(stiffness).max())
-    stiffest = max(np.abs(C).max() for C in model.structure.bodies_at_rest if C is not None)
-    if model.symmetric and asymmetry > ASYMMETRY_TOLERANCE * size + BODY_STIFFNESS_TOLERANCE * stiffest:
-        raise SolveError(f"the homogenised stiffness is not symmetric: entries of {size:.1e} differ by {asymmetry:.1e}")
+    asymmetry, norm = float(np.abs(stiffness - stiffness.T).max()), float(np.abs(stiffness).max())
+    body_norm = max(np.abs(C).max() for C in model.structure.body_tangents if C is not None)
+    if model.symmetric and asymmetry > ASYMMETRY_TOLERANCE * norm + BODY_ASYMMETRY_TOLERANCE * body_norm:
+        raise SolveError(f"the homogenised stiffness is not symmetric: entries of {norm:.1e} differ by {asymmetry:.1e}")
     return stiffness
 
 
-def _check(model: Model) -> None:
+def _require_linear_periodic(model: Model) -> None:
     if not isinstance(model, Model) or model.joint.periods is None:
         raise InputError(f"homogenised_stiffness needs a model of a periodic joint (geometry.periodic), not {model!r}")
-    if not model.kinematics.rotations:
+    if not model.kinematics.has_rigid_rotations:
         raise InputError(f"homogenised_stiffness, plane={model.plane!r}: a body of revolution has no mean strain")
     model.require("mean strain")
-    for law in (p.law for p in model.terms if not p.proportional):
+    for law in (p.law for p in model.terms if not p.is_proportional):
         remedy = "march under Structure(..., strain=...), and take State.mean_stress"
         raise InputError(f"{law!r} is not linear, or has stresses without strains; {remedy}")
     if not model.linear:
         raise InputError("the model is not linear; homogenised_stiffness needs linear laws and parts")
-    if moving := model.supports.moving_places:
-        raise InputError(f"the support on {moving[0]!r} moves; homogenised_stiffness needs supports at rest")
+    if moving_places := model.supports.moving_places:
+        raise InputError(f"the support on {moving_places[0]!r} moves; homogenised_stiffness needs supports at rest")
 
 
-def _unit_strains(d: int) -> Strain:
+def _unit_strain_function(d: int) -> MeanTensorInput:
     """Return a function of (x, t), whose value at the time t = k is the unit strain of the column k of the stiffness.
 
     It is a mean strain (d, d) in d = 2 or 3 dimensions, the same at all places x. Columns, from 0, and their unit
     strains are those of `homogenised_stiffness`.
     """
-    unit = np.eye(d)
-    basis = [(np.outer(unit[i], unit[j]) + np.outer(unit[j], unit[i])) / 2 for i, j in VOIGT_PAIRS_OF_DIM[d]]
-    table = piecewise({float(k): strain.ravel().tolist() for k, strain in enumerate(basis)})
-    return lambda x, t: np.reshape(table(x, t), (d, d)).tolist()
+    axes = np.eye(d)
+    unit_strains = [(np.outer(axes[i], axes[j]) + np.outer(axes[j], axes[i])) / 2 for i, j in VOIGT_PAIRS_OF_DIM[d]]
+    interpolant = piecewise({float(k): strain.ravel().tolist() for k, strain in enumerate(unit_strains)})
+    return lambda x, t: np.reshape(interpolant(x, t), (d, d)).tolist()

@@ -13,7 +13,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.system.ranks import destroy
 
 
-def layer_forces(state: State, joined: bool = False) -> fem.Function:
+def layer_forces(state: State, bonds_joined: bool = False) -> fem.Function:
     """Compute the nodal forces on the bodies at S: those of the layer and, where bodies are bonded, of the other body.
 
     Collective. The force of the shape function phi_i is r_i = int_bodies stress(u) : e(phi_i) - L(phi_i), where L is
@@ -21,18 +21,18 @@ def layer_forces(state: State, joined: bool = False) -> fem.Function:
 
     Args:
         state: the state.
-        joined: whether the shape functions, of degree 1, are continuous across seams with a `Bond`. If so, the forces
-            between bonded bodies cancel. Across other seams they always jump.
+        bonds_joined: whether the shape functions, of degree 1, are continuous across seams with a `Bond`. If so, the
+            forces between bonded bodies cancel. Across other seams they always jump.
 
     Returns:
         A vector function of degree 1, whose nodal values are the forces r_i.
     """
     model = state.model
-    W = model.space(1, broken_at_faces=not joined)
+    W = model.space(1, broken_at_faces=not bonds_joined)
     v = ufl.TestFunction(W)
     # Separate forms: in a sum DOLFINx 0.9 loses integrals over overlapping sets of regions with different quadratures.
     r = nodal_forces(W, state.work(state.bodies, v))
-    if (added := model.added_work_in(state, v)).integrals():
+    if (added := model.work_of_parts_in(state, v)).integrals():
         r.x.array[:] += nodal_forces(W, added).x.array
     r.x.array[:] -= nodal_forces(W, model.external_work(v, state.t)).x.array
     return r
@@ -52,17 +52,17 @@ def nodal_forces(V: fem.FunctionSpace, form: Expr) -> fem.Function:
     vector = fem.assemble_vector(compiled(form))
     vector.scatter_reverse(dolfinx.la.InsertMode.add)
     vector.scatter_forward()
-    values = fem.Function(V)
-    values.x.array[:] = vector.array
-    return values
+    forces = fem.Function(V)
+    forces.x.array[:] = vector.array
+    return forces
 
 
 def contact_forces(state: State) -> fem.Function:
     """Compute the nodal forces of contact laws on the bodies, as a function in the displacements' space. Collective."""
     model, forces = state.model, fem.Function(state.model.V)
     for name, law in model.contacts.items():
-        nodes = ContactNodes(ContactSurface.of(model, name), gap=law.gaps)
-        b = nodes.zero()
+        nodes = ContactNodes(ContactSurface.for_seam(model, name), gap=law.gaps)
+        b = nodes.new_vector()
         nodes.add_forces(-law.traction(nodes.separation(state.u.x.petsc_vec), state.memory[model.layers[name].key]), b)
         forces.x.array[: b.getLocalSize()] += b.array_r
         destroy(nodes, b)

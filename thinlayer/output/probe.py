@@ -13,18 +13,18 @@ from scipy.spatial import cKDTree
 from forms.base import Array, InputError
 from geometry.refusals import place_text, refuse
 from geometry.seam import S
-from geometry.topology import IntArray, by_place, is_tensor
+from geometry.topology import IntArray, is_tensor, place_order
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.key import Key
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.state import State, cell_values
+from thinlayer.discretisation.state import State, node_values
 from thinlayer.surface.law_points import LawPoints, law_points
 from thinlayer.surface.locating import LocatedPoints
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.ranks import errors_on_all, require_same
 
 # difference of displacements at one point, over the largest displacement, that counts as zero
-DISPLACEMENT_TOLERANCE = 1e-9
+ZERO_JUMP_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -94,15 +94,15 @@ class Probe:
         Raises:
             InputError: points outside the bodies and meshed layers; `side` is None at a point where displacements jump.
         """
-        located = self._located(x, side, seam)
+        located = self._locate(x, side, seam)
         basis = self.state.u.function_space.ufl_element().basix_element.tabulate(0, located.X)[0, :, :, 0]
-        u = np.einsum("kn,knd->kd", basis, cell_values(self.state.u, self.state.model, located.entity))
-        largest = self._comm.allreduce(float(np.abs(self.state.u.x.array).max(initial=0.0)), max)
-        first = np.searchsorted(located.point, np.arange(len(located.x)))
-        jumps = np.abs(u - u[first[located.point]]).max(axis=1) > DISPLACEMENT_TOLERANCE * largest
+        u = np.einsum("kn,knd->kd", basis, node_values(self.state.u, self.state.model, located.entity))
+        largest_u = self._comm.allreduce(float(np.abs(self.state.u.x.array).max(initial=0.0)), max)
+        first_pairs = np.searchsorted(located.point, np.arange(len(located.x)))
+        is_jump = np.abs(u - u[first_pairs[located.point]]).max(axis=1) > ZERO_JUMP_TOLERANCE * largest_u
         hint = "several bodies meet there; give side= and seam=" if side else "give side="
-        refuse(jumps, located.x[located.point], f"displacements jump at {{at}}: {hint}")
-        return u[first] if np.ndim(x) > 1 else u[first][0]
+        refuse(is_jump, located.x[located.point], f"displacements jump at {{at}}: {hint}")
+        return u[first_pairs] if np.ndim(x) > 1 else u[first_pairs][0]
 
     def stress(self, x: npt.ArrayLike, *, side: str | None = None, seam: str = S) -> Array:
         """Return the stresses (n, 3, 3) at n points in d dimensions, or (3, 3) at one point.
@@ -120,34 +120,34 @@ class Probe:
         Raises:
             InputError: points outside the bodies and meshed layers; an unknown side or seam.
         """
-        located = self._located(x, side, seam)
-        total = np.zeros((len(located.entity), 9))
+        located = self._locate(x, side, seam)
+        cell_stresses = np.zeros((len(located.entity), 9))
         for points in law_points(self.state):
             if points.quadrature.region.dim == self._joint.dim:
-                total += self._fitted(points, points.stress().reshape(-1, 9), located)
-        total = self._comm.allreduce(total)
-        out = located.mean(total).reshape(-1, 3, 3)
-        return out if np.ndim(x) > 1 else out[0]
+                cell_stresses += self._fit_in_cells(points, points.stress().reshape(-1, 9), located)
+        cell_stresses = self._comm.allreduce(cell_stresses)
+        means = located.point_means(cell_stresses).reshape(-1, 3, 3)
+        return means if np.ndim(x) > 1 else means[0]
 
-    def _located(self, x: npt.ArrayLike, side: str | None = None, seam: str = S, on_s: bool = False) -> LocatedPoints:
+    def _locate(self, x: npt.ArrayLike, side: str | None = None, seam: str = S, facets: bool = False) -> LocatedPoints:
         """Find the cells, or the facets of S, that contain points; all ranks get the same result or error. Collective.
 
         Args:
             x: (n, d) coordinates, or (d,) for one point.
             side: "lower" or "upper": at points on S find only cells on this side; None: all cells. Not for facets.
             seam: name of the seam to which `side` refers; "S": all seams.
-            on_s: True: find facets of S; False: find cells.
+            facets: True: find facets of S; False: find cells.
 
         Returns:
             Pairs of a point and a cell, or facet, that contains it.
         """
         model = self.state.model
         with errors_on_all(self._comm):
-            located = SurfaceMesh(model).at(x)[0] if on_s else cells_at(model, x, side, seam)
+            located = SurfaceMesh(model).at(x)[0] if facets else cells_at(model, x, side, seam)
         require_same(self._comm, places=located.x, side=side, seam=seam)
         return located
 
-    def _fitted(self, points: LawPoints, values: Array, located: LocatedPoints) -> Array:
+    def _fit_in_cells(self, points: LawPoints, values: Array, located: LocatedPoints) -> Array:
         """Fit a polynomial in each cell to values at the quadrature points of a law, and evaluate it at given points.
 
         Args:
@@ -158,27 +158,27 @@ class Probe:
         Returns:
             (m, k) values of the polynomials; zero for cells that other ranks own or where other laws act.
         """
-        out = np.zeros((len(located.entity), values.shape[1]))
-        rows = {int(entity): row for row, entity in enumerate(points.entities)}
+        fitted_values = np.zeros((len(located.entity), values.shape[1]))
+        row_of_cell = {int(entity): row for row, entity in enumerate(points.joint_entities)}
         degree = self.state.model.structure.degree - (not is_tensor(self._joint.cell_type))
-        for at in np.flatnonzero(np.isin(located.entity, points.entities)):
-            cell = int(located.entity[at])
-            here = points.quadrature.cells[rows[cell]]
-            x = points.quadrature.x[here]
-            centre, size = x.mean(axis=0), np.ptp(self._joint.points[self._joint.cells[cell]], axis=0).max()
-            terms = _monomials((x - centre) / size, degree)
-            there = _monomials((located.x[located.point[at]] - centre)[None] / size, degree)
-            out[at] = there @ np.linalg.lstsq(terms, values[here], rcond=None)[0]
-        return out
+        for pair in np.flatnonzero(np.isin(located.entity, points.joint_entities)):
+            cell = int(located.entity[pair])
+            cell_points = points.quadrature.cells[row_of_cell[cell]]
+            x = points.quadrature.x[cell_points]
+            centre, cell_size = x.mean(axis=0), np.ptp(self._joint.points[self._joint.cells[cell]], axis=0).max()
+            monomials = _monomials((x - centre) / cell_size, degree)
+            pair_monomials = _monomials((located.x[located.point[pair]] - centre)[None] / cell_size, degree)
+            fitted_values[pair] = pair_monomials @ np.linalg.lstsq(monomials, values[cell_points], rcond=None)[0]
+        return fitted_values
 
     # ---------------------------------------------------------------- internal variables
     @cached_property
     def _variables(self) -> dict[str, dict[str, tuple[LawPoints, Array]]]:
         by_key: dict[str, dict[str, tuple[LawPoints, Array]]] = {}
         for points in law_points(self.state):
-            sublayers = points.internal()
-            for k, variables in enumerate(sublayers, 1):
-                key = str(Key.parse(points.key).numbered(k)) if len(sublayers) > 1 else points.key
+            sublayer_variables = points.internal()
+            for k, variables in enumerate(sublayer_variables, 1):
+                key = str(Key.parse(points.key).numbered(k)) if len(sublayer_variables) > 1 else points.key
                 if variables:
                     by_key[key] = {name: (points, values) for name, values in variables.items()}
         return by_key
@@ -203,14 +203,14 @@ class Probe:
         Raises:
             InputError: no such variable; several laws have it, and `key` is None.
         """
-        key = self._key(name, key)
+        key = self._find_key(name, key)
         points, values = self._variables[key][name]
         quadrature = points.quadrature
         entity = np.empty(quadrature.count, np.int64)
-        entity[quadrature.cells] = points.entities[:, None]
-        mine = (entity, quadrature.x, quadrature.weights, values)
-        entity, x, weights, values = (np.concatenate(parts) for parts in zip(*self._comm.allgather(mine), strict=True))
-        order = np.lexsort([np.argsort(by_place(x, self._joint.size)), entity])
+        entity[quadrature.cells] = points.joint_entities[:, None]
+        owned = (entity, quadrature.x, quadrature.weights, values)
+        entity, x, weights, values = (np.concatenate(parts) for parts in zip(*self._comm.allgather(owned), strict=True))
+        order = np.lexsort([np.argsort(place_order(x, self._joint.size)), entity])
         return PointValues(key, x[order], values[order], weights[order], entity[order])
 
     def internal(self, name: str, x: npt.ArrayLike, key: str | None = None) -> Array:
@@ -231,32 +231,32 @@ class Probe:
             InputError: no such variable; several laws have it, and `key` is None; points where the law does not act.
         """
         points = self.points(name, key)
-        on_s = self._variables[points.key][name][0].quadrature.region.dim < self._joint.dim
-        located = self._located(x, on_s=on_s)
-        entity = self._joint.surface_rows[located.entity] if on_s else located.entity
-        out = np.empty((len(located.x), *points.values.shape[1:]))
-        for k, place in enumerate(located.x):
-            here = np.flatnonzero(np.isin(points.entity, entity[located.point == k]))
-            if not len(here):
-                raise InputError(f"the law {points.key!r} does not act at {place_text(place)}")
-            out[k] = points.values[here[cKDTree(points.x[here]).query(place)[1]]]
-        return out if np.ndim(x) > 1 else out[0]
+        is_on_s = self._variables[points.key][name][0].quadrature.region.dim < self._joint.dim
+        located = self._locate(x, facets=is_on_s)
+        entity = self._joint.surface_rows[located.entity] if is_on_s else located.entity
+        nearest_values = np.empty((len(located.x), *points.values.shape[1:]))
+        for k, point in enumerate(located.x):
+            candidates = np.flatnonzero(np.isin(points.entity, entity[located.point == k]))
+            if not len(candidates):
+                raise InputError(f"the law {points.key!r} does not act at {place_text(point)}")
+            nearest_values[k] = points.values[candidates[cKDTree(points.x[candidates]).query(point)[1]]]
+        return nearest_values if np.ndim(x) > 1 else nearest_values[0]
 
-    def _key(self, name: str, key: str | None) -> str:
+    def _find_key(self, name: str, key: str | None) -> str:
         """Return the key of the law that has the internal variable `name`; if `key` is given, check it and return it.
 
         Raises:
             InputError: no law has the variable; the law with this key does not; several laws have it, and `key` is
                 None.
         """
-        having = [law_key for law_key, variables in self._variables.items() if name in variables]
-        if not having or key not in (None, *having):
-            listed = "; ".join(f"{law_key}: {', '.join(names)}" for law_key, names in self.names.items())
-            where = "" if key is None else f" of the law {key!r}"
-            raise InputError(f"unknown internal variable {name!r}{where}; known: {listed or 'none, as no law has any'}")
-        if key is None and len(having) > 1:
-            raise InputError(f"several laws have an internal variable {name!r}; give key=, one of {', '.join(having)}")
-        return key or having[0]
+        keys = [law_key for law_key, variables in self._variables.items() if name in variables]
+        if not keys or key not in (None, *keys):
+            known = "; ".join(f"{law_key}: {', '.join(names)}" for law_key, names in self.names.items())
+            of_law = "" if key is None else f" of the law {key!r}"
+            raise InputError(f"unknown internal variable {name!r}{of_law}; known: {known or 'none, as no law has any'}")
+        if key is None and len(keys) > 1:
+            raise InputError(f"several laws have an internal variable {name!r}; give key=, one of {', '.join(keys)}")
+        return key or keys[0]
 
 
 def cells_at(model: Model, x: npt.ArrayLike, side: str | None = None, seam: str = S) -> LocatedPoints:
@@ -285,5 +285,5 @@ def cells_at(model: Model, x: npt.ArrayLike, side: str | None = None, seam: str 
 
 def _monomials(x: Array, degree: int) -> Array:
     """Return the values (n, k) at n points `x` (n, d) of the k monomials whose total degree is at most `degree`."""
-    axes = [k for n in range(degree + 1) for k in combinations_with_replacement(range(x.shape[1]), n)]
-    return np.column_stack([x[:, k].prod(axis=1) for k in axes])
+    factors = [k for n in range(degree + 1) for k in combinations_with_replacement(range(x.shape[1]), n)]
+    return np.column_stack([x[:, k].prod(axis=1) for k in factors])

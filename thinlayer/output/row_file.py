@@ -22,11 +22,11 @@ from thinlayer.system.fingerprint import (
 from thinlayer.system.folder import move_away, read_sealed, write_sealed
 from thinlayer.system.table import Row
 
-GENERATOR_MESSAGE = (
+GENERATOR_TEXT = (
     "an iterator or generator of random numbers that goes on from row to row; make one in each run, from a number of the "
     "case, np.random.default_rng(int(case['seed']))"
 )
-FILE_FORMAT = 1  # version of the file's format
+FORMAT_VERSION = 1  # version of the file's format
 RESUME_HINT = "give another name, remove it, or resume='anyway'"
 
 
@@ -44,13 +44,13 @@ class RowFile:
     """
 
     def __init__(self, path: Path, run: Callable[..., object], kind: str) -> None:
-        self.path, self._run, self._kind = path, run, kind
-        self._made_from, self._rows = describe(run), list[Row]()
-        self._changing: set[tuple[str, ...]] = set()
-        self._drawn = False  # whether making rows has advanced a random generator
-        self.watch(run)
+        self.path, self._run, self._noun = path, run, kind
+        self._run_data, self._rows = describe(run), list[Row]()
+        self._changing_paths: set[tuple[str, ...]] = set()
+        self._has_drawn = False  # whether making rows has advanced a random generator
+        self.watch_generators(run)
 
-    def watch(self, run: object) -> None:
+    def watch_generators(self, run: object) -> None:
         """Store the present states of all random generators and iterators to which the user's function refers.
 
         If a state has changed when `add` is called, the rows of the file count as drawn from one generator.
@@ -58,7 +58,7 @@ class RowFile:
         Args:
             run: the function, or a tuple of functions.
         """
-        self._watched, self._states = run, random_states(run, shared=True)
+        self._watched_functions, self._generator_states = run, random_states(run, shared=True)
 
     def read(self, resume: Resume) -> list[Row]:
         """Read the rows of an earlier run from the file; the file keeps them when `add` adds rows.
@@ -77,24 +77,24 @@ class RowFile:
         if not self.path.exists():
             return []
         content, name = read_sealed(self.path), str(self.path)
-        self._changing, self._drawn = {*map(tuple, content["changing"])}, content["drawn"]
-        changes = differences(content["made from"], self._made_from)
-        new = [change for change in changes if _changed_path(*change) not in self._changing]
-        if self._drawn and resume != "anyway":
-            raise InputError(f"{name!r} cannot be resumed: its rows were drawn from {GENERATOR_MESSAGE}; {RESUME_HINT}")
+        self._changing_paths, self._has_drawn = {*map(tuple, content["changing"])}, content["drawn"]
+        changes = differences(content["made from"], self._run_data)
+        new = [change for change in changes if _changed_path(*change) not in self._changing_paths]
+        if self._has_drawn and resume != "anyway":
+            raise InputError(f"{name!r} cannot be resumed: its rows were drawn from {GENERATOR_TEXT}; {RESUME_HINT}")
         if new and resume != "anyway":
-            raise InputError(f"{name!r} is the table of another {self._kind} ({differences_text(new)}); {RESUME_HINT}")
+            raise InputError(f"{name!r} is the table of another {self._noun} ({differences_text(new)}); {RESUME_HINT}")
         self._rows = content["rows"]
         return [*self._rows]
 
     def add(self, row: Row) -> None:
         """Append a row to the file, which is on the disk when this method returns."""
         self._rows.append(row)
-        changed = (_changed_path(*change) for change in differences(self._made_from, describe(self._run)))
-        self._changing |= {path for path in changed if path}
-        self._drawn |= random_states(self._watched, shared=True) != self._states
-        about = {"made from": self._made_from, "changing": sorted(self._changing), "drawn": self._drawn}
-        write_sealed(self.path, {"format": FILE_FORMAT, **about, "rows": self._rows})
+        changed_paths = (_changed_path(*change) for change in differences(self._run_data, describe(self._run)))
+        self._changing_paths |= {path for path in changed_paths if path}
+        self._has_drawn |= random_states(self._watched_functions, shared=True) != self._generator_states
+        header = {"made from": self._run_data, "changing": sorted(self._changing_paths), "drawn": self._has_drawn}
+        write_sealed(self.path, {"format": FORMAT_VERSION, **header, "rows": self._rows})
 
 
 def require_csv(out: object, resume: object) -> None:
@@ -107,7 +107,7 @@ def require_csv(out: object, resume: object) -> None:
         raise InputError(f"out is {out!r:.200}; give the name of a csv file, not of a folder, or None")
 
 
-def make_room(table: Path, record: Path, resume: Resume) -> None:
+def move_or_check_files(table: Path, record: Path, resume: Resume) -> None:
     """Move the files of an earlier run to another folder, or check that this run can continue from them.
 
     Args:
@@ -122,44 +122,44 @@ def make_room(table: Path, record: Path, resume: Resume) -> None:
     if not resume:
         move_away(table.parent, [table.name, record.name])
     elif table.exists() and not record.exists():
-        lacking = f"{record.name}, which describes its origin, does not exist"
-        raise InputError(f"{str(table)!r} cannot be resumed: {lacking}; give another name, or remove the table")
+        reason = f"{record.name}, which describes its origin, does not exist"
+        raise InputError(f"{str(table)!r} cannot be resumed: {reason}; give another name, or remove the table")
 
 
-def checked_row(row: Mapping[str, object], what: str, taken: Collection[str]) -> Row:
+def checked_row(row: Mapping[str, object], row_name: str, reserved: Collection[str]) -> Row:
     """Return a row that a user has given, with entries that are floats, texts or None.
 
     Args:
         row: name of a column -> entry.
-        what: what the row is called in messages.
-        taken: names of columns that the row must not have.
+        row_name: what the row is called in messages.
+        reserved: names of columns that the row must not have.
 
     Raises:
-        InputError: the row has a column in `taken`; an entry is neither a number nor a text nor None; a whole number is
-            too large for a float to represent it exactly.
+        InputError: the row has a column in `reserved`; an entry is neither a number nor a text nor None; a whole number
+            is too large for a float to represent it exactly.
     """
-    require(isinstance(row, Mapping), what, row, "it must be a mapping of names to numbers or texts")
+    require(isinstance(row, Mapping), row_name, row, "it must be a mapping of names to numbers or texts")
     entries: Row = {}
     for name, value in row.items():
-        if not isinstance(name, str) or name in taken:
-            raise InputError(f"{what} has {name!r}; names of columns are texts, other than {', '.join(taken)}")
+        if not isinstance(name, str) or name in reserved:
+            raise InputError(f"{row_name} has {name!r}; names of columns are texts, other than {', '.join(reserved)}")
         if not (value is None or isinstance(value, str) or (isinstance(value, Real) and not isinstance(value, bool))):
-            raise InputError(f"{what}: {name} = {value!r} is neither a number nor a text")
+            raise InputError(f"{row_name}: {name} = {value!r} is neither a number nor a text")
         kept = entries[name] = value if value is None or isinstance(value, str) else float(value)
         if isinstance(value, Integral) and value != kept:
-            raise InputError(f"{what}: {name} = {value!r}, of which a table keeps {kept:.17g}; take it below 2^53")
+            raise InputError(f"{row_name}: {name} = {value!r}, of which a table keeps {kept:.17g}; take it below 2^53")
     return entries
 
 
-def _changed_path(path: tuple[str, ...], value: object, _: object) -> tuple[str, ...] | None:
+def _changed_path(path: tuple[str, ...], former: object, _: object) -> tuple[str, ...] | None:
     """Return where two descriptions of a function differ, as a path of keys; None if they differ in code, not in data.
 
     Args:
         path: keys that lead to the difference.
-        value: value there in the earlier description; if it has none, the last key of the returned path is "*", as for
+        former: value there in the earlier description; if it has none, the last key of the returned path is "*", as for
             any new entry.
         _: value in the present description, not used.
     """
     if {CODE_KEY, FILE_KEY, SAME_KEY} & {*path}:
         return None
-    return (*path[:-1], "*") if value is MISSING_VALUE else path
+    return (*path[:-1], "*") if former is MISSING_VALUE else path

@@ -13,14 +13,15 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, balance_errors, contact_values
-from thinlayer.output.tractions import consistent_tractions, layer_points, layer_tractions, points_of_rule
+from thinlayer.output.tractions import consistent_tractions, layer_points, layer_tractions, match_law_points
 from thinlayer.surface.law_points import LawPoints, layer_shares
-from thinlayer.surface.pressure_excess import resting_sublayers, times_too_stiff
+from thinlayer.surface.pressure_excess import sublayer_moduli, times_too_stiff
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.table import Row, Table
 
-NO_LAYER, BONDED = "no layer", "bonded"
-STATUSES = (*YIELD_STATUSES, NO_LAYER, BONDED, *CONTACT_STATUSES)  # those of further laws have later numbers in files
+NO_LAYER_STATUS, BONDED_STATUS = "no layer", "bonded"
+# those of further laws have later numbers in files
+STATUSES = (*YIELD_STATUSES, NO_LAYER_STATUS, BONDED_STATUS, *CONTACT_STATUSES)
 
 
 class Surface(SurfaceMesh):
@@ -74,11 +75,11 @@ class Surface(SurfaceMesh):
         the surface's model has a contact law on any seam, the mass matrix of the projection is lumped.
         """
         self._require_same_joint(state)
-        bonded = np.isin(self.seams, state.model.bonds)
-        if bonded.all():
+        is_bonded = np.isin(self.seams, state.model.bonds)
+        if is_bonded.all():
             return self.reaction(state)
-        of_layers = self.at_points(layer_tractions(self, state))
-        return np.where(bonded[:, None], self.reaction(state), of_layers) if bonded.any() else of_layers
+        layer_traction = self.at_points(layer_tractions(self, state))
+        return np.where(is_bonded[:, None], self.reaction(state), layer_traction) if is_bonded.any() else layer_traction
 
     def reaction(self, state: State) -> Array:
         """Return the traction (d, n, q) on S that is equivalent to the bodies' nodal forces; linear on each facet.
@@ -89,12 +90,12 @@ class Surface(SurfaceMesh):
         Where S ends inside a body, the traction is zero.
         """
         self._require_same_joint(state)
-        whole = SurfaceMesh(self.model)  # forces at junctions are sums over all seams there
-        tractions, bonds = consistent_tractions(whole, state), np.isin(whole.seams, state.model.bonds)
-        if bonds.any() and not bonds.all() and state.model.broken:
-            of_bonds = whole.sums(np.broadcast_to(bonds[:, None], whole.nodes.shape).astype(float)) > 0
-            tractions = np.where(of_bonds[:, None], tractions, consistent_tractions(whole, state, joined=True))
-        return self.at_points(tractions[whole.find(self.numbers)])
+        all_of_s = SurfaceMesh(self.model)  # forces at junctions are sums over all seams there
+        tractions, is_bond = consistent_tractions(all_of_s, state), np.isin(all_of_s.seams, state.model.bonds)
+        if is_bond.any() and not is_bond.all() and state.model.broken:
+            at_bond = all_of_s.nodal_sums(np.broadcast_to(is_bond[:, None], all_of_s.nodes.shape).astype(float)) > 0
+            tractions = np.where(at_bond[:, None], tractions, consistent_tractions(all_of_s, state, bonds_joined=True))
+        return self.at_points(tractions[all_of_s.positions_of(self.node_numbers)])
 
     # ---------------------------------------------------------------- status, phases, contact
     def status(self, state: State) -> npt.NDArray[np.str_]:
@@ -121,17 +122,18 @@ class Surface(SurfaceMesh):
             raise InputError(f"a status is of a state of an interface model, not of {model!r}")
         areas = {name: np.zeros(len(self.rows)) for name in all_statuses(model)}
         for name in model.joint.seams:
-            if len(possible := statuses(model, name)) == 1:
-                areas[possible[0]][self.seams == name] = 1.0
-        for points, rows in layer_points(self, state):
-            if len(possible := law_statuses(points.term.law)) > 1:
-                status, weights = _at_points(self, points, rows), self.rule(points.quadrature.degree).weights
-                for name in possible:
-                    np.add.at(areas[name], rows[rows >= 0], (weights[rows[rows >= 0]] * (status == name)).sum(axis=1))
-        if of_contact := contact_values(self, state):
-            at_corners = of_contact["status"][self.nodes]
+            if len(words := seam_statuses(model, name)) == 1:
+                areas[words[0]][self.seams == name] = 1.0
+        for points, facets in layer_points(self, state):
+            if len(words := law_statuses(points.term.law)) > 1:
+                status, weights = _statuses_at_points(self, points, facets), self.rule(points.quadrature.degree).weights
+                facets = facets[facets >= 0]
+                for name in words:
+                    np.add.at(areas[name], facets, (weights[facets] * (status == name)).sum(axis=1))
+        if contact := contact_values(self, state):
+            corner_statuses = contact["status"][self.nodes]
             for name in CONTACT_STATUSES:
-                areas[name] += ((self.weights @ self.shapes) * (at_corners == name)).sum(axis=1)
+                areas[name] += ((self.weights @ self.shapes) * (corner_statuses == name)).sum(axis=1)
         return np.array([*areas])[model.comm.allreduce(np.array([*areas.values()])).argmax(axis=0)][:, None]
 
     def phase(self, state: State) -> Array:
@@ -142,16 +144,16 @@ class Surface(SurfaceMesh):
         mixture. nan: the layer has no phases.
         """
         self._require_same_joint(state)
-        sums = np.zeros((2, len(self.rows)))
-        for points, rows in layer_points(self, state):
-            cells = points.quadrature.cells[rows >= 0]
+        integrals = np.zeros((2, len(self.rows)))
+        for points, facets in layer_points(self, state):
+            cells = points.quadrature.cells[facets >= 0]
             for (fraction, law), internal in zip(points.term.law.sublayers, points.internal(), strict=True):
                 if law.traits.phases:
                     weights = fraction * points.quadrature.weights[cells]
-                    for total, values in zip(sums, (weights * internal["phase"][cells], weights), strict=True):
-                        np.add.at(total, rows[rows >= 0], values.sum(axis=1))
-        part, whole = state.model.comm.allreduce(sums)
-        return np.where(whole > 0, part / np.where(whole > 0, whole, 1.0), np.nan)[:, None]
+                    for integral, values in zip(integrals, (weights * internal["phase"][cells], weights), strict=True):
+                        np.add.at(integral, facets[facets >= 0], values.sum(axis=1))
+        phase_integral, volume = state.model.comm.allreduce(integrals)
+        return np.where(volume > 0, phase_integral / np.where(volume > 0, volume, 1.0), np.nan)[:, None]
 
     def contact(self, state: State) -> Contact:
         """Return status, jumps and tractions of contact laws at the nodes of this surface, in a state.
@@ -163,8 +165,8 @@ class Surface(SurfaceMesh):
         if not (values := contact_values(self, state)):
             seams = ", ".join(state.model.contacts) or "none"
             raise InputError(f"{self.seam!r} has no contact law in {state.model!r}; seams with contact laws: {seams}")
-        equilibrium, clapeyron = balance_errors(state)
-        return Contact(surface=self, **values, equilibrium=equilibrium, clapeyron=clapeyron)
+        force_error, work_error = balance_errors(state)
+        return Contact(surface=self, **values, equilibrium=force_error, clapeyron=work_error)
 
     def table(self, state: State) -> Table:
         """Summarise a state on S in a table with a row for each seam; entries that do not apply to a seam are None.
@@ -188,33 +190,33 @@ class Surface(SurfaceMesh):
         self._require_same_joint(state)
         model, rows = state.model, []
         status = self.status(state) if isinstance(model, InterfaceModel) else None
-        nodes = contact_values(self, state)
+        nodal = contact_values(self, state)
         for seam in dict.fromkeys(self.seams.tolist()):
-            mine, layer = self.seams == seam, model.layers.get(seam)
-            size = float(self.weights[mine].sum())
-            row: Row = {"seam": seam, "size": size}
+            is_in_seam, layer = self.seams == seam, model.layers.get(seam)
+            seam_area = float(self.weights[is_in_seam].sum())
+            row: Row = {"seam": seam, "size": seam_area}
             if seam in model.contacts:
-                areas = nodes["areas"] * np.isin(np.arange(len(self.numbers)), self.nodes[mine])
-                shares = {name: float(areas[nodes["status"] == name].sum() / areas.sum()) for name in CONTACT_STATUSES}
-                row |= shares | {"normal_force": float(areas @ nodes["p"])}
+                areas = nodal["areas"] * np.isin(np.arange(len(self.node_numbers)), self.nodes[is_in_seam])
+                ratios = {name: float(areas[nodal["status"] == name].sum() / areas.sum()) for name in CONTACT_STATUSES}
+                row |= ratios | {"normal_force": float(areas @ nodal["p"])}
             elif status is not None:
-                areas = self.weights.sum(axis=1) * mine / size
-                row |= {name: float(areas @ (status[:, 0] == name)) for name in statuses(model, seam)}
+                areas = self.weights.sum(axis=1) * is_in_seam / seam_area
+                row |= {name: float(areas @ (status[:, 0] == name)) for name in seam_statuses(model, seam)}
             if layer:
                 row |= layer_shares(state, seam)
-            if layer and status is not None and (factor := times_too_stiff(state, layer)) is not None:
-                row |= {"delta": layer.eps * resting_sublayers(layer)[0].length, "too_stiff": factor}
+            if layer and status is not None and (stiffness_factor := times_too_stiff(state, layer)) is not None:
+                row |= {"delta": layer.eps * sublayer_moduli(layer)[0].decay_length, "too_stiff": stiffness_factor}
             rows.append(row)
         columns = dict.fromkeys(name for row in rows for name in row)
         return Table({name: row.get(name) for name in columns} for row in rows)
 
 
-def statuses(model: Model, seam: str) -> tuple[str, ...]:
+def seam_statuses(model: Model, seam: str) -> tuple[str, ...]:
     """Return the words that `Surface.status` may give to facets of a seam in a model."""
     if seam in model.contacts:
         return CONTACT_STATUSES
     if seam not in model.layers:
-        return (BONDED if seam in model.bonds else NO_LAYER,)
+        return (BONDED_STATUS if seam in model.bonds else NO_LAYER_STATUS,)
     return law_statuses(model.layers[seam].law)
 
 
@@ -225,10 +227,10 @@ def law_statuses(law: Law) -> tuple[str, ...]:
 
 def all_statuses(model: Model) -> tuple[str, ...]:
     """Return all words that `Surface.status` may give for a model: first `STATUSES`, then those that its laws add."""
-    return tuple(dict.fromkeys((*STATUSES, *(word for seam in model.layers for word in statuses(model, seam)))))
+    return tuple(dict.fromkeys((*STATUSES, *(word for seam in model.layers for word in seam_statuses(model, seam)))))
 
 
-def _at_points(surface: SurfaceMesh, points: LawPoints, rows: IntArray) -> npt.NDArray[np.str_]:
+def _statuses_at_points(surface: SurfaceMesh, points: LawPoints, facets: IntArray) -> npt.NDArray[np.str_]:
     """Return words (facets, q) that tell what a layer has done at each quadrature point of its law. Collective.
 
     Only layers of interface models are meant, whose law has q points on each facet.
@@ -236,27 +238,27 @@ def _at_points(surface: SurfaceMesh, points: LawPoints, rows: IntArray) -> npt.N
     Args:
         surface: the surface.
         points: quadrature points of the law on this rank.
-        rows: for each facet where the law acts, its number on the surface. -1: it is not on this surface, and not in
+        facets: for each facet where the law acts, its number on the surface. -1: it is not on this surface, and not in
             the result.
     """
-    model, q, laws = points.state.model, points.quadrature, points.term.law.sublayers
+    model, q, sublayers = points.state.model, points.quadrature, points.term.law.sublayers
     (layer,) = (seam_layer for seam_layer in model.layers.values() if seam_layer.key == points.term.key)
-    rule, here = surface.rule(q.degree), surface.seams == layer.name
-    lower, upper = surface.sides(points.state.u, model, rule)[:, :, here]
-    openings = np.zeros(rule.weights.shape)
-    openings[here] = ((upper - lower) * rule.n[:, here]).sum(axis=0)
-    order, opening = points_of_rule(rule, rows, points), np.zeros(q.count)
-    opening[order] = openings[rows[rows >= 0]]
-    plastic, internal = np.zeros((q.count, 3, 3)), points.internal()
-    for (fraction, law), variables in zip(laws, internal, strict=True):
+    rule, is_in_seam = surface.rule(q.degree), surface.seams == layer.name
+    lower_u, upper_u = surface.side_values(points.state.u, model, rule)[:, :, is_in_seam]
+    facet_openings = np.zeros(rule.weights.shape)
+    facet_openings[is_in_seam] = ((upper_u - lower_u) * rule.n[:, is_in_seam]).sum(axis=0)
+    point_numbers, point_openings = match_law_points(rule, facets, points), np.zeros(q.count)
+    point_openings[point_numbers] = facet_openings[facets[facets >= 0]]
+    plastic_strain, internal = np.zeros((q.count, 3, 3)), points.internal()
+    for (fraction, law), variables in zip(sublayers, internal, strict=True):
         if (strain := law.plastic_strain(variables)) is not None:
-            plastic += fraction * strain
+            plastic_strain += fraction * strain
     t = np.einsum("pij,pj->pi", points.stress(), q.n)
     largest_traction = model.comm.allreduce(float(np.abs(t).max(initial=0.0)), max)
-    largest_strain = float(np.abs(upper - lower).max(initial=0.0))
+    largest_strain = float(np.abs(upper_u - lower_u).max(initial=0.0))
     largest_strain /= float(layer.thin_layer.eps) if layer.thin_layer else 1.0
     status = np.full(q.count, ELASTIC)
-    for (_, law), variables in zip(laws, internal, strict=True):
-        at = LayerPoints(variables, plastic, t, q.n, opening, largest_traction, largest_strain)
-        status = np.where(status == ELASTIC, law.status_at(at), status)
-    return status[order]
+    for (_, law), variables in zip(sublayers, internal, strict=True):
+        layer_results = LayerPoints(variables, plastic_strain, t, q.n, point_openings, largest_traction, largest_strain)
+        status = np.where(status == ELASTIC, law.status_at(layer_results), status)
+    return status[point_numbers]

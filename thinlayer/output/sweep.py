@@ -10,14 +10,14 @@ import numpy as np
 
 from forms.base import InputError, is_finite, require
 from geometry.parallel import default_comm, on_root
-from thinlayer.output.row_file import RowFile, checked_row, make_room, require_csv
+from thinlayer.output.row_file import RowFile, checked_row, move_or_check_files, require_csv
 from thinlayer.system.fingerprint import Resume
-from thinlayer.system.folder import LOCK_FILE, own_folder
+from thinlayer.system.folder import LOCK_FILE, lock_from_root
 from thinlayer.system.progress import track
 from thinlayer.system.ranks import errors_on_all, require_same
 from thinlayer.system.table import Row, Table
 
-ERROR_COLUMNS = ("eps", "error_traction", "error_jump")
+NEEDED_COLUMNS = ("eps", "error_traction", "error_jump")
 ORDER_COLUMNS = ("order_traction", "order_jump")  # columns that a sweep adds
 RowFunction = Callable[..., Mapping[str, object]]  # of a thickness
 THICKNESS_TOLERANCE = 1e-9  # relative difference of equal thicknesses
@@ -67,55 +67,55 @@ def sweep(run: RowFunction, eps: Iterable[float], out: str | Path | None = None,
         require_csv(out, resume)
         require(callable(run), "run", run, "it must be a function of a thickness")
         thicknesses = tuple(eps) if np.iterable(eps) and not isinstance(eps, str) else ()
-        values = sorted({float(e) for e in thicknesses if is_finite(e) and e > 0}, reverse=True)
-        require(0 < len(thicknesses) == len(values), "eps", eps, "a sweep needs different thicknesses > 0")
-    require_same(default_comm(), eps=values, out=out and str(out), resume=resume)
+        sorted_eps = sorted({float(e) for e in thicknesses if is_finite(e) and e > 0}, reverse=True)
+        require(0 < len(thicknesses) == len(sorted_eps), "eps", eps, "a sweep needs different thicknesses > 0")
+    require_same(default_comm(), eps=sorted_eps, out=out and str(out), resume=resume)
     path, rows, file = None if out is None else Path(out), dict[float, Row](), None
-    with own_folder(path and path.parent, name=f".{path and path.name}{LOCK_FILE}"):
+    with lock_from_root(path and path.parent, name=f".{path and path.name}{LOCK_FILE}"):
         if path is not None:
             file = RowFile(path.with_name(f"{path.name}.json"), run, "sweep")
-            on_root(None, partial(make_room, path, file.path, resume))
-            kept = on_root(None, partial(file.read, resume))
-            rows = {float(row["eps"]): row for row in kept}  # type: ignore[arg-type]
-        for e in track(values, "sweep", "eps = {:g}"):
+            on_root(None, partial(move_or_check_files, path, file.path, resume))
+            stored_rows = on_root(None, partial(file.read, resume))
+            rows = {float(row["eps"]): row for row in stored_rows}  # type: ignore[arg-type]
+        for e in track(sorted_eps, "sweep", "eps = {:g}"):
             if e not in rows:
-                rows[e] = _row(run, e, next(iter(rows.values()), None))
+                rows[e] = _compute_row(run, e, next(iter(rows.values()), None))
                 if file is not None:
                     on_root(None, partial(file.add, rows[e]))
             if path is not None:  # also if the row is old: a killed run may have written it only to the json file
-                _with_orders(rows).write(path)
-        return _with_orders(rows)
+                _table_with_orders(rows).write(path)
+        return _table_with_orders(rows)
 
 
-def _row(run: RowFunction, eps: float, first: Row | None) -> Row:
+def _compute_row(run: RowFunction, eps: float, first_row: Row | None) -> Row:
     """Compute the row of one thickness by the user's function, and check it. Collective.
 
     Args:
         run: the user's function.
         eps: the thickness.
-        first: the first row of the table, whose columns the new row must have; None: there is none.
+        first_row: the first row of the table, whose columns the new row must have; None: there is none.
 
     Raises:
         InputError: the row has another thickness, lacks a number, or has other columns; errors of `run`. All ranks
             raise these errors.
     """
-    what = f"the row that run({eps:g}) returns"
+    text = f"the row that run({eps:g}) returns"
     with errors_on_all(default_comm()):
-        row = checked_row(run(eps), what, ORDER_COLUMNS)
-        if wrong := [name for name in ERROR_COLUMNS if not isinstance(row.get(name), float)]:
-            raise InputError(f"{what} has no number {', '.join(wrong)}; return what compare returns")
+        row = checked_row(run(eps), text, ORDER_COLUMNS)
+        if lacking := [name for name in NEEDED_COLUMNS if not isinstance(row.get(name), float)]:
+            raise InputError(f"{text} has no number {', '.join(lacking)}; return what compare returns")
         if not abs(row["eps"] - eps) <= THICKNESS_TOLERANCE * eps:  # type: ignore[operator]
-            raise InputError(f"{what} is of another thickness, eps = {row['eps']:g}")
-        if first is not None and row.keys() != first.keys():
-            raise InputError(f"{what} has the columns {', '.join(row)}, where the first row has {', '.join(first)}")
-    order = first or (*ERROR_COLUMNS, *(name for name in row if name not in ERROR_COLUMNS))
-    return {name: row[name] for name in order} | {"eps": eps}
+            raise InputError(f"{text} is of another thickness, eps = {row['eps']:g}")
+        if first_row is not None and row.keys() != first_row.keys():
+            raise InputError(f"{text} has the columns {', '.join(row)}, where the first row has {', '.join(first_row)}")
+    columns = first_row or (*NEEDED_COLUMNS, *(name for name in row if name not in NEEDED_COLUMNS))
+    return {name: row[name] for name in columns} | {"eps": eps}
 
 
-def _with_orders(rows: Mapping[float, Row]) -> Table:
+def _table_with_orders(rows: Mapping[float, Row]) -> Table:
     """Make a sweep's table from `rows`, thickness -> row: largest thickness first, with rates of convergence."""
     table = Table(rows[e] for e in sorted(rows, reverse=True))
-    orders = {order: table.orders(error) for order, error in zip(ORDER_COLUMNS, ERROR_COLUMNS[1:], strict=True)}
+    orders = {order: table.orders(error) for order, error in zip(ORDER_COLUMNS, NEEDED_COLUMNS[1:], strict=True)}
     for k, row in enumerate(table.rows):
-        table.rows[k] = {key: row[key] for key in ERROR_COLUMNS} | {key: orders[key][k] for key in ORDER_COLUMNS} | row
+        table.rows[k] = {key: row[key] for key in NEEDED_COLUMNS} | {key: orders[key][k] for key in ORDER_COLUMNS} | row
     return table

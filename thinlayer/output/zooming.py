@@ -32,7 +32,7 @@ from thinlayer.surface.surface_mesh import SurfaceMesh
 # distance of two ends, over the thickness, within which the field of one end is disturbed by the other
 SINGLE_END_DISTANCE = 3.0
 END_CELL_SIZES = (1 / 16, 1 / 2)  # largest extent of cells at ends, over the thickness; of tetrahedra
-TRACTION_WARNING_ERROR = 0.3  # relative L2 difference of the tractions of layer and bodies above which zooms warn
+MAX_TRACTION_DIFFERENCE = 0.3  # relative L2 difference of the tractions of layer and bodies above which zooms warn
 CORNER_EXCLUSION = 1 / 16  # distance from a corner, over the thickness, within which stresses are unknown
 CORNER_ARC_RADIUS = 0.3  # radius, over the thickness, of the arc around a corner on which its strength is computed
 SUBLAYER_ARC_RADIUS = 0.6  # the same over the thickness of a thin sublayer
@@ -113,10 +113,10 @@ class Zoom:
         self._applicability = state.model.applicability[self.seam]
         if at_ends is None:
             at_ends = END_CELL_SIZES[state.model.joint.cell_type == "tetrahedron"]
-        self.layer = state if isinstance(state.model, FullModel) else self._by_itself(cells_through, at_ends)
+        self.layer = state if isinstance(state.model, FullModel) else self._solve_layer_alone(cells_through, at_ends)
         self._probe, self._surface = Probe(self.layer), SurfaceMesh(self.layer.model, self.seam)
 
-    def _by_itself(self, cells_through: int, at_ends: float) -> State:
+    def _solve_layer_alone(self, cells_through: int, at_ends: float) -> State:
         """Solve for the layer alone under the state's face displacements; return its state on a refined mesh.
 
         If other layers meet this layer, they are on the mesh too. A coarse mesh is solved first; its solution starts
@@ -130,18 +130,20 @@ class Zoom:
         assert isinstance(model, InterfaceModel)
         layers = {}
         for name in [*model.layers] if model.joint.seams_meet else [self.seam]:
-            what = f"zoom into {model.layers[name]}: "
-            model.applicability[name].require("alone", what)
-            thin = model.layers[name].as_thin_layer
-            if thin.law.traits.remembers and not state.sudden:
-                raise InputError(f"{what}it remembers earlier steps; mesh it (structure.full)")
-            layers[name] = replace(thin, order=0, edges=None)
-        divided = LayerModel(model, layers, cells_through, at_ends)
-        coarse = LayerSubproblem(model, layers, state.t, cells_through)
-        w = coarse.equilibrate_dirichlet(coarse.at_faces(state.u.x.array))
-        self._require_faces(coarse.state(w))
-        fine = DirichletLayers(divided, state.t)
-        return fine.state(fine.equilibrate_dirichlet(coarse.in_refined_cells(w, fine)))
+            prefix = f"zoom into {model.layers[name]}: "
+            model.applicability[name].require("alone", prefix)
+            thin_layer = model.layers[name].as_thin_layer
+            if thin_layer.law.traits.remembers and not state.sudden:
+                raise InputError(f"{prefix}it remembers earlier steps; mesh it (structure.full)")
+            layers[name] = replace(thin_layer, order=0, edges=None)
+        refined_model = LayerModel(model, layers, cells_through, at_ends)
+        coarse_problem = LayerSubproblem(model, layers, state.t, cells_through)
+        w = coarse_problem.equilibrate_dirichlet(coarse_problem.to_layers(state.u.x.array))
+        self._warn_of_faces(coarse_problem.state(w))
+        fine_problem = DirichletLayers(refined_model, state.t)
+        return fine_problem.state(
+            fine_problem.equilibrate_dirichlet(coarse_problem.interpolate_to_refined(w, fine_problem))
+        )
 
     @property
     def eps(self) -> float:
@@ -153,20 +155,20 @@ class Zoom:
         """The law of stress and strain of the layer's material; in plane stress the law of strains in the plane."""
         return self._applicability.law
 
-    def _require_faces(self, layers: State) -> None:
+    def _warn_of_faces(self, layer_state: State) -> None:
         """Warn if the tractions of the layer on S differ too much from those of the bodies' nodal forces.
 
         The face displacements are then inaccurate. Too much means that the L2 norm of the difference over S exceeds 0.3
         times that of the bodies' tractions.
 
         Args:
-            layers: state of the meshed layer alone.
+            layer_state: state of the meshed layer alone.
         """
         surface = Surface(self.state.model, self.seam)
-        bodies = surface.reaction(self.state)
-        off = surface.norm(surface.traction(layers) - bodies) / (surface.norm(bodies) or 1.0)
-        if off > TRACTION_WARNING_ERROR:
-            message = f"zoom into {self._seam_layer}: tractions differ by {100 * off:.2g} % from those of the bodies"
+        body_traction = surface.reaction(self.state)
+        error = surface.norm(surface.traction(layer_state) - body_traction) / (surface.norm(body_traction) or 1.0)
+        if error > MAX_TRACTION_DIFFERENCE:
+            message = f"zoom into {self._seam_layer}: tractions differ by {100 * error:.2g} % from those of the bodies"
             warn("zoom", f"{message}; take Zoom(estimate(state).better), where they agree", surface.model.comm)
 
     # ---------------------------------------------------------------- stresses
@@ -189,12 +191,12 @@ class Zoom:
             allowed = f"one number or {len(located.x)}, from -1/2 to 1/2 of the thickness"
             raise InputError(f"height is {height!r:.80}; allowed: {allowed}")
         y = np.broadcast_to(y, located.x.shape[:1])
-        free = self._applicability.free_rim
-        if len(free.vertices):
-            near = free.distance(self.state.model.joint.points, located.x) < CORNER_EXCLUSION * self.eps
-            near &= np.abs(y) > 0.5 - CORNER_EXCLUSION
-            reason = f"height {y[near.argmax()]:g} is too near a corner, where stresses are infinite"
-            refuse(near, located.x, f"{{at}}, {reason}; `corners` has their strengths")
+        free_rim = self._applicability.free_rim
+        if len(free_rim.vertices):
+            is_near_corner = free_rim.distance(self.state.model.joint.points, located.x) < CORNER_EXCLUSION * self.eps
+            is_near_corner &= np.abs(y) > 0.5 - CORNER_EXCLUSION
+            reason = f"height {y[is_near_corner.argmax()]:g} is too near a corner, where stresses are infinite"
+            refuse(is_near_corner, located.x, f"{{at}}, {reason}; `corners` has their strengths")
         stresses = self._probe.stress(self._surface.in_layer(located.x, y))
         return stresses if np.ndim(x) > 1 else stresses[0]
 
@@ -222,15 +224,15 @@ class Zoom:
         Raises:
             InputError: ends are curved.
         """
-        free, points = self._applicability.free_rim, self.state.model.joint.points
-        ends, pairs = straight_ends(free, self._seam_layer.sheet), []
-        every = points[np.unique(free.vertices)]
+        free_rim, points = self._applicability.free_rim, self.state.model.joint.points
+        ends, ends_and_points = straight_ends(free_rim, self._seam_layer.sheet), []
+        rim_x = points[np.unique(free_rim.vertices)]
         for end in ends:
-            near = [other.adjoins(every) & (other.distance(every) <= SINGLE_END_DISTANCE * self.eps) for other in ends]
-            x = every[end.contains(every) & (np.sum(near, axis=0) == 1)]
+            close = [other.adjoins(rim_x) & (other.distance(rim_x) <= SINGLE_END_DISTANCE * self.eps) for other in ends]
+            x = rim_x[end.contains(rim_x) & (np.sum(close, axis=0) == 1)]
             if len(x):
-                pairs.append((end, x[np.argsort(x @ end.along)]))
-        return pairs
+                ends_and_points.append((end, x[np.argsort(x @ end.along)]))
+        return ends_and_points
 
     @cached_property
     def corners(self) -> list[CornerStrength]:
@@ -243,13 +245,13 @@ class Zoom:
         Raises:
             InputError: the exponent of a corner is unknown, or a load acts on the layer's side.
         """
-        what = f"zoom into {self._seam_layer} at its corners: "
-        for load in SideLoad.of(self.state.model, self._seam_layer):
-            raise Violation("loaded side", f"the {load.what} acts on the layer's side").error(what)
-        self._applicability.require("corners", what)
-        return [self._strength(end, x, side) for end, x in self.ends for side in (-1, 1)]
+        prefix = f"zoom into {self._seam_layer} at its corners: "
+        for load in SideLoad.loads_on_sides(self.state.model, self._seam_layer):
+            raise Violation("loaded side", f"the {load.what} acts on the layer's side").error(prefix)
+        self._applicability.require("corners", prefix)
+        return [self._corner_strength(end, x, side) for end, x in self.ends for side in (-1, 1)]
 
-    def _strength(self, end: StraightEnd, x: Array, side: int) -> CornerStrength:
+    def _corner_strength(self, end: StraightEnd, x: Array, side: int) -> CornerStrength:
         """Compute the strengths of the singular stresses along one corner of a free end.
 
         Args:
@@ -258,22 +260,22 @@ class Zoom:
             side: 1 for the corner at the upper face, -1 at the lower face.
         """
         sublayers = self.law.sublayers
-        share, law = sublayers[0 if side < 0 else -1]
+        fraction, law = sublayers[0 if side < 0 else -1]
         lmbda, mu = law.elastic_moduli()
         corner = CornerField(1 / (1 + mu / lmbda) / 2 if lmbda else 0.0)
-        radius = CORNER_ARC_RADIUS if len(sublayers) == 1 else min(CORNER_ARC_RADIUS, SUBLAYER_ARC_RADIUS * share)
-        r, axes = radius * self.eps, end.axes * np.array([[1.0], [-side]])  # inward, and into the layer
-        at = np.vstack([corner.arc(radius), [[0.0, 0.0], [radius, 0.0]]])
-        on_s = (x[:, None] - at[:, :1] * self.eps * end.m).reshape(-1, x.shape[1])
-        places = self._surface.in_layer(on_s, np.tile(side * (0.5 - at[:, 1]), len(x)))
-        u = (self._probe.displacement(places) @ axes[:, : x.shape[1]].T).reshape(len(x), -1, 2)
-        stress = self._probe.stress(places).reshape(len(x), -1, 3, 3)
+        arc_ratio = CORNER_ARC_RADIUS if len(sublayers) == 1 else min(CORNER_ARC_RADIUS, SUBLAYER_ARC_RADIUS * fraction)
+        r, axes = arc_ratio * self.eps, end.axes * np.array([[1.0], [-side]])  # inward, and into the layer
+        arc_points = np.vstack([corner.arc_points(arc_ratio), [[0.0, 0.0], [arc_ratio, 0.0]]])
+        surface_points = (x[:, None] - arc_points[:, :1] * self.eps * end.m).reshape(-1, x.shape[1])
+        points = self._surface.in_layer(surface_points, np.tile(side * (0.5 - arc_points[:, 1]), len(x)))
+        u = (self._probe.displacement(points) @ axes[:, : x.shape[1]].T).reshape(len(x), -1, 2)
+        stress = self._probe.stress(points).reshape(len(x), -1, 3, 3)
         in_axes = np.einsum("ai,nqij,bj->nqab", axes, stress, axes)[:, :-2]
-        turn = (u[:, -1, 1] - u[:, -2, 1]) / r  # rotation of the face
-        u -= u[:, -2:-1] + turn[:, None, None] * self.eps * np.stack([-at[:, 1], at[:, 0]], axis=1)
+        rotation = (u[:, -1, 1] - u[:, -2, 1]) / r  # rotation of the face
+        u -= u[:, -2:-1] + rotation[:, None, None] * self.eps * np.stack([-arc_points[:, 1], arc_points[:, 0]], axis=1)
         components = np.stack([in_axes[..., 0, 0], in_axes[..., 1, 1], in_axes[..., 0, 1]], axis=2)
-        H = [corner.strength(r, mu * u_arc, two) for u_arc, two in zip(u[:, :-2], components, strict=True)]
-        return CornerStrength(x, end.m, "upper" if side > 0 else "lower", corner.exponent, corner.shear, np.array(H))
+        H = [corner.intensity(r, mu * u_arc, s_arc) for u_arc, s_arc in zip(u[:, :-2], components, strict=True)]
+        return CornerStrength(x, end.m, "upper" if side > 0 else "lower", corner.exponent, corner.t_ratio, np.array(H))
 
 
 def _layer_of(state: State, seam: str) -> SeamLayer:

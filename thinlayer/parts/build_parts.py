@@ -37,11 +37,11 @@ def body_parts(model: Model) -> list[Part]:
     form_part = LawFormPart("forms", model.V, model.bodies, model.layer_terms)
     parts: list[Part] = [form_part, *_compiled_parts(model, model.bodies)]
     if model.stress:
-        parts.append(MeanStressPart(model.V, model.solids, model.stress, model.volume, model.comm))
+        parts.append(MeanStressPart(model.V, model.cell_terms, model.stress, model.volume, model.comm))
     return parts
 
 
-def layer_parts(model: Model, bc_dofs: Indices, bodies: Sequence[Part]) -> list[Part]:
+def layer_parts(model: Model, bc_dofs: Indices, from_bodies: Sequence[Part]) -> list[Part]:
     """Return the parts of the balance of forces that come from a model's layers. Collective.
 
     They are laws in UFL forms, compiled laws, pressures of incompressible layers, and contact laws. The parts have
@@ -50,20 +50,20 @@ def layer_parts(model: Model, bc_dofs: Indices, bodies: Sequence[Part]) -> list[
     Args:
         model: the model.
         bc_dofs: local numbers of this rank's displacement components that supports prescribe.
-        bodies: the parts of the bodies, as `body_parts` returns them. Their stiffness scales the equations of the
+        from_bodies: the parts of the bodies, as `body_parts` returns them. Their stiffness scales the equations of the
             pressures, so that residuals have the unit of forces.
     """
-    in_forms = [p for p in model.layer_terms if not p.law.traits.compiled]
-    terms = {key: [p for p in in_forms if p.key == key] for key in dict.fromkeys(p.key for p in in_forms)}
-    parts: list[Part] = [LawFormPart(f"{key}/forms", model.V, key_terms) for key, key_terms in terms.items()]
+    ufl_terms = [p for p in model.layer_terms if not p.law.traits.compiled]
+    terms_by_key = {key: [p for p in ufl_terms if p.key == key] for key in dict.fromkeys(p.key for p in ufl_terms)}
+    parts: list[Part] = [LawFormPart(f"{key}/forms", model.V, key_terms) for key, key_terms in terms_by_key.items()]
     parts += _compiled_parts(model, model.layer_terms)
     if constrained := [p for p in model.layer_terms if p.law.traits.constrained]:
-        scale = _largest_stiffness(model, bodies or parts)
+        scale = _largest_stiffness(model, from_bodies or parts)
         joint = model.domain.joint  # its vertices are those of the mesh; `model.joint` is the joint before inflating
         masters = joint.masters if joint.periods else None
-        parts += [PressurePart(model.V, p, scale, model.origin, _free_vertices(model, p), masters) for p in constrained]
+        parts += [PressurePart(model.V, p, scale, model.origin, _zero_p_points(model, p), masters) for p in constrained]
     for name, law in model.contacts.items():
-        parts.append(ContactPart(law, ContactSurface.of(model, name), bc_dofs, model.layers[name].key))
+        parts.append(ContactPart(law, ContactSurface.for_seam(model, name), bc_dofs, model.layers[name].key))
     return parts
 
 
@@ -77,22 +77,22 @@ def _largest_stiffness(model: Model, parts: Sequence[Part]) -> float:
         model: the model, for its space of displacements.
         parts: the parts of the bodies; without bodies, those of the layers.
     """
-    sums = fem.Function(model.V)  # must outlive its PETSc vector
-    largest = float(diagonal_at_rest(parts, sums.x.petsc_vec).max()[1])
-    tangents = [part.largest_stiffness() for part in parts if isinstance(part, LawFormPart)]
-    return max(largest, *tangents) or 1.0
+    diagonal_sums = fem.Function(model.V)  # must outlive its PETSc vector
+    largest = float(sum_diagonals_at_rest(parts, diagonal_sums.x.petsc_vec).max()[1])
+    largest_entries = [part.largest_nonlinear_stiffness() for part in parts if isinstance(part, LawFormPart)]
+    return max(largest, *largest_entries) or 1.0
 
 
 def _compiled_parts(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:
-    keys = compiled_terms(terms).items()
-    return [CompiledPart(key, model.V, term, model.origin, symmetric=model.symmetric) for key, term in keys]
+    terms_by_key = compiled_terms(terms).items()
+    return [CompiledPart(key, model.V, term, model.origin, symmetric=model.symmetric) for key, term in terms_by_key]
 
 
-def diagonal_at_rest(parts: Sequence[Part], out: PETSc.Vec) -> PETSc.Vec:
+def sum_diagonals_at_rest(parts: Sequence[Part], out: PETSc.Vec) -> PETSc.Vec:
     """Write the diagonal of the stiffness before loading, summed over `parts`, into `out`; return `out`. Collective.
 
     `out` has an entry, force per displacement, for each displacement component. The stiffness of a part is its matrix
-    `K`. Parts of bodies that are not in `K` give their diagonal by their method `diagonal_at_rest`.
+    `K`. Parts of bodies that are not in `K` give their diagonal by their method `sum_diagonals_at_rest`.
     """
     out.set(0.0)  # a subproblem of layers alone has no bodies
     diagonals = [part.K.getDiagonal() for part in parts if part.K is not None]
@@ -103,7 +103,7 @@ def diagonal_at_rest(parts: Sequence[Part], out: PETSc.Vec) -> PETSc.Vec:
     return out
 
 
-def _free_vertices(model: Model, term: Term) -> Array | None:
+def _zero_p_points(model: Model, term: Term) -> Array | None:
     """Return coordinates (n, d) of the n vertices of S where a layer's pressure is zero; d: number of dimensions.
 
     They lie at free ends, where no support holds the side of the layer. Ends whose cells are longer than the length
@@ -121,4 +121,4 @@ def _free_vertices(model: Model, term: Term) -> Array | None:
         return None
     layer = next(layer for layer in model.layers.values() if layer.key == term.key)
     applicability = model.applicability[layer.name]
-    return points_on_middle(model.domain.joint)[np.unique(applicability.open_rim[~applicability.is_coarse].vertices)]
+    return points_on_middle(model.domain.joint)[np.unique(applicability.loose_rim[~applicability.coarse_rim].vertices)]

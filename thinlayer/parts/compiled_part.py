@@ -27,10 +27,10 @@ from thinlayer.system.ranks import destroy
 
 ASYMMETRY_TOLERANCE = 1e-8  # skew part of a tangent, relative to its size, that still counts as rounding error
 CHANGE_TOLERANCE = 1e-12  # relative difference of parameters at several times that counts as rounding error
-SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # fractions of a step at which parameters are sampled for changes in time
+SAMPLED_STEP_FRACTIONS = (0.21, 0.5, 0.83)  # fractions of a step at which parameters are sampled for changes in time
 
 
-def softening_law(points: CompiledTerm, e: Array, e_old: Array, memory: Array, response: Response) -> Softening | None:
+def find_softening(points: CompiledTerm, e: Array, e_old: Array, memory: Array, response: Response) -> Softening | None:
     """Find out whether the stress of a layer's law falls during a step at some quadrature points. Collective.
 
     Args:
@@ -44,27 +44,27 @@ def softening_law(points: CompiledTerm, e: Array, e_old: Array, memory: Array, r
         at no point.
     """
     term = points.term
-    count = points.comm.allreduce(points.softening_points(e, e_old, memory, response))
-    return (type(term.law.in_space).__name__, f"at {count} points of the {term.key or LAYER_KIND}") if count else None
+    count = points.comm.allreduce(points.count_softening_points(e, e_old, memory, response))
+    return (type(term.law.law_3d).__name__, f"at {count} points of the {term.key or LAYER_KIND}") if count else None
 
 
-def prescribed_strains(points: CompiledTerm) -> Callable[[float], Array]:
+def prescribed_strain_function(points: CompiledTerm) -> Callable[[float], Array]:
     """Return a function of the time that computes a law's prescribed strains at its quadrature points. Collective.
 
-    The function is collective, too. It returns an array (points, m) with the m Mandel components `points.slots`, zeros
+    The function is collective, too. It returns an array (points, m) with the m Mandel components `points.mandel`, zeros
     if no strain is prescribed.
 
     Args:
         points: the law with its quadrature points.
     """
-    time, strain = TimeLevel(), points.term.prescribed_strain
+    time_level, strain = TimeLevel(), points.term.prescribed_strain
     if strain is None:
-        return lambda t: np.zeros((points.count, len(points.slots)))
-    form = points.form_of(time.of(strain))
+        return lambda t: np.zeros((points.count, len(points.mandel)))
+    form = points.strain_form(time_level.at_level(strain))
 
     def strains_at(t: float) -> Array:
-        time.set(t)
-        return points.values_of(form)
+        time_level.set_time(t)
+        return points.strain_values(form)
 
     return strains_at
 
@@ -85,22 +85,22 @@ class CompiledPart(Part):
         law: the law.
     """
 
-    stress_width = len(MANDEL_PAIRS)
+    stress_size = len(MANDEL_PAIRS)
 
     def __init__(
         self, key: str, V: fem.FunctionSpace, term: Term, origin: MeshOrigin | None = None, *, symmetric: bool = False
     ) -> None:
         self.key, self._symmetric = key, symmetric
-        meshed = term.law.traits.softens and term.measure.integral_type() == "cell"
-        self.points = (ColumnTerm if meshed else CompiledTerm)(V, term, origin)
-        self._strains = prescribed_strains(self.points)
+        by_columns = term.law.traits.softens and term.measure.integral_type() == "cell"
+        self.points = (ColumnTerm if by_columns else CompiledTerm)(V, term, origin)
+        self._strain_at = prescribed_strain_function(self.points)
         self.comm, self.law = self.points.comm, term.law
         self._t, self._in_body = 0.0, term.n is None
         self._tangent: PETSc.Mat | None = None
-        self.traits = replace(PartTraits.of(self.law), inner=self._in_body)
+        self.traits = replace(PartTraits.of(self.law), within_bodies=self._in_body)
 
-    def named(self) -> dict[str, PartTraits]:
-        return {type(law.in_space).__name__: PartTraits.of(law) for _, law in self.law.sublayers}
+    def law_traits(self) -> dict[str, PartTraits]:
+        return {type(law.law_3d).__name__: PartTraits.of(law) for _, law in self.law.sublayers}
 
     def destroy(self) -> None:
         destroy(self.points, self._tangent)
@@ -109,9 +109,9 @@ class CompiledPart(Part):
     def rest(self) -> Array:
         return self.points.rest()
 
-    def at_time(self, t: float) -> None:
+    def set_time(self, t: float) -> None:
         self._t = t
-        self.points.at_time(t)
+        self.points.set_time(t)
 
     def parameters(self) -> list[Array]:
         material = self.points.material
@@ -119,28 +119,28 @@ class CompiledPart(Part):
 
     def set_homotopy(self, parameter: float) -> None:
         self.points.set_homotopy(parameter)
-        self.points.at_time(self._t)
+        self.points.set_time(self._t)
 
     def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
         # Laws with rate have no response to sudden strains: strains prescribed at the start were always present.
-        sudden, self._prescribed = interval.old.at_rest and not self.law.traits.rate, self._strains(interval.t)
-        old = np.zeros_like(self._prescribed) if sudden else self._strains(interval.old.t)
-        self._growth = self._prescribed - old
-        self._e_old = self.points.strain(interval.old.u.x.petsc_vec) + old
+        sudden, self._prescribed_strain = interval.old.at_rest and not self.law.traits.rate, self._strain_at(interval.t)
+        old_prescribed = np.zeros_like(self._prescribed_strain) if sudden else self._strain_at(interval.old.t)
+        self._e_increment = self._prescribed_strain - old_prescribed
+        self._e_old = self.points.strain(interval.old.u.x.petsc_vec) + old_prescribed
         self._memory = interval.old.memory[self.key]
-        self.at_time(interval.balanced)
+        self.set_time(interval.balance_time)
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
-        self._u, self._e = u, self.points.strain(u.x.petsc_vec) + self._prescribed
+        self._u, self._e = u, self.points.strain(u.x.petsc_vec) + self._prescribed_strain
         self._response = self.points.respond(self._e, self._e_old, self._memory, self.interval.dt, self.interval.theta)
-        self.failed = self.comm.allreduce(self._response.failed)
+        self.failed = self.comm.allreduce(self._response.n_failed)
 
     def failure(self) -> str:
         if not self.failed:
             return ""
-        first = next(filter(None, self.comm.allgather(self.points.failure(self._response))))
-        return f"the law of {self.key!r} failed at {self.failed} points: {first}"
+        message = next(filter(None, self.comm.allgather(self.points.failure(self._response))))
+        return f"the law of {self.key!r} failed at {self.failed} points: {message}"
 
     def add_forces(self, out: PETSc.Vec) -> float:
         forces = self.points.forces(self._response.stress)
@@ -148,7 +148,7 @@ class CompiledPart(Part):
         return float(forces.norm()) if self._in_body else 0.0
 
     def add_work_in(self, z: fem.Function, out: PETSc.Vec) -> None:
-        self.points.spread(np.einsum("pm,pm->p", self._response.stress, self.points.strain(z.x.petsc_vec)), out)
+        self.points.add_to_nodes(np.einsum("pm,pm->p", self._response.stress, self.points.strain(z.x.petsc_vec)), out)
 
     def tangents(self, relative_residual: float) -> list[Block]:
         """Return the tangent matrices at the displacements of the last call of `evaluate`.
@@ -163,9 +163,9 @@ class CompiledPart(Part):
             InputError: the tangent is not symmetric, but solvers assume it and read only half of the matrix.
         """
         if self._symmetric and (skew := self.comm.allreduce(self._response.skew, MPI.MAX)) > ASYMMETRY_TOLERANCE:
-            raise InputError(ASYMMETRY_MESSAGE.format(type(self.law.in_space).__name__, skew))
+            raise InputError(ASYMMETRY_MESSAGE.format(type(self.law.law_3d).__name__, skew))
         self._tangent = self.points.stiffness(self._response.tangent, relative_residual, self._tangent)
-        return [Block(matrix, kept=True) for matrix in (self._tangent, *self.points.constant)]
+        return [Block(matrix, kept=True) for matrix in (self._tangent, *self.points.constant_matrices)]
 
     # ---------------------------------------------------------------- an accepted step
     def commit(self) -> StepOutcome:
@@ -175,22 +175,22 @@ class CompiledPart(Part):
         instead the work, minus the growth of stored energy, minus the dissipated energy.
         """
         response, interval = self._response, self.interval
-        before = interval.old.stored[self.key] if self.key in interval.old.stored else self._stored_at_rest()
+        before = interval.old.stored[self.key] if self.key in interval.old.stored else self._initial_stored_energy()
         after, dissipated, remainder = map(float, self.comm.allreduce(response.energies))
-        supplied = self.comm.allreduce(float(self.points.weights @ (response.stress * self._growth).sum(axis=1)))
+        supplied = self.comm.allreduce(float(self.points.weights @ (response.stress * self._e_increment).sum(axis=1)))
         if self.points.material.varies:
             if interval.t != self._t:
-                after = self._stored_at(interval.t)
+                after = self._stored_energy_at(interval.t)
             change = self._u.x.petsc_vec - interval.old.u.x.petsc_vec
             work_done = float(self.points.forces(response.stress).dot(change)) + supplied
             remainder = work_done - (after - before) - dissipated
             change.destroy()
-        stress = self.points.projected(response.whole)
+        stress = self.points.projected(response.full_stress)
         if interval.theta < 1:  # extrapolate from old.t + theta dt to the end of the step
             stress = np.asarray((stress - (1 - interval.theta) * interval.old.stresses[self.key]) / interval.theta)
-        return StepOutcome(before, after, dissipated, remainder, response.memory, supplied=supplied, stress=stress)
+        return StepOutcome(before, after, dissipated, remainder, response.memory, supplied_work=supplied, stress=stress)
 
-    def _stored_at_rest(self) -> float:
+    def _initial_stored_energy(self) -> float:
         """Return the energy stored at the start of the first step by strains that are prescribed from the outset.
 
         Laws that depend on strain rates take such strains as always present. For all other laws they are applied in the
@@ -198,28 +198,28 @@ class CompiledPart(Part):
         """
         if self.points.term.prescribed_strain is None:
             return 0.0
-        return float(self.comm.allreduce(self.points.stored(self._e_old, self._memory, self.interval.dt)))
+        return float(self.comm.allreduce(self.points.stored_energy(self._e_old, self._memory, self.interval.dt)))
 
-    def _stored_at(self, t: float) -> float:
+    def _stored_energy_at(self, t: float) -> float:
         """Return the stored energy of the last evaluated strains and memory, with the law's parameters of time `t`.
 
         The method then sets the parameters back to their values before the call.
         """
         t_old = self._t
-        self.at_time(t)
-        stored = self.points.stored(self._e, self._response.memory, self.interval.dt)
-        self.at_time(t_old)
+        self.set_time(t)
+        stored = self.points.stored_energy(self._e, self._response.memory, self.interval.dt)
+        self.set_time(t_old)
         return float(self.comm.allreduce(stored))
 
-    def excess(self) -> float:
+    def phase_gain(self) -> float:
         switching = self.points.switching
-        return switching.excess(self._response.memory) if switching else -np.inf
+        return switching.phase_gain(self._response.memory) if switching else -np.inf
 
-    def switch(self) -> bool:
+    def switch_phases(self) -> bool:
         switching = self.points.switching
-        new = switching.switched(self._response.memory, self._memory) if switching else None
-        self._memory = self._memory if new is None else new
-        return new is not None
+        new_memory = switching.switched(self._response.memory, self._memory) if switching else None
+        self._memory = self._memory if new_memory is None else new_memory
+        return new_memory is not None
 
     # ---------------------------------------------------------------- questions
     def diagonal_at_rest(self) -> PETSc.Vec | None:
@@ -233,36 +233,36 @@ class CompiledPart(Part):
     def undeclared_softening(self) -> Softening | None:
         if self._in_body or not self.law.traits.may_soften:
             return None
-        return softening_law(self.points, self._e, self._e_old, self._memory, self._response)
+        return find_softening(self.points, self._e, self._e_old, self._memory, self._response)
 
-    def takes_time(self) -> str:
-        return next((type(law.in_space).__name__ for _, law in self.law.sublayers if depends_on_step_length(law)), "")
+    def relaxing_law_name(self) -> str:
+        return next((type(law.law_3d).__name__ for _, law in self.law.sublayers if depends_on_step_length(law)), "")
 
-    def answers_at_once(self, times: Sequence[float]) -> tuple[str, bool] | None:
-        for (_, law), changes in zip(self.law.sublayers, self._changes_in_time(times), strict=True):
-            if not depends_on_step_length(law) and (changes or not law.traits.linear):
-                return type(law.in_space).__name__, bool(changes)
+    def instantaneous_nonlinear_law(self, times: Sequence[float]) -> tuple[str, bool] | None:
+        for (_, law), change_in_time in zip(self.law.sublayers, self._sublayers_that_change(times), strict=True):
+            if not depends_on_step_length(law) and (change_in_time or not law.traits.linear):
+                return type(law.law_3d).__name__, bool(change_in_time)
         return None
 
-    def _changes_in_time(self, times: Sequence[float]) -> Array:
+    def _sublayers_that_change(self, times: Sequence[float]) -> Array:
         """Return a mask (sublayers,), True for each sublayer of the law whose parameters change in time. Collective.
 
         The parameters are compared at `times`, which ascend, and at some times between them.
         """
         points = self.points
-        points.at_time(times[0])
+        points.set_time(times[0])
         old = points.material.sublayer_parameters
         vary = np.zeros(len(old), int)
         for a, b in pairwise(times if points.material.varies else ()):
-            for share in (*SAMPLE_FRACTIONS, 1.0):
-                points.at_time(a + share * (b - a))
+            for fraction in (*SAMPLED_STEP_FRACTIONS, 1.0):
+                points.set_time(a + fraction * (b - a))
                 new = points.material.sublayer_parameters
                 vary |= [not np.allclose(*pair, rtol=CHANGE_TOLERANCE, atol=0.0) for pair in zip(old, new, strict=True)]
         return np.asarray(self.comm.allreduce(vary) > 0)
 
     def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:
         if self._in_body:
-            out.axpy(1.0, self.points.forces(state.stresses[self.key][:, self.points.slots]))
+            out.axpy(1.0, self.points.forces(state.stresses[self.key][:, self.points.mandel]))
 
     def error_measure(self, u: fem.Function) -> Array:
         weighted: Array = self.points.strain(u.x.petsc_vec) * np.sqrt(np.abs(self.points.weights))[:, None]

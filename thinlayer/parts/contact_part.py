@@ -9,11 +9,11 @@ from petsc4py import PETSc
 from forms.base import Array, require
 from forms.contact import ContactHomotopy, ContactLaw
 from geometry.topology import Indices
-from thinlayer.discretisation.contact_nodes import NO_NODES, ContactNodes, ContactSurface
+from thinlayer.discretisation.contact_nodes import NO_DOFS, ContactNodes, ContactSurface
 from thinlayer.discretisation.key import CONTACT_KIND
 from thinlayer.parts.part import Block, FileOrder, Part, PartTraits, StepOutcome, TimeStep
 
-MIN_SPRING_SHARE = 1e-8  # limit of the springs' share in the homotopy law as its continuation parameter tends to zero
+MIN_SPRING_WEIGHT = 1e-8  # limit of the springs' share in the homotopy law as its continuation parameter tends to zero
 
 
 class ContactPart(Part):
@@ -34,7 +34,7 @@ class ContactPart(Part):
     """
 
     def __init__(
-        self, law: ContactLaw, surface: ContactSurface, bc_dofs: Indices = NO_NODES, key: str = CONTACT_KIND
+        self, law: ContactLaw, surface: ContactSurface, bc_dofs: Indices = NO_DOFS, key: str = CONTACT_KIND
     ) -> None:
         require(isinstance(law, ContactLaw), "law", law, "it must be a contact law")
         law.check_threshold()
@@ -44,12 +44,12 @@ class ContactPart(Part):
         self.law_now: ContactLaw | ContactHomotopy = law
         self.slip = self.rest()
         law.check_dimension(self.nodes.dim)
-        self.distance = self.nodes.comm.allreduce(float(np.abs(self.nodes.gap).max(initial=0.0)), max)
-        if self.nodes.lower is not None:
-            areas = self.nodes.comm.allreduce(float((self.nodes.weights**2).sum()))
-            self.cancelling = float(max(law.K_N, law.K_T) * np.sqrt(areas))
+        self.max_gap = self.nodes.comm.allreduce(float(np.abs(self.nodes.gap).max(initial=0.0)), max)
+        if self.nodes.lower_matrix is not None:
+            squared_areas = self.nodes.comm.allreduce(float((self.nodes.weights**2).sum()))
+            self.jump_stiffness = float(max(law.K_N, law.K_T) * np.sqrt(squared_areas))
 
-    def named(self) -> dict[str, PartTraits]:
+    def law_traits(self) -> dict[str, PartTraits]:
         return {type(self.law).__name__: self.traits}
 
     def rest(self) -> Array:
@@ -60,7 +60,7 @@ class ContactPart(Part):
         self.slip = interval.old.memory[self.key]
 
     def set_homotopy(self, parameter: float) -> None:
-        self.law_now = self.law.homotopy(MIN_SPRING_SHARE ** (1 - parameter)) if parameter else self.law
+        self.law_now = self.law.homotopy(MIN_SPRING_WEIGHT ** (1 - parameter)) if parameter else self.law
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         self._u, self._w = u, self.nodes.separation(u.x.petsc_vec)
@@ -78,10 +78,10 @@ class ContactPart(Part):
         Args:
             relative_residual: norm of the last residual over the reference force; not used.
         """
-        C = self.law_now.tangent(self._w, self.slip) if self._moved else self.law.bonded(len(self._w), self.nodes.dim)
+        C = self.law_now.tangent(self._w, self.slip) if self._jumped else self.law.bonded(len(self._w), self.nodes.dim)
         return [Block(self.nodes.stiffness(C))]
 
-    def resisting(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
+    def reliable_tangents(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
         """Return the tangent matrix without the contact forces that are as small as rounding error.
 
         Solvers use it to find bodies that no contact holds. A node resists opening only if its pressure force exceeds
@@ -92,7 +92,7 @@ class ContactPart(Part):
             relative_residual: norm of the last residual over the reference force.
             rounding: rounding error of each component of the nodal forces.
         """
-        if not self._moved:
+        if not self._jumped:
             return self.tangents(relative_residual)
         nodes, p, C = self.nodes, self.law.pressure(self._w), self.law_now.tangent(self._w, self.slip)
         upper = rounding.array_r[nodes.dim * nodes.upper]
@@ -103,19 +103,19 @@ class ContactPart(Part):
         return [Block(nodes.stiffness(C))]
 
     @property
-    def _moved(self) -> bool:
+    def _jumped(self) -> bool:
         return bool(self.nodes.comm.allreduce(int(self.nodes.jump(self._u.x.petsc_vec).any())))
 
     def commit(self) -> StepOutcome:
         w, law, nodes, old = self._w, self.law, self.nodes, self.interval.old
         stored, dissipated = law.energies(w, self.slip)
-        t, change = law.traction(w, self.slip), w - nodes.separation(old.u.x.petsc_vec)
+        t, jump_change = law.traction(w, self.slip), w - nodes.separation(old.u.x.petsc_vec)
         gap_work = t[:, -1] * nodes.gap * old.at_rest  # an interference is applied in the first step
-        work_done = (t * change).sum(axis=1) + gap_work
+        work_done = (t * jump_change).sum(axis=1) + gap_work
         sums = nodes.comm.allreduce(np.array([nodes.weights @ e for e in (stored, dissipated, work_done, gap_work)]))
         after, lost, work = map(float, sums[:3] if law.traits.has_energy else np.full(3, np.nan))
         before, memory = old.stored.get(self.key, 0.0), law.slip_after(w, self.slip)
-        return StepOutcome(before, after, lost, work - (after - before) - lost, memory, supplied=float(sums[3]))
+        return StepOutcome(before, after, lost, work - (after - before) - lost, memory, supplied_work=float(sums[3]))
 
     def error_measure(self, u: fem.Function) -> Array:
         weighted: Array = self.nodes.jump(u.x.petsc_vec) * np.sqrt(self.nodes.weights)[:, None]
@@ -126,8 +126,8 @@ class ContactPart(Part):
 
     @property
     def file_order(self) -> FileOrder:
-        numbers = self.nodes.file_numbers
-        return FileOrder(numbers, np.arange(len(numbers))[:, None])
+        node_numbers = self.nodes.node_ids
+        return FileOrder(node_numbers, np.arange(len(node_numbers))[:, None])
 
     def destroy(self) -> None:
         self.nodes.destroy()

@@ -16,7 +16,7 @@ from forms.law import Step
 from forms.tensors import three_dimensional
 from forms.work import Term
 from thinlayer.discretisation.mesh_functions import SharedDofs, broken_space
-from thinlayer.discretisation.prescribed_strains import MEAN_STRAIN, MeanStress, voigt_strain
+from thinlayer.discretisation.prescribed_strains import MEAN_STRAIN, MeanStress, from_voigt
 from thinlayer.discretisation.time_functions import StepStrains
 from thinlayer.parts.part import DISPLACEMENT_KEY, Block, FieldPart, FileOrder, PartTraits, StepOutcome, TimeStep
 from thinlayer.pointwise.quadrature import assemble_matrix
@@ -39,56 +39,56 @@ class MeanStressPart(FieldPart):
     """
 
     key = MEAN_STRAIN
-    traits = PartTraits(inner=True)  # the mean strain is no rigid motion of a body
+    traits = PartTraits(within_bodies=True)  # the mean strain is no rigid motion of a body
 
     def __init__(
         self, V: fem.FunctionSpace, bodies: Sequence[Term], mean_stress: MeanStress, volume: float, comm: MPI.Intracomm
     ) -> None:
         self._mean_stress, self.unit, self._volume, mesh = mean_stress, 1 / mean_stress.size, volume, V.mesh
-        space = fem.functionspace(mesh, basix.ufl.element("DG", mesh.basix_cell(), 0, shape=(mean_stress.count,)))
+        space = fem.functionspace(mesh, basix.ufl.element("DG", mesh.basix_cell(), 0, shape=(mean_stress.n_voigt,)))
         zeros = np.zeros(np.shape(space.dofmap.list), np.int64)
         W = broken_space(comm, SharedDofs(space, zeros[:1, 0], zeros[:1, 0], zeros))
         self.field = fem.Function(W)
         v, E, F = ufl.TestFunction(V), ufl.TrialFunction(W), ufl.TestFunction(W)
-        strained = [(p, p.law.stress(Step(three_dimensional(voigt_strain(E)) / mean_stress.size, p.n))) for p in bodies]
-        coupling = sum(ufl.inner(s, p.strain(v)) * p.weight * p.measure for p, s in strained)
-        tensor = three_dimensional(voigt_strain(F)) / mean_stress.size
-        virtual_work = sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in strained)
+        E_stress = [(p, p.law.stress(Step(three_dimensional(from_voigt(E)) / mean_stress.size, p.n))) for p in bodies]
+        coupling = sum(ufl.inner(s, p.strain(v)) * p.weight * p.measure for p, s in E_stress)
+        test_strain = three_dimensional(from_voigt(F)) / mean_stress.size
+        virtual_work = sum(ufl.inner(s, test_strain) * p.weight * p.measure for p, s in E_stress)
         self.B, self.D = assemble_matrix(fem.form(coupling)), assemble_matrix(fem.form(virtual_work))
         self._B_trans = self.B.transpose(PETSc.Mat())
-        prescribing = [p for p in bodies if p.prescribed_strain is not None]
-        self._step_strain = StepStrains(mesh, prescribing)
-        stresses = [(p, p.law.stress(Step(self._step_strain.now(p.prescribed_strain), p.n))) for p in prescribing]
-        virtual_work = sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in stresses)
-        self._strain_work = fem.form(virtual_work) if prescribing else None
-        self._forces, self._own, self._more = self.B.createVecLeft(), self.D.createVecLeft(), self.D.createVecLeft()
+        strained_terms = [p for p in bodies if p.prescribed_strain is not None]
+        self._step_strain = StepStrains(mesh, strained_terms)
+        prestress = [(p, p.law.stress(Step(self._step_strain.now(p.prescribed_strain), p.n))) for p in strained_terms]
+        virtual_work = sum(ufl.inner(s, test_strain) * p.weight * p.measure for p, s in prestress)
+        self._strain_work = fem.form(virtual_work) if strained_terms else None
+        self._forces, self._own, self._D_E = self.B.createVecLeft(), self.D.createVecLeft(), self.D.createVecLeft()
         self._mid, self._old, self._change = (self.D.createVecRight() for _ in range(3))
 
     # ---------------------------------------------------------------- a step
     def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
         new, old = self._strain_forces(self._step_strain, self._strain_work)
-        self._strained = new, old, interval.theta * new + (1 - interval.theta) * old
-        self._old.array[:] = self.own_start(interval.old)
+        self._strain_forces_of_step = new, old, interval.theta * new + (1 - interval.theta) * old
+        self._old.array[:] = self.own_values_before(interval.old)
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         theta, self._u = self.interval.theta, u
         self._mid.array[:] = theta * self.field.x.array[: self.own_size] + (1 - theta) * self._old.array_r
         self.B.mult(self._mid, self._forces)
         self.B.multTranspose(mid.x.petsc_vec, self._own)
-        self.D.mult(self._mid, self._more)
-        self._own.axpy(1.0, self._more)
+        self.D.mult(self._mid, self._D_E)
+        self._own.axpy(1.0, self._D_E)
 
     def add_forces(self, out: PETSc.Vec) -> float:
         out.axpy(1.0, self._forces)
         return float(self._forces.norm())
 
-    def load_at(self, t: float) -> Array:
-        stress = self._mean_stress
-        return np.asarray(stress.components(t) * self._volume / stress.size, float)[: self.own_size]
+    def own_load_at(self, t: float) -> Array:
+        mean_stress = self._mean_stress
+        return np.asarray(mean_stress.voigt_components(t) * self._volume / mean_stress.size, float)[: self.own_size]
 
     def own_residual(self) -> Array:
-        return np.asarray(self._own.array_r + self._strained[2] - self.load)
+        return np.asarray(self._own.array_r + self._strain_forces_of_step[2] - self.own_load)
 
     def tangents(self, relative_residual: float) -> list[Block]:
         u, E, theta = DISPLACEMENT_KEY, self.key, self.interval.theta
@@ -98,16 +98,16 @@ class MeanStressPart(FieldPart):
     def commit(self) -> StepOutcome:
         """Return those energies over the accepted step that the mean strain adds to the bodies' energies."""
         now, old = self._u.x.petsc_vec, self.interval.old.u.x.petsc_vec
-        difference = now - old
+        u_change = now - old
         self._change.array[:] = self.field.x.array[: self.own_size] - self._old.array_r
         self._mid.array[:] = self.field.x.array[: self.own_size]
-        theta, (new_s, old_s, _) = self.interval.theta, self._strained
-        ends = (old, self._old, old_s), (now, self._mid, new_s), (difference, self._change, new_s - old_s)
-        before, after, change_energy = (self._energy(*arguments) for arguments in ends)
-        supplied = self._product(self.load, self._change) + theta * self._product(new_s - old_s, self._mid)
-        supplied += (1 - theta) * self._product(new_s - old_s, self._old)
-        difference.destroy()
-        return StepOutcome(before, after, 0.0, (2 * theta - 1) * change_energy, kept=False, supplied=supplied)
+        theta, (new_s, old_s, _) = self.interval.theta, self._strain_forces_of_step
+        energy_arguments = (old, self._old, old_s), (now, self._mid, new_s), (u_change, self._change, new_s - old_s)
+        before, after, change_energy = (self._energy(*arguments) for arguments in energy_arguments)
+        supplied = self._work_in(self.own_load, self._change) + theta * self._work_in(new_s - old_s, self._mid)
+        supplied += (1 - theta) * self._work_in(new_s - old_s, self._old)
+        u_change.destroy()
+        return StepOutcome(before, after, 0.0, (2 * theta - 1) * change_energy, is_stored=False, supplied_work=supplied)
 
     def _energy(self, u: PETSc.Vec, E: PETSc.Vec, forces: Array) -> float:
         """Return the energy that the mean strain adds to the bodies' energy, a number.
@@ -119,19 +119,19 @@ class MeanStressPart(FieldPart):
                 stress.
         """
         self.B.mult(E, self._forces)
-        self.D.mult(E, self._more)
-        return float(u.dot(self._forces)) + float(E.dot(self._more)) / 2 + self._product(forces, E)
+        self.D.mult(E, self._D_E)
+        return float(u.dot(self._forces)) + float(E.dot(self._D_E)) / 2 + self._work_in(forces, E)
 
-    def _product(self, forces: Array, E: PETSc.Vec) -> float:
-        self._more.array[:] = forces
-        return float(self._more.dot(E))
+    def _work_in(self, forces: Array, E: PETSc.Vec) -> float:
+        self._D_E.array[:] = forces
+        return float(self._D_E.dot(E))
 
     # ---------------------------------------------------------------- own unknowns
     @property
     def own_file_order(self) -> FileOrder:
         """Order in which the mean strain's components are written to files: one row for the whole periodic cell."""
-        return FileOrder(np.zeros(1, np.int64), np.arange(self._mean_stress.count)[None, :])
+        return FileOrder(np.zeros(1, np.int64), np.arange(self._mean_stress.n_voigt)[None, :])
 
     def destroy(self) -> None:
         """Free the part's PETSc matrices and vectors."""
-        destroy(self.B, self.D, self._B_trans, self._forces, self._own, self._more, self._mid, self._old, self._change)
+        destroy(self.B, self.D, self._B_trans, self._forces, self._own, self._D_E, self._mid, self._old, self._change)

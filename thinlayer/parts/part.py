@@ -18,12 +18,15 @@ from forms.traits import accept_renamed
 from geometry.topology import IntArray
 from thinlayer.discretisation.state import Configuration
 from thinlayer.discretisation.time_functions import StepStrains
-from thinlayer.errors import former_names
+from thinlayer.errors import getattr_with_former_names
 from thinlayer.pointwise.quadrature import assemble_values
 
 Memory = Array | Mapping[str, fem.Function]  # (n, values) at entities, or functions by name
 Softening = tuple[str, str]  # name of a law whose stress falls, and the place
 DISPLACEMENT_KEY = "u"  # the key of the unknowns that all parts share
+RENAMED_METHODS = {  # names of version 1.0 -> present names
+    "takes_time": "relaxing_law_name", "answers_at_once": "instantaneous_nonlinear_law", "named": "law_traits",
+    "add_fixed": "add_constant_forces", "resisting": "reliable_tangents", "at_time": "set_time"}  # fmt: skip
 MISSPELT_SIMILARITY = 0.9  # ratio of two names (difflib) from which on one counts as the other misspelt
 
 
@@ -41,7 +44,7 @@ class TimeStep:
     theta: float
 
     @property
-    def balanced(self) -> float:
+    def balance_time(self) -> float:
         """The time old.t + theta dt at which forces balance; for theta = 1 exactly t, without rounding."""
         return self.t - (1 - self.theta) * self.dt
 
@@ -64,8 +67,8 @@ class PartTraits:
         saddle: the tangent, with supports applied, may have eigenvalues of both signs.
         has_homotopy: the part has laws for homotopy continuation, which its method `set_homotopy` selects.
         switches: quadrature points have phases, which are fixed while an equilibrium is computed, and change after it.
-        inner: the part acts within bodies alone, so that rigid motions of a whole body cause no forces.
-        unchecked: stresses are not checked at each quadrature point; a NaN appears only in the nodal forces.
+        within_bodies: the part acts within bodies alone, so that rigid motions of a whole body cause no forces.
+        unchecked_stresses: stresses are not checked at each quadrature point; a NaN appears only in the nodal forces.
     """
 
     rate: bool = False
@@ -79,8 +82,8 @@ class PartTraits:
     saddle: bool = False
     has_homotopy: bool = False
     switches: bool = False
-    inner: bool = False
-    unchecked: bool = False
+    within_bodies: bool = False
+    unchecked_stresses: bool = False
 
     def __or__(self, other: PartTraits) -> PartTraits:
         return PartTraits(*(a or b for a, b in zip(astuple(self), astuple(other), strict=True)))
@@ -88,10 +91,10 @@ class PartTraits:
     @classmethod
     def of(cls, law: Law) -> PartTraits:
         """Return the traits of a part that consists of the one law `law`."""
-        same = ("rate", "remembers", "bounded", "softens", "singular", "has_homotopy", "switches")
-        has = {name: getattr(law.traits, name) for name in same}
-        weakens = has["rate"] or has["bounded"] or has["singular"] or has["softens"]
-        return cls(nonlinear=not law.traits.linear, weakens=weakens, **has)
+        shared_names = ("rate", "remembers", "bounded", "softens", "singular", "has_homotopy", "switches")
+        law_traits = {name: getattr(law.traits, name) for name in shared_names}
+        weakens = law_traits["rate"] or law_traits["bounded"] or law_traits["singular"] or law_traits["softens"]
+        return cls(nonlinear=not law.traits.linear, weakens=weakens, **law_traits)
 
 
 @dataclass(frozen=True)
@@ -121,24 +124,24 @@ class StepOutcome:
     The memory are the internal variables, or other values that the part keeps from step to step.
 
     Attributes:
-        before, after: energy stored at the beginning and at the end of the step.
+        old_energy, new_energy: energy stored at the beginning and at the end of the step.
         dissipated: energy dissipated in the step.
-        remainder: error of the step's energy balance: the work of the part's forces plus `supplied`, minus the growth
+        remainder: error of the step's energy balance: the work of the part's forces plus `supplied_work`, minus the growth
             of stored energy, minus `dissipated`. It is caused by the time scheme or by varying parameters.
         memory: memory at the end of the step, of the type that `Part.rest` returns; None: the part has no memory.
-        supplied: work done on the part by prescribed strains, in addition to the work of loads and supports.
+        supplied_work: work done on the part by prescribed strains, in addition to the work of loads and supports.
         stress: (n, components) stresses at the end of the step, at the n points of the memory; None: no stresses.
-        kept: whether the state stores `after` under the part's key. False if the state can compute the energy itself,
-            as for laws in UFL forms.
+        is_stored: whether the state stores `new_energy` under the part's key. False if the state can compute the energy
+            itself, as for laws in UFL forms.
     """
 
-    before: float = 0.0
-    after: float = 0.0
+    old_energy: float = 0.0
+    new_energy: float = 0.0
     dissipated: float = 0.0
     remainder: float = 0.0
     memory: Memory | None = None
-    kept: bool = True
-    supplied: float = 0.0
+    is_stored: bool = True
+    supplied_work: float = 0.0
     stress: Array | None = None
 
 
@@ -151,50 +154,50 @@ class FileOrder:
     point.
 
     Attributes:
-        numbers: (entities,) numbers of this rank's entities in the joint.
-        order: (entities, k) positions of each entity's k values among the rank's n values. Their sequence does not
+        file_rows: (entities,) numbers of this rank's entities in the joint.
+        value_positions: (entities, k) positions of each entity's k values among the rank's n values. Their order does not
             depend on the distribution of the mesh.
         n_owned: this rank writes the values of its first `n_owned` entities; None: of all.
     """
 
-    numbers: IntArray
-    order: IntArray
+    file_rows: IntArray
+    value_positions: IntArray
     n_owned: int | None = None
 
     @property
     def width(self) -> int:
         """Number k of values that each cell, facet or vertex has."""
-        return int(self.order.shape[1])
+        return int(self.value_positions.shape[1])
 
     @classmethod
-    def by_place(cls, numbers: IntArray, indices: IntArray, x: Array) -> FileOrder:
+    def by_place(cls, file_rows: IntArray, positions: IntArray, x: Array) -> FileOrder:
         """Return the order in which the values of each cell or facet are sorted by the positions of their points.
 
         The points are sorted by their projections on the direction `SORTING_DIRECTION`.
 
         Args:
-            numbers: (entities,) numbers of the cells or facets in the joint, the undistributed mesh.
-            indices: (entities, k) positions, among this rank's n values, of the k values of each cell or facet,
+            file_rows: (entities,) numbers of the cells or facets in the joint, the undistributed mesh.
+            positions: (entities, k) positions, among this rank's n values, of the k values of each cell or facet,
                 unsorted.
             x: (n, d) coordinates of the points of the n values; d: number of dimensions.
         """
         projections = x @ np.array(SORTING_DIRECTION[: x.shape[1]])
-        return cls(numbers, np.take_along_axis(indices, np.argsort(projections[indices], axis=1), axis=1))
+        return cls(file_rows, np.take_along_axis(positions, np.argsort(projections[positions], axis=1), axis=1))
 
-    def ordered(self, values: Array) -> Array:
+    def to_rows(self, values: Array) -> Array:
         """Return this rank's `values` as the rows (entities, k v) of a file, one row for each cell, facet or vertex.
 
         `values` is (n, v): v numbers for each of n points. A row contains the k v numbers of the entity's k points.
         """
-        return values[self.order].reshape(len(self.numbers), self.width * values.shape[1])
+        return values[self.value_positions].reshape(len(self.file_rows), self.width * values.shape[1])
 
-    def put(self, out: Array, rows: Array) -> None:
-        """Write the `rows` of a file, (entities, k v) as `ordered` returns them, into this rank's values `out`, (n, v).
+    def assign(self, out: Array, rows: Array) -> None:
+        """Write the `rows` of a file, (entities, k v) as `to_rows` returns them, into this rank's values `out`, (n, v).
 
         `out` has v numbers for each of n points. A row contains the v numbers of each of the k points of a cell, facet
         or vertex.
         """
-        out[self.order.ravel()] = rows.reshape(self.order.size, out.shape[1])
+        out[self.value_positions.ravel()] = rows.reshape(self.value_positions.size, out.shape[1])
 
 
 # An irrational direction: points of a facet have distinct projections on it, so that their order depends on no rank.
@@ -217,11 +220,11 @@ class Part(ABC):
         failed: number of points, on all ranks, at which the last evaluation failed.
         K: matrix of the forces that are linear in the displacements; None: there is no such matrix.
         field: unknowns of the part besides the displacements; None: it has none.
-        distance: largest prescribed distance between bodies, such as an initial gap. The rounding error of
+        max_gap: largest prescribed distance between bodies, such as an initial gap. The rounding error of
             displacements is at least that of this length.
-        cancelling: norm of the diagonal of a stiffness that is not in K and acts on differences of displacements, such
+        jump_stiffness: norm of the diagonal of a stiffness that is not in K and acts on differences of displacements, such
             as jumps. The rounding error of forces follows from it.
-        stress_width: number of stress components that states store at each point of the memory.
+        stress_size: number of stress components that states store at each point of the memory.
         interval: the present step.
 
     Raises:
@@ -234,21 +237,21 @@ class Part(ABC):
     failed: int = 0
     K: PETSc.Mat | None = None
     field: fem.Function | None = None
-    distance: float = 0.0
-    cancelling: float = 0.0
-    stress_width: int = 0
+    max_gap: float = 0.0
+    jump_stiffness: float = 0.0
+    stress_size: int = 0
     interval: TimeStep
 
     def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
-        accept_renamed(cls, {"ease": "set_homotopy", "own_held": "own_prescribed"})
-        abilities, members = [_public_names(kind) for kind in (SwitchesPhases, MeasuresError)], vars(cls)
-        expected = set[str]().union(*abilities, *map(_public_names, cls.__mro__[1:]))
-        for name in sorted(_public_names(cls) - expected):
+        accept_renamed(cls, {"ease": "set_homotopy", "own_held": "own_prescribed", **RENAMED_METHODS})
+        protocol_names, members = [_public_names(protocol) for protocol in (SwitchesPhases, MeasuresError)], vars(cls)
+        known_names = set[str]().union(*protocol_names, *map(_public_names, cls.__mro__[1:]))
+        for name in sorted(_public_names(cls) - known_names):
             if callable(members[name]) or isinstance(members[name], property):
-                for meant in get_close_matches(name, expected - members.keys(), 1, MISSPELT_SIMILARITY):
-                    raise InputError(f"{cls.__name__} defines {name!r}; did you mean {meant!r}?")
-        for names in abilities:
+                for suggestion in get_close_matches(name, known_names - members.keys(), 1, MISSPELT_SIMILARITY):
+                    raise InputError(f"{cls.__name__} defines {name!r}; did you mean {suggestion!r}?")
+        for names in protocol_names:
             missing = names.difference(dir(cls))
             if missing and missing != names:
                 raise InputError(f"{cls.__name__} has {min(names - missing)!r} without {min(missing)!r}; define both")
@@ -257,16 +260,16 @@ class Part(ABC):
         """Begin the time step `interval`; its initial data are the configuration `interval.old`."""
         self.interval = interval
 
-    def add_fixed(self, out: PETSc.Vec) -> None:
+    def add_constant_forces(self, out: PETSc.Vec) -> None:
         """Add to `out` those nodal forces that do not depend on the unknowns of the step; by default none."""
 
-    def at_time(self, t: float) -> None:
+    def set_time(self, t: float) -> None:
         """Set the part's parameters to their values at time `t`; raise InputError if one is out of range."""
 
     def parameters(self) -> list[Array]:
         """Return this rank's values of parameters that vary in time, as a list of arrays; by default [].
 
-        They are the values at the time of the last call of `at_time`.
+        They are the values at the time of the last call of `set_time`.
         """
         return []
 
@@ -330,7 +333,7 @@ class Part(ABC):
                 singular tangent is regularised in proportion to it.
         """
 
-    def resisting(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
+    def reliable_tangents(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
         """Return the blocks of the tangent without resistance that may be mere rounding error.
 
         Solvers use it to find bodies that nothing holds. By default these blocks are those of `tangents`.
@@ -374,7 +377,7 @@ class Part(ABC):
         """
         return None
 
-    def named(self) -> dict[str, PartTraits]:
+    def law_traits(self) -> dict[str, PartTraits]:
         """Return the traits of the part's laws, each under the name of the law for error messages.
 
         By default these are the traits of the whole part, under a name with its key.
@@ -388,14 +391,14 @@ class Part(ABC):
         """
         return None
 
-    def takes_time(self) -> str:
+    def relaxing_law_name(self) -> str:
         """Return the name of a law that creeps or relaxes: its response depends on the length of the step.
 
         The result is "" if the part has no such law.
         """
         return ""
 
-    def answers_at_once(self, times: Sequence[float]) -> tuple[str, bool] | None:
+    def instantaneous_nonlinear_law(self, times: Sequence[float]) -> tuple[str, bool] | None:
         """Find a law whose response is instantaneous and not linear.
 
         Args:
@@ -405,7 +408,7 @@ class Part(ABC):
             Name of the law, and whether its parameters change in time, which makes a linear law non-linear. None: there
             is no such law.
         """
-        return next(((name, False) for name, has in self.named().items() if has.nonlinear and not has.rate), None)
+        return next(((name, False) for name, has in self.law_traits().items() if has.nonlinear and not has.rate), None)
 
     def destroy(self) -> None:
         """Free the part's PETSc objects."""
@@ -418,14 +421,14 @@ class SwitchesPhases(Protocol):
     A column is a facet of S or, in a meshed layer, the cells above each other through the thickness.
     """
 
-    def excess(self) -> float:
+    def phase_gain(self) -> float:
         """Return the largest energy that a column would lose by a change of phase, as a number without unit.
 
         The energy is divided by that of the transformation, a parameter of the law. If the number is positive, a column
         must change its phase.
         """
 
-    def switch(self) -> bool:
+    def switch_phases(self) -> bool:
         """Change each column to its phase of lowest energy, and return whether a column changed.
 
         Energies are those of the last call of `evaluate`.
@@ -449,9 +452,9 @@ class MeasuresError(Protocol):
         """
 
 
-def _public_names(kind: type) -> set[str]:
-    """Return the public names that the body of the class `kind` defines, without inherited ones."""
-    return {name for name in vars(kind) if not name.startswith("_")}
+def _public_names(owner: type) -> set[str]:
+    """Return the public names that the body of the class `owner` defines, without inherited ones."""
+    return {name for name in vars(owner) if not name.startswith("_")}
 
 
 class FieldPart(Part):
@@ -460,22 +463,22 @@ class FieldPart(Part):
     Attributes:
         field: the part's own unknowns, divided by `unit`. This scaling gives their equations the unit of forces.
         unit: factor by which `field` is multiplied before a state stores it.
-        load: (own_size,) forces prescribed in the part's own equations; `own_residual` subtracts them.
+        own_load: (own_size,) forces prescribed in the part's own equations; `own_residual` subtracts them.
         on_S: whether the part's own unknowns are on S; block preconditioners suit them then.
         hint: text for error messages that says why the part may make a linear solve fail; "": none.
     """
 
     field: fem.Function
     unit: float = 1.0
-    load: Array
+    own_load: Array
     on_S: bool = False
     hint: str = ""
 
     def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
-        self.load, theta = self.load_at(interval.t), interval.theta
+        self.own_load, theta = self.own_load_at(interval.t), interval.theta
         if theta < 1:
-            self.load = theta * self.load + (1 - theta) * self.load_at(interval.old.t)
+            self.own_load = theta * self.own_load + (1 - theta) * self.own_load_at(interval.old.t)
 
     @abstractmethod
     def own_residual(self) -> Array:
@@ -484,26 +487,26 @@ class FieldPart(Part):
         It is that of the last call of `evaluate`.
         """
 
-    def load_at(self, t: float) -> Array:
+    def own_load_at(self, t: float) -> Array:
         """Return the forces (own_size,) that are prescribed in the part's own equations at time `t`; by default 0.
 
         There is one for each of the part's own unknowns on this rank.
         """
         return np.zeros(self.own_size)
 
-    def at_time(self, t: float) -> None:
+    def set_time(self, t: float) -> None:
         """Set the time `t` of the values that `parameters` returns."""
         self._t = t
 
     def parameters(self) -> list[Array]:
-        """Return two arrays at the time set by `at_time`, on this rank.
+        """Return two arrays at the time set by `set_time`, on this rank.
 
         The first contains the forces prescribed in the part's own equations, the second the values of its prescribed
         unknowns.
         """
-        return [self.load_at(self._t), self.own_prescribed(self._t)[1]]
+        return [self.own_load_at(self._t), self.own_prescribed(self._t)[1]]
 
-    def own_start(self, old: Configuration) -> Array:
+    def own_values_before(self, old: Configuration) -> Array:
         """Return this rank's values (own_size,) of the part's own unknowns, such as pressures, at the start of a step.
 
         They are taken from the configuration `old` and divided by `unit`; zeros if `old` does not contain them.
@@ -557,4 +560,4 @@ class FieldPart(Part):
         """Order in which the part's own unknowns, those besides displacements, are written to files, with ghosts."""
 
 
-__getattr__ = former_names(__name__, {"Interval": TimeStep, "Outcome": StepOutcome})
+__getattr__ = getattr_with_former_names(__name__, {"Interval": TimeStep, "Outcome": StepOutcome})

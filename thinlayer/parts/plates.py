@@ -13,17 +13,17 @@ from dolfinx import fem
 from forms.base import Array, InputError
 from forms.tensors import Expr
 from geometry.refusals import require_known
-from thinlayer.discretisation.boundary import AXIS_NAMES, boundary_values
+from thinlayer.discretisation.boundary import AXIS_NAMES, boundary_tags
 from thinlayer.discretisation.coefficient import Coefficient
 from thinlayer.discretisation.constraints import MultiPointConstraint
 from thinlayer.discretisation.part_definition import HostModel, PartDefinition
 from thinlayer.discretisation.rigid_motions import (
-    balanced_motions,
     centroid,
     moment_centre,
     motion_count,
     motion_fields,
     require_point,
+    resultant_mask,
 )
 from thinlayer.discretisation.state import State
 
@@ -107,17 +107,17 @@ class RigidPlate(PartDefinition):
     def multi_point_constraint(self, model: HostModel) -> MultiPointConstraint:
         """Return the constraint by which the displacements of the plate's nodes follow its few motions. Collective."""
         d, size = model.joint.dim, model.domain.joint.size
-        scale = np.where(np.arange(motion_count(d)) < d, 1.0, size)
+        units = np.where(np.arange(motion_count(d)) < d, 1.0, size)
         keys, loads, vals = self.prescribed_motions(model), self._resultants(model), self._motions(model)
-        motion = {k: partial(lambda k, t: float(vals[k].at_time(t) * scale[k]) if k in vals else 0.0, k) for k in keys}
+        motion = {k: partial(lambda k, t: float(vals[k].at_time(t) * units[k]) if k in vals else 0.0, k) for k in keys}
         R = self._motion_matrix(model, self.point(model), size)
-        return MultiPointConstraint(self.key, motion_names(d), R, motion, lambda t: self._at(t, loads, keys, d) / scale)
+        return MultiPointConstraint(self.key, motion_names(d), R, motion, lambda t: self._at(t, loads, keys, d) / units)
 
     def motion_in(self, state: State) -> PlateMotion:
         """Return the displacement and rotation of the plate in `state`. Collective."""
         model = state.model
         (mpc,) = (mpc for mpc in model.constraints.mpcs if mpc.key == self.key)
-        q, d = model.constraints.motion(mpc, state.u.x.array[: model.constraints.n]), model.joint.dim
+        q, d = model.constraints.fit_motions(mpc, state.u.x.array[: model.constraints.n]), model.joint.dim
         rotation = q[d:] / model.domain.joint.size  # the unknowns are lengths
         return PlateMotion(q[:d], np.asarray(rotation[0] if d == 2 else rotation), self.point(model))
 
@@ -133,40 +133,40 @@ class RigidPlate(PartDefinition):
             size: size of the structure. The unknowns of rotations are angles times this length.
         """
         V, d = model.V, model.joint.dim
-        owned = V.dofmap.index_map.size_local
+        n_owned = V.dofmap.index_map.size_local
         dofs = fem.locate_dofs_topological(V, d - 1, model.domain.facets(self.place, layer_sides=True))
-        blocks = np.unique(dofs[dofs < owned])
+        nodes = np.unique(dofs[dofs < n_owned])
         try:
-            x = V.tabulate_dof_coordinates()[blocks, :d]
+            x = V.tabulate_dof_coordinates()[nodes, :d]
         except RuntimeError as error:
-            raise InputError(f"{self.what} needs nodal displacements, not elements S2") from error
-        if (shifts := model.shifts()) is not None:
-            at_nodes = np.zeros((owned + V.dofmap.index_map.num_ghosts, d))
-            at_nodes[V.dofmap.list] = shifts[model.domain.original_cells][:, None]
-            least, most = at_nodes[blocks].min(axis=0, initial=np.inf), at_nodes[blocks].max(axis=0, initial=-np.inf)
-            extrema = np.array(model.comm.allgather((least, most)))
+            raise InputError(f"{self.title} needs nodal displacements, not elements S2") from error
+        if (shifts := model.meshing_translations()) is not None:
+            node_shifts = np.zeros((n_owned + V.dofmap.index_map.num_ghosts, d))
+            node_shifts[V.dofmap.list] = shifts[model.domain.original_cells][:, None]
+            low, high = node_shifts[nodes].min(axis=0, initial=np.inf), node_shifts[nodes].max(axis=0, initial=-np.inf)
+            extrema = np.array(model.comm.allgather((low, high)))
             middle = (extrema[:, 0].min(axis=0) + extrema[:, 1].max(axis=0)) / 2  # the reference point does not shift
-            x = x + at_nodes[blocks] - middle
-        values = motion_fields(x, about)
-        values[:, :, d:] /= size
-        k = values.shape[2]
-        indices = np.repeat(blocks[:, None] * d + np.arange(d), k), np.tile(np.arange(k), len(blocks) * d)
-        return scipy.sparse.csr_matrix((values.ravel(), indices), (owned * d, k))
+            x = x + node_shifts[nodes] - middle
+        motion_values = motion_fields(x, about)
+        motion_values[:, :, d:] /= size
+        k = motion_values.shape[2]
+        indices = np.repeat(nodes[:, None] * d + np.arange(d), k), np.tile(np.arange(k), len(nodes) * d)
+        return scipy.sparse.csr_matrix((motion_values.ravel(), indices), (n_owned * d, k))
 
     # ---------------------------------------------------------------- prescribed values
     @property
-    def what(self) -> str:
+    def title(self) -> str:
         """Name of the plate in messages."""
         return f"plate on {self.place!r}"
 
     def check(self, model: HostModel) -> None:
         """Raise InputError unless the plate's facet set and values fit the model. Collective."""
-        boundary_values(model.domain, model.kinematics, self.place, self.what)
+        boundary_tags(model.domain, model.kinematics, self.place, self.title)
         d, names = model.joint.dim, motion_names(model.joint.dim)
         for name in self.motion:
-            require_known("motion", name, names, self.what)
+            require_known("motion", name, names, self.title)
             if names.index(name) in self._excluded(model):
-                raise InputError(f"{self.what}: a plate of revolution has no motion {name!r}; it moves along the axis")
+                raise InputError(f"{self.title}: a plate of revolution has no motion {name!r}; it moves along the axis")
         if self.about is not None:
             require_point(self.about, d)
         if not any(value.varies for value in [*self._resultants(model).values(), *self._motions(model).values()]):
@@ -176,14 +176,14 @@ class RigidPlate(PartDefinition):
         """Return the prescribed loads of the plate, under the names "force" and "moment", if they are not None."""
         d, loads = model.joint.dim, (("force", self.force), ("moment", self.moment))
         shapes: dict[str, tuple[int, ...]] = {"force": (d,), "moment": () if d == 2 else (3,)}
-        return {name: self._value(model, name, value, shapes[name]) for name, value in loads if value is not None}
+        return {name: self._converted(model, name, value, shapes[name]) for name, value in loads if value is not None}
 
     def _motions(self, model: HostModel) -> dict[int, Coefficient]:
         """Return the prescribed motions: position of the motion in `motion_names` -> its prescribed value."""
         names = motion_names(model.joint.dim)
-        return {names.index(k): self._value(model, f"motion {k!r}", value, ()) for k, value in self.motion.items()}
+        return {names.index(k): self._converted(model, f"motion {k!r}", value, ()) for k, value in self.motion.items()}
 
-    def _value(self, model: HostModel, name: str, value: Number | Vector, shape: tuple[int, ...]) -> Coefficient:
+    def _converted(self, model: HostModel, name: str, value: Number | Vector, shape: tuple[int, ...]) -> Coefficient:
         """Convert a value that the user prescribes to a `Coefficient` that may depend on the time, not on the place.
 
         Args:
@@ -192,7 +192,7 @@ class RigidPlate(PartDefinition):
             value: number, vector or function (x, t) that the user gave.
             shape: shape that the value must have.
         """
-        coefficient: Coefficient = model.coordinates.coefficient(value, f"{self.what}: {name}", shape)
+        coefficient: Coefficient = model.coordinates.coefficient(value, f"{self.title}: {name}", shape)
         return coefficient.once("the whole plate")
 
     @staticmethod
@@ -201,7 +201,7 @@ class RigidPlate(PartDefinition):
 
         In axisymmetry these are all motions except the translation along the axis.
         """
-        return [int(k) for k in np.flatnonzero(balanced_motions(model.kinematics, model.joint.dim) == 0)]
+        return [int(k) for k in np.flatnonzero(resultant_mask(model.kinematics, model.joint.dim) == 0)]
 
     def _at(self, t: float, loads: Mapping[str, Coefficient], prescribed: Sequence[int], d: int) -> Array:
         """Return the forces (k,) on the k motions of the plate at time `t`; those on rotations are moments.
@@ -215,12 +215,12 @@ class RigidPlate(PartDefinition):
         Raises:
             InputError: a motion is prescribed, and its force or moment is not zero.
         """
-        out, places = np.zeros(motion_count(d)), {"force": slice(d), "moment": slice(d, None)}
+        out, slices = np.zeros(motion_count(d)), {"force": slice(d), "moment": slice(d, None)}
         for name, value in loads.items():
-            out[places[name]] = value.at_time(t)
+            out[slices[name]] = value.at_time(t)
         for k in prescribed:
             if out[k]:
-                text = f"{self.what}: the motion {motion_names(d)[k]!r} is prescribed, and {out[k]:g} is given"
+                text = f"{self.title}: the motion {motion_names(d)[k]!r} is prescribed, and {out[k]:g} is given"
                 raise InputError(f"{text} for its force or moment; one of them follows from the other")
         return out
 

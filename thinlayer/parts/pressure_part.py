@@ -25,7 +25,7 @@ from thinlayer.pointwise.quadrature import (
     MeasureRegion,
     MeshOrigin,
     Quadrature,
-    add_distributed,
+    add_integral_to_nodes,
     assemble_matrix,
     assemble_values,
     set_owned_values,
@@ -43,7 +43,8 @@ class PressurePart(FieldPart):
 
     - e: strain of the displacements plus the prescribed strain, so that a free expansion causes no pressure.
     - c: the law's `volume_compliance`.
-    - f: the flow along S, `Term.flow`. An interface law of order 1 has f = eps^3/(12 mu), and p is zero at free ends.
+    - f: the flow along S, `Term.mobility`. An interface law of order 1 has f = eps^3/(12 mu), and p is zero at free
+      ends.
       Otherwise f = 0.
 
     The pressure has degree 1, displacements and jumps have degree 2. In the meshed layer this is the Taylor-Hood
@@ -56,7 +57,7 @@ class PressurePart(FieldPart):
             residuals of both equations have the same unit.
         origin: relation of the mesh to the joint, the undistributed mesh from which it was made. Files need it. For a
             law with flow it gives the positions of S between bodies that are apart. None: there is no joint.
-        free: (n, d) coordinates of the vertices of S where p is zero, in d dimensions; None: there are none.
+        rim_x: (n, d) coordinates of the vertices of S where p is zero, in d dimensions; None: there are none.
         masters: (n_points,) for each point of the joint, the point with which periodic sides identify it
             (`Joint.masters`); None: the joint is not periodic.
 
@@ -73,37 +74,37 @@ class PressurePart(FieldPart):
 
     def __init__(
         self, V: fem.FunctionSpace, term: Term, stiffness: float, origin: MeshOrigin | None = None,
-        free: Array | None = None, masters: IntArray | None = None,
+        rim_x: Array | None = None, masters: IntArray | None = None,
     ) -> None:  # fmt: skip
-        self.key, self._origin, self._term = str(Key.parse(term.key).pressure), origin, term
+        self.key, self._origin, self._term = str(Key.parse(term.key).pressure_key), origin, term
         points = Quadrature(V, term, origin) if term.law.fields else None
         self.region = region = points.region if points else MeasureRegion(V.mesh, term.measure)
-        if flows_along_surface(term) and origin and origin.middle is not None:
-            region.move(origin.middle)
+        if flows_along_surface(term) and origin and origin.middle_points is not None:
+            region.move_nodes(origin.middle_points)
         self.on_S = region.dim < region.parent_mesh.topology.dim
         self._vertex_space = fem.functionspace(region.mesh, ("Lagrange", 1))
-        space = self._vertex_space if masters is None else periodic_functions(region, masters)
+        space = self._vertex_space if masters is None else periodic_space(region, masters)
         self.field = self._p = fem.Function(space)
-        q, v = region.side(ufl.TestFunction(space)), ufl.TrialFunction(V)
+        q, v = region.plus_side(ufl.TestFunction(space)), ufl.TrialFunction(V)
         self.G = G = assemble_matrix(region.compiled(q * ufl.tr(term.strain(v)) * term.weight * term.measure))
-        self.C = self._compliance(space, term, points)
+        self.C = self._assemble_compliance(space, term, points)
         self.unit = stiffness / G.norm(PETSc.NormType.INFINITY)
         if self.C is not None:  # else rounding errors of volumes next to stiff bodies would be as large as forces
             self.unit = min(self.unit, math.sqrt(stiffness / self.C.norm(PETSc.NormType.INFINITY)))
             self.C.scale(self.unit**2)
         G.scale(self.unit)
-        self._zero_dofs = dofs_at_vertices(space, free) if free is not None and len(free) else np.empty(0, np.int64)
-        strained = [term] if term.prescribed_strain is not None else []
-        self._step_strain = StepStrains(V.mesh, strained)
-        volume = sum(q * ufl.tr(self._step_strain.now(p.prescribed_strain)) * p.weight * p.measure for p in strained)
-        self._room = region.compiled(volume) if strained else None
+        self._zero_dofs = dofs_at_vertices(space, rim_x) if rim_x is not None and len(rim_x) else np.empty(0, np.int64)
+        terms = [term] if term.prescribed_strain is not None else []
+        self._step_strain = StepStrains(V.mesh, terms)
+        volume_form = sum(q * ufl.tr(self._step_strain.now(p.prescribed_strain)) * p.weight * p.measure for p in terms)
+        self._volume_form = region.compiled(volume_form) if terms else None
         self._G_trans = G.transpose(PETSc.Mat())
-        self._volume, self._C_product, self._forces = G.createVecLeft(), G.createVecLeft(), G.createVecRight()
+        self._volume_change, self._C_product, self._forces = G.createVecLeft(), G.createVecLeft(), G.createVecRight()
 
-    def _compliance(self, space: fem.FunctionSpace, term: Term, points: Quadrature | None) -> PETSc.Mat | None:
+    def _assemble_compliance(self, space: fem.FunctionSpace, term: Term, points: Quadrature | None) -> PETSc.Mat | None:
         """Assemble the matrix of int c p q + int_S f grad_S p . grad_S q; None: c and f are zero. Collective.
 
-        c is the law's `volume_compliance`, f the flow `Term.flow` along S. The attribute `C` is this matrix times the
+        c is the law's `volume_compliance`, f the flow `Term.mobility` along S. The attribute `C` is this matrix times the
         square of `unit`.
 
         Args:
@@ -116,37 +117,37 @@ class PressurePart(FieldPart):
         p, q = ufl.TrialFunction(space), ufl.TestFunction(space)
         forms = []
         if points:
-            fields = {name: points.region_function(values) for name, values in law.fields_at(points.joint_x).items()}
-            law = law.with_parameters({name: region.side(f) for name, f in fields.items()})
+            functions = {name: points.region_function(values) for name, values in law.fields_at(points.joint_x).items()}
+            law = law.with_parameters({name: region.plus_side(f) for name, f in functions.items()})
             measure = points.measure
-        if not isinstance(volume := ufl.as_ufl(law.volume_compliance), Zero):
-            forms.append(volume * region.side(p) * region.side(q) * term.weight * measure)
+        if not isinstance(compliance := ufl.as_ufl(law.volume_compliance), Zero):
+            forms.append(compliance * region.plus_side(p) * region.plus_side(q) * term.weight * measure)
         if flows_along_surface(term):  # gradients on the mesh of S are gradients along S
-            flow = self._means(term.flow) * term.kinematics.on(region.mesh).factor
+            flow = self._cell_means(term.mobility) * term.kinematics.on_mesh(region.mesh).factor
             forms.append(flow * ufl.inner(ufl.grad(p), ufl.grad(q)) * ufl.dx(region.mesh))
         if not forms:
             return None
-        C, *others = (assemble_matrix(region.compiled(form)) for form in forms)
-        for other in others:
-            C.axpy(1.0, other)
-            other.destroy()
+        C, *other_matrices = (assemble_matrix(region.compiled(form)) for form in forms)
+        for matrix in other_matrices:
+            C.axpy(1.0, matrix)
+            matrix.destroy()
         return C
 
-    def _means(self, f: Expr) -> fem.Function:
+    def _cell_means(self, f: Expr) -> fem.Function:
         """Return the mean of the UFL scalar `f` over each facet or cell, a piecewise constant function. Collective."""
         space = fem.functionspace(self.region.mesh, ("DG", 0))
-        q, n_owned = self.region.side(ufl.TestFunction(space)), space.dofmap.index_map.size_local
+        q, n_owned = self.region.plus_side(ufl.TestFunction(space)), space.dofmap.index_map.size_local
         forms = [integrand * q * self.region.measure for integrand in (f, fem.Constant(self.region.parent_mesh, 1.0))]
         integrals, sizes = (assemble_values(self.region.compiled(form), n_owned) for form in forms)
         return set_owned_values(fem.Function(space), integrals / sizes)
 
-    def _end_p(self) -> Array:
+    def _p_at_end(self) -> Array:
         """Return this rank's pressures (own_size,) at the end of the step, divided by `unit`.
 
         They belong to the last call of `evaluate`.
         """
         theta, p = self.interval.theta, self._p.x.array[: self.own_size]
-        return np.asarray(p if theta == 1 else (p - (1 - theta) * self.own_start(self.interval.old)) / theta)
+        return np.asarray(p if theta == 1 else (p - (1 - theta) * self.own_values_before(self.interval.old)) / theta)
 
     def _multiply_C(self, C: PETSc.Mat, p: Array) -> tuple[Array, float]:
         """Return C p on this rank, and the number p . C p summed over all ranks. Collective.
@@ -158,22 +159,22 @@ class PressurePart(FieldPart):
         v = self._C_product.duplicate()
         v.array[:] = p
         C.mult(v, self._C_product)
-        work = float(v.dot(self._C_product))
+        p_C_p = float(v.dot(self._C_product))
         v.destroy()
-        return self._C_product.array_r.copy(), work
+        return self._C_product.array_r.copy(), p_C_p
 
     def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
         # contributions (own_size,) of prescribed strains to `own_residual`
-        self._strain_volume, old = (self.unit * volume for volume in self._strain_forces(self._step_strain, self._room))
-        self._growth = self._strain_volume - old
+        self._strain_volume, old = (self.unit * v for v in self._strain_forces(self._step_strain, self._volume_form))
+        self._volume_increment = self._strain_volume - old
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
-        self.G.mult(u.x.petsc_vec, self._volume)
-        volume = self._volume.array_r + self._strain_volume
-        self._residual: Array = volume if self.C is None else volume - self._multiply_C(self.C, self._end_p())[0]
+        self.G.mult(u.x.petsc_vec, self._volume_change)
+        volume = self._volume_change.array_r + self._strain_volume
+        self._residual: Array = volume if self.C is None else volume - self._multiply_C(self.C, self._p_at_end())[0]
 
-    def named(self) -> dict[str, PartTraits]:
+    def law_traits(self) -> dict[str, PartTraits]:
         return {type(self._term.law).__name__: self.traits}
 
     def add_forces(self, out: PETSc.Vec) -> float:
@@ -182,8 +183,8 @@ class PressurePart(FieldPart):
         return 0.0
 
     def add_work_in(self, z: fem.Function, out: PETSc.Vec) -> None:
-        density = self.unit * self.region.side(self._p) * ufl.tr(self._term.strain(z)) * self._term.weight
-        add_distributed(density, z.function_space, self._term.measure, out, self.region.maps)
+        density = self.unit * self.region.plus_side(self._p) * ufl.tr(self._term.strain(z)) * self._term.weight
+        add_integral_to_nodes(density, z.function_space, self._term.measure, out, self.region.entity_maps)
 
     def own_residual(self) -> Array:
         return self._residual
@@ -206,13 +207,13 @@ class PressurePart(FieldPart):
 
         The stored energy is p.C p/2. The supplied work is that of the pressure in the growth of prescribed strains.
         """
-        self._volume.array[:] = self._growth
-        supplied = float(self._volume.dot(self._p.x.petsc_vec))
+        self._volume_change.array[:] = self._volume_increment
+        work = float(self._volume_change.dot(self._p.x.petsc_vec))
         if self.C is None:
-            return StepOutcome(kept=False, supplied=supplied)
-        new, old = self._end_p(), self.own_start(self.interval.old)
+            return StepOutcome(is_stored=False, supplied_work=work)
+        new, old = self._p_at_end(), self.own_values_before(self.interval.old)
         before, after, change_energy = (self._multiply_C(self.C, p)[1] / 2 for p in (old, new, new - old))
-        return StepOutcome(before, after, remainder=(2 * self.interval.theta - 1) * change_energy, supplied=supplied)
+        return StepOutcome(before, after, remainder=(2 * self.interval.theta - 1) * change_energy, supplied_work=work)
 
     def own_result(self) -> fem.Function:
         """Return the pressure at the end of the step as a function, for the state.
@@ -229,15 +230,15 @@ class PressurePart(FieldPart):
     @property
     def own_file_order(self) -> FileOrder:
         assert self._origin is not None, "a mesh without a joint"
-        whole, region = self._vertex_space, self.region
-        cells, x = np.asarray(whole.dofmap.list), whole.tabulate_dof_coordinates()[:, : region.mesh.geometry.dim]
-        ordered = FileOrder.by_place(self._origin.numbers(region.dim, region.parent)[: len(cells)], cells, x)
+        space, region = self._vertex_space, self.region
+        cells, x = np.asarray(space.dofmap.list), space.tabulate_dof_coordinates()[:, : region.mesh.geometry.dim]
+        ordered = FileOrder.by_place(self._origin.numbers(region.dim, region.indices)[: len(cells)], cells, x)
         dof_numbers = np.empty(len(x), np.int64)
         dof_numbers[cells] = self._p.function_space.dofmap.list  # one dof may have several vertices, on periodic sides
-        return FileOrder(ordered.numbers, dof_numbers[ordered.order])
+        return FileOrder(ordered.file_rows, dof_numbers[ordered.value_positions])
 
     def destroy(self) -> None:
-        destroy(self.G, self.C, self._G_trans, self._volume, self._forces, self._C_product)
+        destroy(self.G, self.C, self._G_trans, self._volume_change, self._forces, self._C_product)
 
 
 def flows_along_surface(term: Term) -> bool:
@@ -245,10 +246,10 @@ def flows_along_surface(term: Term) -> bool:
 
     It does in interface laws of order 1 of incompressible layers.
     """
-    return not isinstance(ufl.as_ufl(term.flow), Zero)
+    return not isinstance(ufl.as_ufl(term.mobility), Zero)
 
 
-def periodic_functions(region: MeasureRegion, masters: IntArray) -> fem.FunctionSpace:
+def periodic_space(region: MeasureRegion, masters: IntArray) -> fem.FunctionSpace:
     """Return a space of degree 1 whose functions have equal values at points that periodic sides identify. Collective.
 
     Args:

@@ -12,7 +12,7 @@ from dolfinx import fem
 from forms.base import Array, InputError
 from forms.tensors import Expr
 from geometry.refusals import place_text as at_place
-from thinlayer.discretisation.boundary import boundary_values
+from thinlayer.discretisation.boundary import boundary_tags
 from thinlayer.discretisation.coefficient import NUMPY_DEGREE, Coefficient
 from thinlayer.discretisation.form_compilation import unit_values
 from thinlayer.discretisation.part_definition import HostModel, PartDefinition
@@ -72,11 +72,11 @@ class Springs(PartDefinition):
 
     def check(self, model: HostModel) -> None:
         """Raise InputError unless the facets lie on the outer boundary, and stiffnesses there are finite and >= 0."""
-        boundary_values(model.domain, model.kinematics, self.place, f"springs on {self.place!r}")
+        boundary_tags(model.domain, model.kinematics, self.place, f"springs on {self.place!r}")
         facets, V = model.domain.facets(self.place), fem.functionspace(model.domain.mesh, ("Lagrange", NUMPY_DEGREE))
         for stiffness in self._stiffnesses(model):
             nodes = fem.locate_dofs_topological(V, model.joint.dim - 1, facets)
-            values, x = stiffness.in_space(V).x.array[nodes], V.tabulate_dof_coordinates()[nodes, : model.joint.dim]
+            values, x = stiffness.interpolant(V).x.array[nodes], V.tabulate_dof_coordinates()[nodes, : model.joint.dim]
             values = np.where(np.isfinite(values), values, -np.inf)
             if len(values) and values.min() < -NEGATIVE_STIFFNESS_TOLERANCE * values.max():
                 k = int(values.argmin())
@@ -85,7 +85,7 @@ class Springs(PartDefinition):
     def _stiffnesses(self, model: HostModel) -> list[Coefficient]:
         """Return the normal, then the tangential stiffness, as functions of the place in `model`. Collective."""
         values, text = {"normal": self.normal, "tangential": self.tangential}, f"springs on {self.place!r}: "
-        return [model.coordinates.coefficient(k, text + name, (), of_place=True) for name, k in values.items()]
+        return [model.coordinates.coefficient(k, text + name, (), place_only=True) for name, k in values.items()]
 
     def work(self, model: HostModel, u: Expr, v: Expr) -> ufl.Form:
         """Return, as a UFL form, the virtual work of the springs: the integral of k_N u_N v_N + k_T u_T . v_T.
@@ -118,4 +118,4 @@ class Springs(PartDefinition):
     def part(self, model: HostModel) -> FormPart:
         """Return the springs as a part of the balance of forces of `model`. Collective."""
         u, v = ufl.TrialFunction(model.V), ufl.TestFunction(model.V)
-        return FormPart(self.key, fem.Function(model.V), assemble_plain_matrix(self.work(model, u, v)), kept=True)
+        return FormPart(self.key, fem.Function(model.V), assemble_plain_matrix(self.work(model, u, v)), is_stored=True)

@@ -13,13 +13,13 @@ from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
 
 from forms.base import InputError
 from forms.tensors import Expr
-from thinlayer.discretisation.form_compilation import whole_structure_form
+from thinlayer.discretisation.form_compilation import checked_user_form
 from thinlayer.discretisation.part_definition import HostModel, PartDefinition
 from thinlayer.parts.form_part import FormPart, assemble_plain_matrix
 from thinlayer.parts.part import PartTraits, StepOutcome
 from thinlayer.system.compat import expand_derivatives, ufl_replace, without_cycles
 
-ASYMMETRY_TOLERANCE = 1e-12  # norm of a matrix less its transpose, relative to its norm, that counts as rounding error
+SYMMETRY_TOLERANCE = 1e-12  # norm of a matrix less its transpose, relative to its norm, that counts as rounding error
 
 
 @dataclass(frozen=True)
@@ -69,22 +69,22 @@ class UflPart(PartDefinition):
     def check(self, model: HostModel) -> None:
         """Raise InputError unless the user's function returns a form that can be assembled on `model`. Collective."""
         u, v = fem.Function(model.V), ufl.TestFunction(model.V)
-        text = f"the part {self.key!r}"
+        subject = f"the part {self.key!r}"
         try:
             form = self._form(model, u, v)
         except Exception as error:
-            raise InputError(f"{text}: {type(error).__name__}: {error}") from error
-        arguments, wanted = ((), "of u alone") if self.virtual_work is None else ((v,), "of u, and linear in v")
+            raise InputError(f"{subject}: {type(error).__name__}: {error}") from error
+        arguments, requirement = ((), "of u alone") if self.virtual_work is None else ((v,), "of u, and linear in v")
         if not isinstance(form, ufl.Form):
-            raise InputError(f"{text} gives {form!r}; it must be a UFL form {wanted}")
+            raise InputError(f"{subject} gives {form!r}; it must be a UFL form {requirement}")
         if not all(domain is model.V.mesh.ufl_domain() for domain in form.ufl_domains()):
-            raise InputError(f"{text} is a form on another mesh than the model's; use model.dx and model.ds")
-        whole_structure_form(form, model, text)
-        if form.arguments() != arguments or not has_arity(form):
-            raise InputError(f"{text} is {str(form)[:80]}; it must be a form {wanted}")
+            raise InputError(f"{subject} is a form on another mesh than the model's; use model.dx and model.ds")
+        checked_user_form(form, model, subject)
+        if form.arguments() != arguments or not multilinear(form):
+            raise InputError(f"{subject} is {str(form)[:80]}; it must be a form {requirement}")
         forces = ufl.derivative(form, u, v) if self.energy else form
         if expand_derivatives(ufl.derivative(expand_derivatives(forces), u, ufl.TrialFunction(model.V))).empty():
-            raise InputError(f"the forces of {text} do not depend on u; loads are `tractions` and `body_force`")
+            raise InputError(f"the forces of {subject} do not depend on u; loads are `tractions` and `body_force`")
 
     def _form(self, model: HostModel, u: Expr, v: Expr) -> ufl.Form:
         """Return the form that the user's function gives at displacements `u`; only a virtual work contains `v`."""
@@ -96,13 +96,13 @@ class UflPart(PartDefinition):
         If the user gave an energy, it is the derivative of the energy in the direction `v`.
         """
         if not self.energy:
-            return whole_structure_form(self._form(model, u, v), model)
+            return checked_user_form(self._form(model, u, v), model)
         unknown = fem.Function(model.V)
-        energy = whole_structure_form(self._form(model, unknown, v), model)
+        energy = checked_user_form(self._form(model, unknown, v), model)
         return ufl_replace(expand_derivatives(ufl.derivative(energy, unknown, v)), {unknown: u})
 
     def is_linear(self, model: HostModel) -> bool:
-        return has_arity(self.work(model, ufl.TrialFunction(model.V), ufl.TestFunction(model.V)))
+        return multilinear(self.work(model, ufl.TrialFunction(model.V), ufl.TestFunction(model.V)))
 
     def is_symmetric(self, model: HostModel) -> bool:
         return self.energy is not None
@@ -122,20 +122,20 @@ class _UserFormPart(FormPart):
     def __init__(self, part: UflPart, model: HostModel) -> None:
         u, v, linear = fem.Function(model.V), ufl.TestFunction(model.V), part.is_linear(model)
         K = assemble_plain_matrix(part.work(model, ufl.TrialFunction(model.V), v)) if linear else None
-        energy = whole_structure_form(part.energy(u, model), model) if part.energy and not linear else None
-        super().__init__(part.key, u, K, None if linear else part.work(model, u, v), energy, kept=True)
+        energy = checked_user_form(part.energy(u, model), model) if part.energy and not linear else None
+        super().__init__(part.key, u, K, None if linear else part.work(model, u, v), energy, is_stored=True)
         if K is not None and model.comm.allreduce(float(K.getDiagonal().array_r.min(initial=0.0)), min) < 0:
             raise InputError(f"the part {part.key!r} has a negative stiffness: its equilibria may be unstable")
-        self._has_energy = K is None or K.isSymmetric(ASYMMETRY_TOLERANCE * K.norm())
+        self._has_energy = K is None or K.isSymmetric(SYMMETRY_TOLERANCE * K.norm())
         self.traits = PartTraits(saddle=True, weakens=not (self._has_energy and linear), nonlinear=not linear)
 
     def commit(self) -> StepOutcome:
         outcome, nan = super().commit(), float("nan")
-        return outcome if self._has_energy else replace(outcome, before=nan, after=nan, remainder=nan)
+        return outcome if self._has_energy else replace(outcome, old_energy=nan, new_energy=nan, remainder=nan)
 
 
 @without_cycles()
-def has_arity(form: ufl.Form) -> bool:
+def multilinear(form: ufl.Form) -> bool:
     """Tell whether the UFL `form` is linear in each of its arguments (test and trial functions).
 
     Each summand must contain all of these arguments.

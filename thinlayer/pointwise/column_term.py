@@ -11,7 +11,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.base import Array
-from forms.law_tangents import needs_director, tangent_at_rest
+from forms.law_tangents import depends_on_normal, tangent_at_rest
 from forms.work import Term
 from geometry.topology import is_tensor
 from thinlayer.pointwise.compiled_term import INDEPENDENCE_TOLERANCE, CompiledTerm, Projection, Response
@@ -34,45 +34,45 @@ class ColumnTerm(CompiledTerm):
 
     def __init__(self, V: fem.FunctionSpace, term: Term, origin: MeshOrigin | None = None) -> None:
         super().__init__(V, term, origin)
-        self._B_of_means, B_deviations = self._mean.matrix(self.B), self.B.copy()
+        self._B_of_means, B_deviations = self._column_mean.projected_matrix(self.B), self.B.copy()
         B_deviations.axpy(-1.0, self._B_of_means)
-        self.constant = (self._product(self._elastic[:, self.slots], B_deviations),)
+        self.constant_matrices = (self._tangent_matrix(self._C_start[:, self.mandel], B_deviations),)
         destroy(B_deviations)
 
     @cached_property
-    def _mean(self) -> Projection:
+    def _column_mean(self) -> Projection:
         """Projection that replaces strains at quadrature points by their means through the layer's thickness.
 
         Along S the means vary as polynomials in each column of cells. In quadrilaterals and hexahedra the polynomials
         have the quadrature degree, so that they represent any values at the points' positions along S. In other cells
         they have the degree of the displacements.
         """
-        tensor = is_tensor(self.region.mesh.topology.cell_name())
-        max_degree = self.degree if tensor else self._V.ufl_element().basix_element.degree
-        powers = [p for p in product(range(max_degree + 1), repeat=self.dim - 1) if sum(p) <= max_degree]
-        column, places = self.columns.column_of[self.cells[:, 0]], self.joint_x.T
-        count, bases = np.bincount(column), []
-        for k in np.unique(count[column]):  # columns at junctions of layers have other numbers of cells
-            rows = np.flatnonzero(count[column] == k)
+        is_tensor_cell = is_tensor(self.region.mesh.topology.cell_name())
+        max_degree = self.degree if is_tensor_cell else self._V.ufl_element().basix_element.degree
+        exponents = [p for p in product(range(max_degree + 1), repeat=self.dim - 1) if sum(p) <= max_degree]
+        column, positions = self.columns.column_of[self.cells[:, 0]], self.joint_x.T
+        n_cells, bases = np.bincount(column), []
+        for k in np.unique(n_cells[column]):  # columns at junctions of layers have other numbers of cells
+            rows = np.flatnonzero(n_cells[column] == k)
             groups = self.cells[rows[np.argsort(column[rows], kind="stable")]].reshape(-1, k * self.cells.shape[1])
-            x = places[groups]
+            x = positions[groups]
             U, sigma, _ = np.linalg.svd(x - x.mean(axis=1, keepdims=True), full_matrices=False)
             U *= np.sqrt(x.shape[1]) * (sigma > INDEPENDENCE_TOLERANCE * np.abs(x).max(axis=(1, 2))[:, None])[:, None]
-            bases.append((groups, np.stack([np.prod(U[..., : self.dim - 1] ** p, axis=2) for p in powers], axis=2)))
+            bases.append((groups, np.stack([np.prod(U[..., : self.dim - 1] ** p, axis=2) for p in exponents], axis=2)))
         return Projection(self, bases, np.eye(6))
 
     @cached_property
-    def _elastic(self) -> Array:
+    def _C_start(self) -> Array:
         """Tangents (points, 6, m) of the law before loading: the 6 Mandel components of stress by the m of strain.
 
         If the parameters do not depend on the place, points with the same normal of the layer share one computation.
         """
         law = self.term.law
         laws = list(law.at_places(self.joint_x)) if law.fields else repeat(law)
-        n = self.n if law.fields or needs_director(law) else self.n[:1]
+        n = self.n if law.fields or depends_on_normal(law) else self.n[:1]
         n, positions = (n, np.arange(len(n))) if law.fields else np.unique(n.round(12), axis=0, return_inverse=True)
         C = np.array([tangent_at_rest(law, v[: self.dim]) for law, v in zip(laws, n, strict=False)]).reshape(-1, 6, 6)
-        return np.broadcast_to(C[positions.ravel()][..., self.slots], (self.count, 6, len(self.slots)))
+        return np.broadcast_to(C[positions.ravel()][..., self.mandel], (self.count, 6, len(self.mandel)))
 
     def respond(self, e: Array, e_old: Array, memory: Array, dt: float, theta: float) -> Response:
         """Return the law's response to mean strains over columns, plus the elastic response to deviations from them.
@@ -85,21 +85,21 @@ class ColumnTerm(CompiledTerm):
             dt: length of the step.
             theta: fraction of the step after which forces balance.
         """
-        mean, old = self._mean(e), self._mean(e_old)
+        mean, old = self._column_mean(e), self._column_mean(e_old)
         response, deviation = super().respond(mean, old, memory, dt, theta), e - mean
-        elastic = np.einsum("pij,pj->pi", self._elastic, deviation)
-        stress = self._mean(response.whole - elastic) + elastic
+        elastic_stress = np.einsum("pij,pj->pi", self._C_start, deviation)
+        stress = self._column_mean(response.full_stress - elastic_stress) + elastic_stress
         energies = response.energies + np.array([self._energy(deviation), 0.0, self._energy(deviation - e_old + old)])
-        return replace(response, whole=stress, stress=stress[:, self.slots], energies=energies)
+        return replace(response, full_stress=stress, stress=stress[:, self.mandel], energies=energies)
 
     def _energy(self, deviation: Array) -> float:
         """Return the elastic energy, over this rank's points, of `deviation` (points, m).
 
         These are the strains minus their means over columns, as m Mandel components.
         """
-        return float(np.einsum("p,pi,pij,pj->", self.weights, deviation, self._elastic[:, self.slots], deviation) / 2)
+        return float(np.einsum("p,pi,pij,pj->", self.weights, deviation, self._C_start[:, self.mandel], deviation) / 2)
 
-    def stored(self, e: Array, memory: Array, dt: float) -> float:
+    def stored_energy(self, e: Array, memory: Array, dt: float) -> float:
         """Return the stored energy on this rank: that of the mean strains plus that of the deviations from them.
 
         Means are over columns, the cells above each other through the layer's thickness.
@@ -109,22 +109,22 @@ class ColumnTerm(CompiledTerm):
             memory: (points, values) internal variables at the end of a step.
             dt: length of the step.
         """
-        mean = self._mean(e)
-        return super().stored(mean, memory, dt) + self._energy(e - mean)
+        mean = self._column_mean(e)
+        return super().stored_energy(mean, memory, dt) + self._energy(e - mean)
 
     def stiffness(self, tangent: Array, relative_residual: float = 0.0, into: PETSc.Mat | None = None) -> PETSc.Mat:
         """Return the tangent matrix of the law at the mean strains over columns.
 
-        The elastic matrix of the deviations from the means does not change; it is the attribute `constant`.
+        The elastic matrix of the deviations from the means does not change; it is the attribute `constant_matrices`.
 
         Args:
             tangent: (points, m, m) tangents of the law, for m Mandel components.
             relative_residual: norm of the last residual over the reference force.
             into: an earlier result, which is overwritten and whose nonzero pattern is used again; None: a new matrix.
         """
-        return self._product(self._regularised(tangent, relative_residual), self._B_of_means, into)
+        return self._tangent_matrix(self._regularised(tangent, relative_residual), self._B_of_means, into)
 
     def destroy(self) -> None:
         """Free the PETSc matrices and vectors."""
         super().destroy()
-        destroy(self._B_of_means, *self.constant)
+        destroy(self._B_of_means, *self.constant_matrices)

@@ -21,30 +21,30 @@ class Columns:
     collective.
 
     Attributes:
-        count: number of columns on all ranks.
+        n_columns: number of columns on all ranks.
         column_of: (points,) number of the column of each point of this rank.
     """
 
-    def __init__(self, comm: MPI.Intracomm, of: IntArray, count: int, weights: Array) -> None:
-        self.comm, self.column_of, self.count, self._weights = comm, of, count, weights
-        self._total = self.sum_of(weights)
+    def __init__(self, comm: MPI.Intracomm, column_of: IntArray, n_columns: int, weights: Array) -> None:
+        self.comm, self.column_of, self.n_columns, self._weights = comm, column_of, n_columns, weights
+        self._column_weights = self.column_sums(weights)
 
-    def sum_of(self, values: Array) -> Array:
+    def column_sums(self, values: Array) -> Array:
         """Return the sum of `values` (points,) over the points of each column, as an array (count,).
 
         The result is the same on all ranks.
         """
         # np.bincount gives integers if there are no points
-        sums: Array = np.bincount(self.column_of, values, self.count).astype(float)
+        sums: Array = np.bincount(self.column_of, values, self.n_columns).astype(float)
         self.comm.Allreduce(MPI.IN_PLACE, sums)
         return sums
 
-    def mean(self, values: Array) -> Array:
+    def column_means(self, values: Array) -> Array:
         """Return the mean of `values` (points,) over the points of each column, as an array (count,).
 
         Points have the weights of the quadrature rule. The result is the same on all ranks.
         """
-        return self.sum_of(self._weights * values) / self._total
+        return self.column_sums(self._weights * values) / self._column_weights
 
 
 @runtime_checkable
@@ -83,16 +83,16 @@ class Switching:
         if not isinstance(law, SwitchingLaw):
             raise InputError(f"{type(law).__name__} switches phases; write its methods excess and switched too")
         self.law, self.columns, names = law, columns, list(law.internal)
-        self._variable_columns = [names.index(name) for name in law.switching_variables]
+        self._variable_positions = [names.index(name) for name in law.switching_variables]
 
     def _column_values(self, memory: Array) -> list[Array]:
-        values = [memory[:, slot] for slot in self._variable_columns]
+        values = [memory[:, position] for position in self._variable_positions]
         if not self.columns:
             return values
-        phase, drive, bound = map(self.columns.mean, values)
+        phase, drive, bound = map(self.columns.column_means, values)
         return [np.rint(phase), drive, bound]  # a mean of equal numbers has rounding errors
 
-    def excess(self, memory: Array) -> float:
+    def phase_gain(self, memory: Array) -> float:
         """Return the largest energy that a column would lose by a change of phase, as a number without unit.
 
         The energy is divided by that of the transformation, a parameter of the law. If the number is positive, a column
@@ -117,6 +117,6 @@ class Switching:
         phases = np.where(self.law.excess(*values) > EXCESS_TOLERANCE, self.law.switched(*values), values[0])
         if (phases == values[0]).all():
             return None
-        new = old.copy()
-        new[:, self._variable_columns[0]] = phases[self.columns.column_of] if self.columns else phases
-        return new
+        new_memory = old.copy()
+        new_memory[:, self._variable_positions[0]] = phases[self.columns.column_of] if self.columns else phases
+        return new_memory

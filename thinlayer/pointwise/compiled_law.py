@@ -14,11 +14,11 @@ from forms.law import BulkLaw
 from forms.law_tangents import law_identity
 from forms.parameter_fields import parameter_numbers
 from thinlayer.pointwise.kernels import compile_kernels
-from thinlayer.system.compilation import library, pointers
+from thinlayer.system.compilation import c_pointers, compile_library
 
 Slots = Sequence[int]  # Mandel components
-TRIAL_STRAINS = tuple(10.0**k for k in range(-15, 7))  # sizes of trial strains, or of trial jumps in any unit
-TRIAL_STEPS = (1.0, 0.0, 1e12, 1e30)  # lengths of trial steps in any unit of time
+TRIAL_STRAIN_SIZES = tuple(10.0**k for k in range(-15, 7))  # sizes of trial strains, or of trial jumps in any unit
+TRIAL_STEP_LENGTHS = (1.0, 0.0, 1e12, 1e30)  # lengths of trial steps in any unit of time
 C_SOURCE = Path(__file__).with_name("response.c")
 
 
@@ -26,7 +26,7 @@ class CompiledLaw:
     """Law that is compiled to a C function, evaluated at all quadrature points of this rank. Collective.
 
     Attributes:
-        memory: number of internal values at a point. Besides internal variables these are, if needed, strains at the
+        memory_size: number of internal values at a point. Besides internal variables these are, if needed, strains at the
             point: 3 out of the plane for each sublayer in plane stress, and 3 across each sublayer of a stack.
         parameters: (n,) parameters of the first sublayer, then of the next ones; (points, n) if they vary in place or
             time.
@@ -34,27 +34,27 @@ class CompiledLaw:
 
     def __init__(self, comm: MPI.Intracomm, law: BulkLaw) -> None:
         self.law, self._current_law, self._kernels = law, law, compile_kernels(comm, law)
-        self._library = library(C_SOURCE, comm)
-        self._counts = np.array([len(k.parameters) for k in self._kernels], np.int32)
+        self._library = compile_library(C_SOURCE, comm)
+        self._n_params = np.array([len(k.parameters) for k in self._kernels], np.int32)
         addresses, fractions = (np.array([getattr(k, name) for k in self._kernels]) for name in ("address", "fraction"))
         memory, plane = (np.array([getattr(k, name) for k in self._kernels], np.int32) for name in ("memory", "plane"))
-        self._sublayers: list[np.ndarray] = [addresses.astype(np.intp), memory, plane, self._counts, fractions]
+        self._sublayers: list[np.ndarray] = [addresses.astype(np.intp), memory, plane, self._n_params, fractions]
         self.parameters = np.concatenate([k.parameters for k in self._kernels])
-        n_sublayers = len(self._kernels)
-        self.memory = sum(k.memory + 3 * k.plane for k in self._kernels) + (3 * n_sublayers if n_sublayers > 1 else 0)
+        n_plies = len(self._kernels)
+        self.memory_size = sum(k.memory + 3 * k.plane for k in self._kernels) + (3 * n_plies if n_plies > 1 else 0)
         for _, sublayer in law.sublayers:
-            _check_kernel(comm, sublayer.in_space)
+            _check_relaxes(comm, sublayer.law_3d)
 
     def set_law(self, law: BulkLaw) -> None:
         """Set the parameters to those of `law`, which must have the same compiled code.
 
-        Parameters that vary in place or time are set only by the next call of `set_law_at`.
+        Parameters that vary in place or time are set only by the next call of `set_parameters_at`.
 
         Raises:
             InputError: `law` or one of its sublayers has another class or other options that change the compiled code.
                 Or its parameters have another shape.
         """
-        if _identities(law) != _identities(self.law) or [len(p) for p in _parameters(law)] != self._counts.tolist():
+        if _identities(law) != _identities(self.law) or [len(p) for p in _parameters(law)] != self._n_params.tolist():
             raise InputError(f"{law!r} is not of the kind that is compiled, {self.law!r}")
         self._current_law = law
         if not law.traits.varies:
@@ -62,15 +62,15 @@ class CompiledLaw:
 
     @property
     def varies(self) -> bool:
-        """Whether parameters vary in place or time, so that `set_law_at` must set them."""
+        """Whether parameters vary in place or time, so that `set_parameters_at` must set them."""
         return self.law.traits.varies
 
     @property
     def sublayer_parameters(self) -> list[Array]:
         """List with the parameters of each sublayer: (n,) or, if they vary in place or time, (points, n)."""
-        return np.split(self.parameters, np.cumsum(self._counts)[:-1], axis=-1)
+        return np.split(self.parameters, np.cumsum(self._n_params)[:-1], axis=-1)
 
-    def set_law_at(self, x: Array, t: float) -> None:
+    def set_parameters_at(self, x: Array, t: float) -> None:
         """Set those parameters that vary in place or time to their values at points and a time.
 
         Args:
@@ -80,16 +80,16 @@ class CompiledLaw:
         Raises:
             InputError: a parameter is out of range at one of the points, or has the wrong shape.
         """
-        columns = []
+        parameter_columns = []
         for _, law in self._current_law.sublayers:
             varying = law.fields_at(x) if law.fields else _varying_parameters(law, x, t) if law.traits.varies else {}
             for name, value in law.parameters().items():
-                fixed = np.broadcast_to(np.ravel(parameter_numbers(value)), (x.shape[1], np.size(value)))
-                columns.append(varying[name][:, None] if name in varying else fixed)
-        self.parameters = np.ascontiguousarray(np.hstack(columns))
+                constant_values = np.broadcast_to(np.ravel(parameter_numbers(value)), (x.shape[1], np.size(value)))
+                parameter_columns.append(varying[name][:, None] if name in varying else constant_values)
+        self.parameters = np.ascontiguousarray(np.hstack(parameter_columns))
 
     def update(
-        self, slots: Slots, e: Array, e_old: Array, q: Array, n: Array, dt: float, theta: float, *, fixed: bool = False
+        self, slots: Slots, e: Array, e_old: Array, q: Array, n: Array, dt: float, theta: float, *, frozen: bool = False
     ) -> tuple[Array, Array, Array, Array, int]:
         """Evaluate the law over a step at all points of this rank.
 
@@ -99,7 +99,7 @@ class CompiledLaw:
             q: (points, memory) internal values at the beginning of the step.
             n: (points, 3) unit normal of the layer (director).
             dt, theta: length of the step, and fraction of it after which forces balance.
-            fixed: True: all strains, also those in sublayers, stay as at the beginning of the step. Only the energies
+            frozen: True: all strains, also those in sublayers, stay as at the beginning of the step. Only the energies
                 in the result are valid then.
 
         Returns:
@@ -112,25 +112,25 @@ class CompiledLaw:
               balance;
             - the number of points where the law failed.
         """
-        components = np.array(list(slots), np.int32)
-        points, m, varying = len(e), len(components), self.parameters.ndim == 2
-        s, C, energies = np.empty((points, 6)), np.empty((points, m, m)), np.empty((points, 3))
-        q_new = np.empty((points, self.memory))
+        slot_array = np.array(list(slots), np.int32)
+        n_points, m, parameters_vary = len(e), len(slot_array), self.parameters.ndim == 2
+        s, C, energies = np.empty((n_points, 6)), np.empty((n_points, m, m)), np.empty((n_points, 3))
+        q_new = np.empty((n_points, self.memory_size))
         c = self._library
-        failed = c.lib.run(
-            len(self._kernels), *pointers(c, *self._sublayers, self.parameters.ravel()), varying,
-            m, *pointers(c, components), points, self.memory, *pointers(c, e, e_old, q, n), dt, theta, fixed,
-            *pointers(c, s, C, q_new, energies),
+        n_failed = c.lib.run(
+            len(self._kernels), *c_pointers(c, *self._sublayers, self.parameters.ravel()), parameters_vary,
+            m, *c_pointers(c, slot_array), n_points, self.memory_size, *c_pointers(c, e, e_old, q, n), dt, theta, frozen,
+            *c_pointers(c, s, C, q_new, energies),
         )  # fmt: skip
-        if failed < 0:
+        if n_failed < 0:
             raise MemoryError("points")
-        return s, C, q_new, energies, int(failed)
+        return s, C, q_new, energies, int(n_failed)
 
 
 _CHECKED_KERNELS: set[tuple[type[BulkLaw], bytes]] = set()  # classes and parameters of the laws already checked
 
 
-def _check_kernel(comm: MPI.Intracomm, law: BulkLaw) -> None:
+def _check_relaxes(comm: MPI.Intracomm, law: BulkLaw) -> None:
     """Raise InputError if a user's `KernelLaw` declares wrongly whether it depends on the step length dt.
 
     The declaration is `relaxes`: True if the law depends on dt. The test calls the compiled function for strains, or
@@ -145,9 +145,9 @@ def _check_kernel(comm: MPI.Intracomm, law: BulkLaw) -> None:
         return
     _CHECKED_KERNELS.add(key)  # before the test, whose `CompiledLaw` calls this function again
     material, name = CompiledLaw(comm, law), type(law).__name__
-    e = np.array(TRIAL_STRAINS)[:, None] * np.cos(np.arange(6.0 * len(TRIAL_STRAINS))).reshape(-1, 6)
+    e = np.array(TRIAL_STRAIN_SIZES)[:, None] * np.cos(np.arange(6.0 * len(TRIAL_STRAIN_SIZES))).reshape(-1, 6)
     q, n = np.zeros((len(e), law.memory)), np.tile([0.6, 0.8, 0.0], (len(e), 1))
-    reference, *others = (material.update(range(6), e, 0 * e, q, n, dt, 1.0) for dt in TRIAL_STEPS)
+    reference, *others = (material.update(range(6), e, 0 * e, q, n, dt, 1.0) for dt in TRIAL_STEP_LENGTHS)
     if law.relaxes == all(np.array_equal(other[k], reference[k], equal_nan=True) for other in others for k in (0, 2)):
         _CHECKED_KERNELS.discard(key)
         verb = "does not depend" if law.relaxes else "depends"

@@ -17,7 +17,7 @@ from forms.tensors import MANDEL_BASIS, MANDEL_PAIRS, Expr, mandel_vector
 from forms.work import Term
 from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.compiled_law import CompiledLaw
-from thinlayer.pointwise.quadrature import TRACE_SLOTS, MeshOrigin, Quadrature, add_distributed, assemble_matrix
+from thinlayer.pointwise.quadrature import TRACE_SLOTS, MeshOrigin, Quadrature, add_integral_to_nodes, assemble_matrix
 from thinlayer.system.ranks import destroy, errors_on_all
 
 # size of a tangent below which underflow may have lost digits
@@ -26,7 +26,10 @@ UNDERFLOW_LIMIT = np.finfo(float).tiny / np.finfo(float).eps ** 2
 SOFTENING_TOLERANCE = 1e-3
 REST_STEP_FRACTION = np.finfo(float).eps  # fraction of a step that is too short for any change of internal variables
 INDEPENDENCE_TOLERANCE = 1e-8  # least singular value, over the largest, of linearly independent functions
-MIN_REST_SHARE, MAX_REST_SHARE = 1e-6, 1e-3  # bounds of the share of the tangent at rest added to a singular one
+MIN_REGULARISATION, MAX_REGULARISATION = (
+    1e-6,
+    1e-3,
+)  # bounds of the share of the tangent at rest added to a singular one
 
 
 @dataclass(frozen=True)
@@ -34,21 +37,21 @@ class Response:
     """Stress, tangent, internal variables and energies of a law at this rank's points, after a step.
 
     Attributes:
-        whole: (points, 6) stress at old.t + theta dt, where forces balance; all Mandel components.
-        stress: (points, m) those m components of `whole` for which strains are computed.
+        full_stress: (points, 6) stress at old.t + theta dt, where forces balance; all Mandel components.
+        stress: (points, m) those m components of `full_stress` for which strains are computed.
         tangent: (points, m, m) derivative of `stress` by the strains at the end of the step.
         memory: (points, values) internal variables at the end of the step.
         energies: (3,) stored energy at the end, energy dissipated in the step, and remainder of the energy balance
             (error of the time scheme). They are integrated over this rank's points; NaN if the law declares no energy.
-        failed: number of points of this rank where the law failed.
+        n_failed: number of points of this rank where the law failed.
     """
 
-    whole: Array
+    full_stress: Array
     stress: Array
     tangent: Array
     memory: Array
     energies: Array
-    failed: int
+    n_failed: int
 
     @property
     def skew(self) -> float:
@@ -72,43 +75,43 @@ class CompiledTerm(Quadrature):
             joint.
 
     Attributes:
-        B: matrix from displacements to strains. Each point has m rows, one for each of the m Mandel components `slots`.
+        B: matrix from displacements to strains. Each point has m rows, one for each of the m Mandel components `mandel`.
         material: the compiled law.
         switching: phases of a law that are fixed in a solve and switch after it; None for other laws.
-        constant: matrices of the tangent that do not change; the result of `stiffness` does not contain them.
+        constant_matrices: matrices of the tangent that do not change; the result of `stiffness` does not contain them.
     """
 
-    constant: tuple[PETSc.Mat, ...] = ()
+    constant_matrices: tuple[PETSc.Mat, ...] = ()
 
     def __init__(self, V: fem.FunctionSpace, term: Term, origin: MeshOrigin | None = None) -> None:
         super().__init__(V, term, origin)
         self._V = V
         # assembled once, as strains are linear in the displacements
-        self.B = B = assemble_matrix(self.form_of(self.term.strain(ufl.TrialFunction(V))))
-        B.diagonalScale(L=self._vector(np.repeat(1 / self._integrals, len(self.slots))))
-        self._volume = None if term.volume is None else MeanVolume(self, term.volume)
-        if self._volume:
-            self.B = self._volume.matrix(B)
+        self.B = B = assemble_matrix(self.strain_form(self.term.strain(ufl.TrialFunction(V))))
+        B.diagonalScale(L=self._vector(np.repeat(1 / self._measure_weights, len(self.mandel))))
+        self._volume_projection = None if term.trace_degree is None else MeanVolume(self, term.trace_degree)
+        if self._volume_projection:
+            self.B = self._volume_projection.projected_matrix(B)
             destroy(B)
-        self._zero_slots = [k for k in range(len(MANDEL_PAIRS)) if k not in term.kinematics.stress_slots(self.dim)]
+        self._zero_slots = [k for k in range(len(MANDEL_PAIRS)) if k not in term.kinematics.stress_indices(self.dim)]
         self._strain, self._forces = self.B.createVecLeft(), self.B.createVecRight()
         self.material = CompiledLaw(self.comm, term.law)
         self.switching = Switching(term.law, self.columns) if term.law.traits.switches else None
         self._C_rest = self.tangent_at_rest() if term.law.traits.singular else None
 
-    def form_of(self, strain: Expr) -> fem.Form:
-        """Compile a form from which `values_of` computes the values of `strain`, (3, 3) in UFL, at the points."""
-        q = self.region.side(ufl.TestFunction(self._space((len(self.slots),))))
-        return self.region.compiled(ufl.inner(mandel_vector(strain, self.slots), q) * self.measure)
+    def strain_form(self, strain: Expr) -> fem.Form:
+        """Compile a form from which `strain_values` computes the values of `strain`, (3, 3) in UFL, at the points."""
+        q = self.region.plus_side(ufl.TestFunction(self._space((len(self.mandel),))))
+        return self.region.compiled(ufl.inner(mandel_vector(strain, self.mandel), q) * self.measure)
 
-    def values_of(self, form: fem.Form) -> Array:
-        """Return the values (points, m) of a strain at the points, from a `form` that `form_of` made of it.
+    def strain_values(self, form: fem.Form) -> Array:
+        """Return the values (points, m) of a strain at the points, from a `form` that `strain_form` made of it.
 
-        They are the m Mandel components `slots`, at the present values of the form's constants. If the law uses B-bar,
+        They are the m Mandel components `mandel`, at the present values of the form's constants. If the law uses B-bar,
         the traces are projected in each cell.
         """
-        values = np.asarray(fem.assemble_vector(form).array).reshape(-1, len(self.slots))[: self.count]
-        return self.projected(values / self._integrals[:, None])
+        values = np.asarray(fem.assemble_vector(form).array).reshape(-1, len(self.mandel))[: self.count]
+        return self.projected(values / self._measure_weights[:, None])
 
     def projected(self, values: Array) -> Array:
         """Return `values` with traces projected in each cell if the law uses B-bar, else unchanged.
@@ -116,7 +119,7 @@ class CompiledTerm(Quadrature):
         `values` are strains (points, m) or stresses (points, 6). The projection is symmetric: projected stresses do the
         same work in strains as stresses in projected strains.
         """
-        return self._volume(values) if self._volume else values
+        return self._volume_projection(values) if self._volume_projection else values
 
     def _vector(self, values: Array) -> PETSc.Vec:
         """Return a PETSc vector with the numbers `values` of this rank, one for each row of B."""
@@ -125,12 +128,12 @@ class CompiledTerm(Quadrature):
         return out
 
     def strain(self, u: PETSc.Vec) -> Array:
-        """Return the strains (points, m) of displacements `u`, as the m Mandel components `slots`. Collective.
+        """Return the strains (points, m) of displacements `u`, as the m Mandel components `mandel`. Collective.
 
         Prescribed strains are not included.
         """
         self.B.mult(u, self._strain)
-        return self._strain.array_r.reshape(self.count, len(self.slots)).copy()
+        return self._strain.array_r.reshape(self.count, len(self.mandel)).copy()
 
     def respond(self, e: Array, e_old: Array, memory: Array, dt: float, theta: float) -> Response:
         """Return the response of the law at this rank's points over a step.
@@ -141,12 +144,12 @@ class CompiledTerm(Quadrature):
             dt: length of the step.
             theta: fraction of the step after which forces balance.
         """
-        s, C, new, energies, failed = self.material.update(self.slots, e, e_old, memory, self.n, dt, theta)
+        s, C, new, energies, n_failed = self.material.update(self.mandel, e, e_old, memory, self.n, dt, theta)
         s[:, self._zero_slots] = 0.0
-        total = self.weights @ energies if self.term.law.traits.has_energy else np.full(3, np.nan)
-        return Response(s, s[:, self.slots], C, new, total, failed)
+        energy_sums = self.weights @ energies if self.term.law.traits.has_energy else np.full(3, np.nan)
+        return Response(s, s[:, self.mandel], C, new, energy_sums, n_failed)
 
-    def stored(self, e: Array, memory: Array, dt: float) -> float:
+    def stored_energy(self, e: Array, memory: Array, dt: float) -> float:
         """Return the stored energy, integrated over this rank's points; NaN if the law declares no energy.
 
         Args:
@@ -154,7 +157,7 @@ class CompiledTerm(Quadrature):
             memory: (points, values) internal variables at the end of a step.
             dt: length of the step.
         """
-        energies = self.material.update(self.slots, e, e, memory, self.n, REST_STEP_FRACTION * dt, 1.0, fixed=True)[3]
+        energies = self.material.update(self.mandel, e, e, memory, self.n, REST_STEP_FRACTION * dt, 1.0, frozen=True)[3]
         return float(self.weights @ energies[:, 0]) if self.term.law.traits.has_energy else np.nan
 
     def failure(self, response: Response) -> str:
@@ -162,16 +165,16 @@ class CompiledTerm(Quadrature):
 
         `response` is the response of the law in which the failures are looked for.
         """
-        if not (failed := np.isnan(response.whole[:, 0])).any():
+        if not (failed := np.isnan(response.full_stress[:, 0])).any():
             return ""
         k, law = int(failed.argmax()), self.term.law
         text = "stress" if np.isfinite(response.tangent[k]).all() else "tangent (the slope of the stress)"
-        plane = any(sublayer.in_space is not sublayer for _, sublayer in law.sublayers)
-        why = ", or no strain out of the plane makes the stresses there zero" if plane else ""
+        plane_stress = any(sublayer.law_3d is not sublayer for _, sublayer in law.sublayers)
+        why = ", or no strain out of the plane makes the stresses there zero" if plane_stress else ""
         place = ", ".join(f"{c:g}" for c in self.x[k])
-        return f"the {text} of {type(law.in_space).__name__} is not finite at x = ({place}){why}"
+        return f"the {text} of {type(law.law_3d).__name__} is not finite at x = ({place}){why}"
 
-    def softening_points(self, e: Array, e_old: Array, memory: Array, response: Response) -> int:
+    def count_softening_points(self, e: Array, e_old: Array, memory: Array, response: Response) -> int:
         """Return the number of this rank's points where stresses fall, in a step, as the layer opens or slips.
 
         Stresses fall where the tangent is negative for the strain sym(v (x) n) of some jump v. For a law with constant
@@ -184,24 +187,24 @@ class CompiledTerm(Quadrature):
             response: response of the law in this step.
         """
         law = self.term.law
-        N = np.einsum("kij,pj->pik", MANDEL_BASIS[self.slots], self.n)[:, : self.dim]  # strains of unit jumps
+        N = np.einsum("kij,pj->pik", MANDEL_BASIS[self.mandel], self.n)[:, : self.dim]  # strains of unit jumps
         A = N @ response.tangent @ N.swapaxes(1, 2)
         size = np.abs(A).max(axis=(1, 2), initial=0.0)
         valid = np.isfinite(size) & (size > UNDERFLOW_LIMIT)
         falls = np.zeros(self.count, bool)
         falls[valid] = np.linalg.eigvalsh((A + A.swapaxes(1, 2))[valid] / 2)[:, 0] < -SOFTENING_TOLERANCE * size[valid]
         if not (law.internal or law.traits.varies):
-            change = e - e_old
+            strain_change = e - e_old
             stress_change = response.stress - self.respond(e_old, e_old, memory, 0.0, 1.0).stress
-            sizes = np.linalg.norm(change, axis=1) * np.linalg.norm(stress_change, axis=1)
-            falls |= np.sum(change * stress_change, axis=1) < -SOFTENING_TOLERANCE * sizes
+            work_scale = np.linalg.norm(strain_change, axis=1) * np.linalg.norm(stress_change, axis=1)
+            falls |= np.sum(strain_change * stress_change, axis=1) < -SOFTENING_TOLERANCE * work_scale
         return int(np.count_nonzero(falls))
 
     def set_homotopy(self, parameter: float) -> None:
         """Choose a law for homotopy continuation: `parameter` 0 selects the law itself, 1 an elastic law."""
         self.material.set_law(self.term.law.homotopy(parameter) if parameter else self.term.law)
 
-    def at_time(self, t: float) -> None:
+    def set_time(self, t: float) -> None:
         """Set the law's parameters to their values at time `t`. Collective.
 
         Raises:
@@ -210,7 +213,7 @@ class CompiledTerm(Quadrature):
         if self.material.varies:
             places = self.joint_x  # collective
             with errors_on_all(self.comm):
-                self.material.set_law_at(places, t)
+                self.material.set_parameters_at(places, t)
 
     def tangent_at_rest(self) -> Array:
         """Return the tangents (points, m, m) before loading, for m Mandel components, with parameters of time 0.
@@ -218,8 +221,8 @@ class CompiledTerm(Quadrature):
         For laws that depend on strain rates, the rates are zero. If parameters vary, they keep their values of time 0,
         and the method is collective.
         """
-        zero = np.zeros((self.count, len(self.slots)))
-        self.at_time(0.0)
+        zero = np.zeros((self.count, len(self.mandel)))
+        self.set_time(0.0)
         return self.respond(zero, zero, self.rest(), LONG_TIME_STEP if self.term.law.traits.rate else 0.0, 1.0).tangent
 
     def _regularised(self, tangent: Array, relative_residual: float) -> Array:
@@ -230,16 +233,16 @@ class CompiledTerm(Quadrature):
         """
         if self._C_rest is None:
             return tangent
-        rest_share = min(max(relative_residual, MIN_REST_SHARE), MAX_REST_SHARE)
+        factor = min(max(relative_residual, MIN_REGULARISATION), MAX_REGULARISATION)
         difference, size = (np.abs(a).max(axis=(1, 2), initial=0.0) for a in (tangent - self._C_rest, self._C_rest))
-        return tangent + rest_share * self._C_rest * (difference > 1e-9 * size)[:, None, None]
+        return tangent + factor * self._C_rest * (difference > 1e-9 * size)[:, None, None]
 
     def rest(self) -> Array:
         """Return the internal variables (points, values) before the first step: zeros."""
-        return np.zeros((self.count, self.material.memory))
+        return np.zeros((self.count, self.material.memory_size))
 
     def forces(self, stress: Array) -> PETSc.Vec:
-        """Return the nodal forces int stress : e(v) of stresses (points, m), m Mandel components `slots`. Collective.
+        """Return the nodal forces int stress : e(v) of stresses (points, m), m Mandel components `mandel`. Collective.
 
         The next call overwrites the vector.
         """
@@ -248,13 +251,13 @@ class CompiledTerm(Quadrature):
         weighted.destroy()
         return self._forces
 
-    def spread(self, density: Array, out: PETSc.Vec) -> None:
+    def add_to_nodes(self, density: Array, out: PETSc.Vec) -> None:
         """Add the integral of `density` (points,), given at the points, to the nodes of the vector `out`. Collective.
 
         Shape functions distribute the integral. Each node gets its contribution in its first component.
         """
-        weighted = self.region.side(self.region_function(density)) * self.term.weight
-        add_distributed(weighted, self._V, self.measure, out, self.region.maps)
+        weighted = self.region.plus_side(self.region_function(density)) * self.term.weight
+        add_integral_to_nodes(weighted, self._V, self.measure, out, self.region.entity_maps)
 
     def stiffness(self, tangent: Array, relative_residual: float = 0.0, into: PETSc.Mat | None = None) -> PETSc.Mat:
         """Return the tangent matrix int e(v) : tangent : e(du) for Newton's method. Collective.
@@ -268,9 +271,9 @@ class CompiledTerm(Quadrature):
             relative_residual: norm of the last residual over the reference force.
             into: an earlier result, which is overwritten and whose nonzero pattern is used again; None: a new matrix.
         """
-        return self._product(self._regularised(tangent, relative_residual), self.B, into)
+        return self._tangent_matrix(self._regularised(tangent, relative_residual), self.B, into)
 
-    def _product(self, tangent: Array, B: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
+    def _tangent_matrix(self, tangent: Array, B: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
         """Return the matrix of int e(v) : tangent : e(du) for strains e(u) that are `B` times u. Collective.
 
         Args:
@@ -278,11 +281,11 @@ class CompiledTerm(Quadrature):
             B: matrix from displacements to strains at the points, m rows for each point.
             into: an earlier result, which is overwritten; None: a new matrix.
         """
-        m, rows = len(self.slots), self.count * len(self.slots)
+        m, n_rows = len(self.mandel), self.count * len(self.mandel)
         row_start = B.getOwnershipRange()[0]
-        indptr = np.arange(0, rows * m + 1, m, dtype=PETSc.IntType)
-        blocks = np.arange(rows, dtype=PETSc.IntType).reshape(self.count, 1, m)
-        indices = (row_start + np.broadcast_to(blocks, (self.count, m, m))).astype(PETSc.IntType).ravel()
+        indptr = np.arange(0, n_rows * m + 1, m, dtype=PETSc.IntType)
+        column_blocks = np.arange(n_rows, dtype=PETSc.IntType).reshape(self.count, 1, m)
+        indices = (row_start + np.broadcast_to(column_blocks, (self.count, m, m))).astype(PETSc.IntType).ravel()
         values = (tangent * self.weights[:, None, None]).ravel()
         D = PETSc.Mat().createAIJ((B.getSizes()[0],) * 2, csr=(indptr, indices, values), comm=self.comm)
         A = D.ptap(B, result=into)
@@ -306,13 +309,13 @@ class Projection:
         bases: for each number q of points that groups have, two arrays. The first has the numbers (groups, q) of the
             points in each group. The second has the values (groups, q, k) there of k functions, which may be linearly
             dependent.
-        part: (c, c) symmetric matrix P with P P = P for the first c Mandel components. Of a strain e, P e is projected
+        P: (c, c) symmetric matrix P with P P = P for the first c Mandel components. Of a strain e, P e is projected
             and e - P e is unchanged.
     """
 
-    def __init__(self, points: Quadrature, bases: Iterable[tuple[Array, Array]], part: Array) -> None:
-        self._part, self._width = np.pad(part, (0, len(MANDEL_PAIRS) - len(part))), len(points.slots)
-        self._difference = scipy.sparse.csr_matrix((points.count, points.count))
+    def __init__(self, points: Quadrature, bases: Iterable[tuple[Array, Array]], P: Array) -> None:
+        self._P, self._n_strains = np.pad(P, (0, len(MANDEL_PAIRS) - len(P))), len(points.mandel)
+        self._correction = scipy.sparse.csr_matrix((points.count, points.count))
         for groups, basis in bases:
             root = np.sqrt(points.weights[groups])
             U, sigma, _ = np.linalg.svd(basis * root[..., None], full_matrices=False)
@@ -320,21 +323,21 @@ class Projection:
             change = (U @ U.swapaxes(1, 2)) * root[:, None, :] / root[:, :, None] - np.eye(root.shape[1])
             mask = np.abs(change) > INDEPENDENCE_TOLERANCE  # in tensor cells positions on S decouple
             places = [np.broadcast_to(indices, change.shape)[mask] for indices in (groups[:, :, None], groups[:, None])]
-            self._difference += scipy.sparse.csr_matrix((change[mask], places), self._difference.shape)
+            self._correction += scipy.sparse.csr_matrix((change[mask], places), self._correction.shape)
 
     def __call__(self, values: Array) -> Array:
         """Return the projection (points, m) of strains or stresses `values` (points, m), as m Mandel components."""
         m = values.shape[1]
-        return np.asarray(values + self._difference @ values @ self._part[:m, :m])
+        return np.asarray(values + self._correction @ values @ self._P[:m, :m])
 
-    def matrix(self, B: PETSc.Mat) -> PETSc.Mat:
+    def projected_matrix(self, B: PETSc.Mat) -> PETSc.Mat:
         """Return the matrix from displacements to projected strains, m rows for each point. Collective.
 
         Args:
             B: matrix from displacements to strains, m rows for each point.
         """
-        part, n_rows, start = self._part[: self._width, : self._width], B.getLocalSize()[0], B.getOwnershipRange()[0]
-        M = scipy.sparse.kron(self._difference, part, format="csr") + scipy.sparse.eye(n_rows, format="csr")
+        P, n_rows, start = self._P[: self._n_strains, : self._n_strains], B.getLocalSize()[0], B.getOwnershipRange()[0]
+        M = scipy.sparse.kron(self._correction, P, format="csr") + scipy.sparse.eye(n_rows, format="csr")
         csr = M.indptr.astype(PETSc.IntType), (start + M.indices).astype(PETSc.IntType), M.data
         A = PETSc.Mat().createAIJ((B.getSizes()[0], B.getSizes()[0]), csr=csr, comm=B.getComm())
         out = A.matMult(B)

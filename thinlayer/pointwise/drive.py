@@ -110,7 +110,7 @@ def drive(
         raise InputError(f"{type(law).__name__}: {name} is a function of the place, or of time; a point needs numbers")
     require(isinstance(steps, Iterable), "steps", steps, "it must be a list of dictionaries")
     steps = list(steps)
-    normal, axes = _frame(n)
+    normal, axes = _normal_and_frame(n)
     law.check_dimension(len(normal))
     path = [_read_step(step, k, len(normal)) for k, step in enumerate(steps)]
     without_dt = isinstance(dt, tuple) and not dt
@@ -132,9 +132,9 @@ def drive(
         energies = energies if law.traits.has_energy else np.full_like(energies, np.nan)
         return PointHistory(normal, t, w, traction, mandel_tensors(stress), memory, energies, np.array(parts, int))
 
-    for k, (fixed, goal) in enumerate(path):
+    for k, (is_w, values) in enumerate(path):
         try:
-            state, n_parts = point.advance(states[-1], fixed, goal, lengths[k])
+            state, n_parts = point.advance(states[-1], is_w, values, lengths[k])
         except SolveError as error:
             step_text = ", ".join(f"{name} = {value:g}" for name, value in steps[k].items())
             raise SolveError(f"step {k + 1} of {len(path)} ({step_text}): {error}", history()) from None
@@ -143,7 +143,7 @@ def drive(
     return history()
 
 
-def _frame(n: Sequence[float]) -> tuple[Array, Array]:
+def _normal_and_frame(n: Sequence[float]) -> tuple[Array, Array]:
     """Return the unit normal (d,) and the frame (3, d) of S, for a normal `n` (d,) of any length in d dimensions.
 
     The columns of the frame are the unit tangents, then the normal; in 2D the tangent is (n_2, -n_1).
@@ -181,8 +181,8 @@ def _read_step(step: PathStep, k: int, d: int) -> tuple[Array, Array]:
         if (f"w_{c}" in step) == (f"t_{c}" in step):
             count_text = "both" if f"w_{c}" in step else "neither"
             raise InputError(f"step {k + 1} has {count_text} of w_{c} (jump) and t_{c} (traction); it must have one")
-    fixed = np.array([f"w_{c}" in step for c in names])
-    return fixed, np.array([step.get(f"w_{c}", step.get(f"t_{c}")) for c in names], float)
+    is_w = np.array([f"w_{c}" in step for c in names])
+    return is_w, np.array([step.get(f"w_{c}", step.get(f"t_{c}")) for c in names], float)
 
 
 def _step_lengths(dt: StepLengths, count: int) -> Array:

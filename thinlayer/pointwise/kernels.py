@@ -28,10 +28,10 @@ from forms.base import Array, InputError
 from forms.check import check
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw, Step
-from forms.law_tangents import SymbolicLaw, law_identity, require_numbers_alone, symbolic
+from forms.law_tangents import SymbolicLaw, law_identity, require_known_symbols, symbolic_law
 from forms.tensors import Expr, mandel_vector
 from forms.traits import VARIABLE_SIZES
-from thinlayer.system.compilation import library
+from thinlayer.system.compilation import compile_library
 
 C_KERNEL_SIGNATURE = "int{}(double *out, const void *, const double *in)"
 
@@ -48,7 +48,7 @@ class Kernel:
         fraction: fraction of the layer's thickness that the sublayer has; 1 for a whole layer.
         plane: whether the law is in plane stress. The out-of-plane strains are then computed at each point such that
             the out-of-plane stresses are zero.
-        keep: objects that must live as long as the address is used.
+        keep_alive: objects that must live as long as the address is used.
     """
 
     address: int
@@ -56,7 +56,7 @@ class Kernel:
     parameters: Array
     fraction: float = 1.0
     plane: bool = False
-    keep: object = field(default=None, repr=False, compare=False)
+    keep_alive: object = field(default=None, repr=False, compare=False)
 
 
 def compile_kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
@@ -67,37 +67,37 @@ def compile_kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
         SourceError: a C source cannot be compiled.
     """
     check(law)
-    compiled = []
+    kernels = []
     for fraction, sublayer in law.sublayers:
-        bulk = sublayer.in_space
+        bulk = sublayer.law_3d
         address, keep = _compiled_from_c(comm, bulk) if isinstance(bulk, KernelLaw) else _compiled_by_ffcx(comm, bulk)
-        compiled.append(Kernel(address, bulk.memory, bulk.parameter_values(), fraction, bulk is not sublayer, keep))
-    return compiled
+        kernels.append(Kernel(address, bulk.memory, bulk.parameter_values(), fraction, bulk is not sublayer, keep))
+    return kernels
 
 
 # ---------------------------------------------------------------- laws written in UFL
 # this package's laws, by name; other laws may use data that change
-_COMPILED_LAWS: dict[tuple[object, ...], tuple[int, object]] = {}
+_COMPILED_BY_NAME: dict[tuple[object, ...], tuple[int, object]] = {}
 
 
 def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, object]:
     name = law_identity(law)
-    if name is not None and not comm.allreduce(int(name not in _COMPILED_LAWS)):
-        return _COMPILED_LAWS[name]
-    point = symbolic(law)
-    outputs = _outputs(law, point)
-    require_numbers_alone(law, point.numbers, outputs)
-    (stress, *memory), tangent = outputs[:-3], ufl.diff(outputs[0], point.strain)
-    of_tangent = (tangent[i, j] for i in range(6) for j in range(6))
-    rows = [*(stress[i] for i in range(6)), *memory, *of_tangent, *outputs[-3:]]
-    expression, module, _ = jit.ffcx_jit(comm, (ufl.as_vector(rows), np.zeros((1, 1))))
+    if name is not None and not comm.allreduce(int(name not in _COMPILED_BY_NAME)):
+        return _COMPILED_BY_NAME[name]
+    symbols = symbolic_law(law)
+    outputs = _outputs(law, symbols)
+    require_known_symbols(law, symbols.symbols, outputs)
+    (stress, *memory), tangent = outputs[:-3], ufl.diff(outputs[0], symbols.strain)
+    tangent_entries = (tangent[i, j] for i in range(6) for j in range(6))
+    components = [*(stress[i] for i in range(6)), *memory, *tangent_entries, *outputs[-3:]]
+    expression, module, _ = jit.ffcx_jit(comm, (ufl.as_vector(components), np.zeros((1, 1))))
     compiled = int(module.ffi.cast("intptr_t", expression.tabulate_tensor_float64)), (expression, module)
     if name is not None:
-        _COMPILED_LAWS[name] = compiled
+        _COMPILED_BY_NAME[name] = compiled
     return compiled
 
 
-def _outputs(law: BulkLaw, point: SymbolicLaw) -> list[Expr]:
+def _outputs(law: BulkLaw, symbols: SymbolicLaw) -> list[Expr]:
     """Return UFL expressions of the results of a law at a point: stress (6,), then internal variables, then energies.
 
     Each internal variable adds one entry to the list for each component. The last three entries are the energies:
@@ -105,10 +105,10 @@ def _outputs(law: BulkLaw, point: SymbolicLaw) -> list[Expr]:
 
     Args:
         law: the law.
-        point: the same law with symbols for strains, internal variables and parameters.
+        symbols: the same law with symbols for strains, internal variables and parameters.
     """
-    ufl_law, step = point.law, point.step
-    stress, new = mandel_vector(ufl_law.stress(ufl_law.own_step(step))), ufl_law.advance(step)
+    ufl_law, step = symbols.law, symbols.step
+    stress, new = mandel_vector(ufl_law.stress(ufl_law.law_step(step))), ufl_law.advance(step)
     memory = [value for name, shape in law.internal.items() for value in _packed_components(new[name], shape)]
     energies: list[Expr] = [0.0, 0.0, 0.0]
     if law.traits.has_energy:
@@ -119,8 +119,8 @@ def _outputs(law: BulkLaw, point: SymbolicLaw) -> list[Expr]:
 def _packed_components(value: Expr, shape: tuple[int, ...]) -> list[Expr]:
     if shape == ():
         return [ufl.as_ufl(value)]
-    flat = mandel_vector(value) if shape == (3, 3) else value
-    return [flat[i] for i in range(VARIABLE_SIZES[shape])]
+    vector = mandel_vector(value) if shape == (3, 3) else value
+    return [vector[i] for i in range(VARIABLE_SIZES[shape])]
 
 
 # ---------------------------------------------------------------- laws written for one point
@@ -128,7 +128,7 @@ def _compiled_from_c(comm: MPI.Intracomm, law: KernelLaw) -> tuple[int, object]:
     name, source = type(law).__name__, law.source
     if not isinstance(source, (str, Path)):
         raise InputError(f"{name}.source is {source!r}; it must be the name of a C file")
-    module = library(Path(source), comm)
+    module = compile_library(Path(source), comm)
     function, ffi = getattr(module.lib, "kernel", None), module.ffi
     if function is None or ffi.typeof(function) is not ffi.typeof(C_KERNEL_SIGNATURE.format("(*)")):
         raise InputError(f"{name}: {str(source)!r} has no function {C_KERNEL_SIGNATURE.format(' kernel')}")

@@ -64,82 +64,82 @@ class MaterialPoint:
         self.n3 = np.append(n, np.zeros(3 - len(n)))
         # (6, d) strain of a unit jump in each component: e = E w, t = E^T stress
         self.E = np.einsum("kij,ia,j->ka", MANDEL_BASIS, axes, self.n3)
-        self.stiffness = 0.0  # largest entry of a tangent so far
+        self.max_tangent = 0.0  # largest entry of a tangent so far
 
     def rest(self) -> MaterialPointState:
         """Return the state before the first step, at time 0, with all values zero."""
         d = len(self.n)
-        return MaterialPointState(0.0, *(np.zeros(shape) for shape in (d, d, (d, d), 6, self.material.memory, 3)))
+        return MaterialPointState(0.0, *(np.zeros(shape) for shape in (d, d, (d, d), 6, self.material.memory_size, 3)))
 
     def _respond(self, old: MaterialPointState, w: Array, dt: float) -> MaterialPointState | None:
         """Return the state after a step of length `dt` from `old` to the jump `w` (d,); None if the law fails."""
         e, e_old = (self.E @ w)[None], (self.E @ old.w)[None]
-        step = (e, e_old, old.memory[None], self.n3[None], dt, self.theta if dt > 0 else 1.0)
-        stress, C, memory, energies, failed = self.material.update(range(6), *step)
+        arguments = (e, e_old, old.memory[None], self.n3[None], dt, self.theta if dt > 0 else 1.0)
+        stress, C, memory, energies, failed = self.material.update(range(6), *arguments)
         if failed:
             return None
         tangent = self.E.T @ C[0] @ self.E
-        self.stiffness = max(self.stiffness, np.abs(tangent).max())
+        self.max_tangent = max(self.max_tangent, np.abs(tangent).max())
         return MaterialPointState(old.t + dt, w, self.E.T @ stress[0], tangent, stress[0], memory[0], energies[0])
 
-    def advance(self, old: MaterialPointState, fixed: Array, goal: Array, dt: float) -> tuple[MaterialPointState, int]:
+    def advance(self, old: MaterialPointState, is_w: Array, values: Array, dt: float) -> tuple[MaterialPointState, int]:
         """Make a step, and return the state at its end and the number of smaller steps into which it was divided.
 
         The dissipated energy and the remainder are sums over the smaller steps.
 
         Args:
             old: the state before the step.
-            fixed: (d,) True for a component whose jump is prescribed, False if its traction is.
-            goal: (d,) values of these prescribed jumps and tractions at the end of the step.
+            is_w: (d,) True for a component whose jump is prescribed, False if its traction is.
+            values: (d,) values of these prescribed jumps and tractions at the end of the step.
             dt: length of the step.
 
         Raises:
             SolveError: even a small fraction of the step has no solution.
         """
-        start = np.where(fixed, old.w, old.traction)
+        start = np.where(is_w, old.w, old.traction)
         done, fraction, n_parts = 0.0, 1.0, 0
-        state, total = old, np.zeros(3)
+        state, energy_sums = old, np.zeros(3)
         while done < 1:
-            target = goal if done + fraction >= 1 else start + (done + fraction) * (goal - start)
-            trial = self._phase_step(state, fixed, target, fraction * dt)
+            target = values if done + fraction >= 1 else start + (done + fraction) * (values - start)
+            trial = self._phase_step(state, is_w, target, fraction * dt)
             if trial is None:
                 fraction /= 2
                 if fraction < MIN_STEP_FRACTION:
-                    raise SolveError(self._failure_text(state, fixed, done))
+                    raise SolveError(self._failure_text(state, is_w, done))
                 continue
             state, done, n_parts = trial, done + fraction, n_parts + 1
-            total += state.energies
+            energy_sums += state.energies
             fraction = min(2 * fraction, 1 - done)
-        total[0] = state.energies[0]
-        return state._replace(energies=total), n_parts
+        energy_sums[0] = state.energies[0]
+        return state._replace(energies=energy_sums), n_parts
 
-    def _phase_step(self, old: MaterialPointState, fixed: Array, aim: Array, dt: float) -> MaterialPointState | None:
+    def _phase_step(self, old: MaterialPointState, is_w: Array, values: Array, dt: float) -> MaterialPointState | None:
         """Return the state after a step with phases that do not change any more; None if no solution is found.
 
         The step is solved with fixed phases. If a phase then changes, the step is solved again.
 
         Args:
             old: the state before the step.
-            fixed: (d,) True for a component whose jump is prescribed, False if its traction is.
-            aim: (d,) values of these prescribed jumps and tractions.
+            is_w: (d,) True for a component whose jump is prescribed, False if its traction is.
+            values: (d,) values of these prescribed jumps and tractions.
             dt: length of the step.
         """
-        state = self._solve(old, fixed, aim, dt)
+        state = self._solve(old, is_w, values, dt)
         if state is None or self.switching is None:
             return state
         memory = self.switching.switched(state.memory[None], old.memory[None])
-        return state if memory is None else self._phase_step(old._replace(memory=memory[0]), fixed, aim, dt)
+        return state if memory is None else self._phase_step(old._replace(memory=memory[0]), is_w, values, dt)
 
-    def _failure_text(self, state: MaterialPointState, fixed: Array, done: float) -> str:
+    def _failure_text(self, state: MaterialPointState, is_w: Array, done: float) -> str:
         names = [f"{kind}_{c}" for kind in "wt" for c in COMPONENT_NAMES[len(self.n)]]
         values = zip(names, (*state.w, *state.traction), strict=True)
-        reached = ", ".join(f"{name} = {value:.6g}" for name, value in values)
-        place = f"it stopped after {done:.4g} of the step, at {reached}"
-        if fixed.all():
-            return f"the law failed; {place}"
-        return f"no jump has the prescribed traction; {place}. Beyond the law's limit? Prescribe the jump there"
+        values_text = ", ".join(f"{name} = {value:.6g}" for name, value in values)
+        place_text = f"it stopped after {done:.4g} of the step, at {values_text}"
+        if is_w.all():
+            return f"the law failed; {place_text}"
+        return f"no jump has the prescribed traction; {place_text}. Beyond the law's limit? Prescribe the jump there"
 
-    def _solve(self, old: MaterialPointState, fixed: Array, goal: Array, dt: float) -> MaterialPointState | None:
+    def _solve(self, old: MaterialPointState, is_w: Array, values: Array, dt: float) -> MaterialPointState | None:
         """Return the state after a step with fixed phases, by Newton's method; None if it diverges.
 
         The unknowns are those jumps whose traction is prescribed. The tangent is singular at a limit load, or where an
@@ -148,44 +148,44 @@ class MaterialPoint:
 
         Args:
             old: the state before the step.
-            fixed: (d,) True for a component whose jump is prescribed, False if its traction is.
-            goal: (d,) values of these prescribed jumps and tractions.
+            is_w: (d,) True for a component whose jump is prescribed, False if its traction is.
+            values: (d,) values of these prescribed jumps and tractions.
             dt: length of the step.
         """
-        free, null_length = np.logical_not(fixed), 1.0
+        is_unknown, null_step = np.logical_not(is_w), 1.0
 
         def traction_error(state: MaterialPointState) -> float:
-            return float(np.abs(goal - state.traction)[free].max(initial=0.0))
+            return float(np.abs(values - state.traction)[is_unknown].max(initial=0.0))
 
-        def line_search(step: Array, most: float) -> MaterialPointState | None:
+        def line_search(step: Array, max_error: float) -> MaterialPointState | None:
             """Try the increments `step`, step/2, step/4, ... of the unknown jumps, and return the first good state.
 
-            In a good state no prescribed traction has an error larger than `most`. None: there is no such state.
+            In a good state no prescribed traction has an error larger than `max_error`. None: there is no such state.
             """
-            full_step = np.zeros(len(free))
-            full_step[free] = step
-            tried = (self._respond(old, now.w + 0.5**shortening * full_step, dt) for shortening in range(MAX_HALVINGS))
-            return next((state for state in tried if state is not None and traction_error(state) <= most), None)
+            full_step = np.zeros(len(is_unknown))
+            full_step[is_unknown] = step
+            trials = (self._respond(old, now.w + 0.5**n_halvings * full_step, dt) for n_halvings in range(MAX_HALVINGS))
+            return next((state for state in trials if state is not None and traction_error(state) <= max_error), None)
 
         self._respond(old, old.w, dt)  # sets self.stiffness
-        reached = self._respond(old, np.where(fixed, goal, old.w), dt)
+        reached = self._respond(old, np.where(is_w, values, old.w), dt)
         for _ in range(MAX_NEWTON_STEPS):
-            if reached is None or null_length > MAX_NULL_STEP:
+            if reached is None or null_step > MAX_NULL_STEP:
                 return None
             now = reached
-            residual, error = (goal - now.traction)[free], traction_error(now)
-            scale = max(np.abs(traction).max() for traction in (now.traction, old.traction, goal * free))
+            residual, error = (values - now.traction)[is_unknown], traction_error(now)
+            scale = max(np.abs(traction).max() for traction in (now.traction, old.traction, values * is_unknown))
             if error <= TRACTION_TOLERANCE * scale:
                 return now
-            tangent, candidate = now.tangent[np.ix_(free, free)], None
+            tangent, candidate = now.tangent[np.ix_(is_unknown, is_unknown)], None
             if np.linalg.cond(tangent) < 1e13:
-                null_length = 1.0
+                null_step = 1.0
                 step = np.linalg.solve(tangent, residual)
                 candidate = line_search(step, error * (1 - 1e-4))
             if candidate is None and error <= STAGNATION_TOLERANCE * scale:
                 return now
             if candidate is None:
-                candidate = line_search(null_length * residual / self.stiffness, error)
-                null_length *= 2
+                candidate = line_search(null_step * residual / self.max_tangent, error)
+                null_step *= 2
             reached = candidate
         return None

@@ -28,7 +28,7 @@ from thinlayer.system.compat import EntityMaps, compiled, create_submesh
 from thinlayer.system.ranks import communicator
 
 TRACE_SLOTS = (0, 1, 2)  # Mandel components whose sum is the trace
-MEASURE_OF_INTEGRAL = {"cell": "dx", "exterior_facet": "ds", "interior_facet": "dS"}
+MEASURE_NAMES = {"cell": "dx", "exterior_facet": "ds", "interior_facet": "dS"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,21 +41,21 @@ class MeshOrigin:
         comm: communicator for the sums and messages of laws at quadrature points.
         x: (d,) UFL coordinates in the joint as drawn.
         numbers: function (topological dimension, local numbers of cells or facets) -> their numbers in the joint.
-        columns: function without arguments that returns two arrays about the layer's columns, the cells above each
+        layer_columns: function without arguments that returns two arrays about the layer's columns, the cells above each
             other through the thickness. The first has the number of the column of each cell (-1 outside the layer), or
             of each facet. The second has the centres (columns, d) of the columns.
         x_on_s: (d,) UFL coordinates on S in the joint as drawn, to be restricted to a side; None: S lies on facets of
             the mesh, and `x` is used.
-        middle: (n_points, d) coordinates of the mesh's points, where points of S are moved midway between its sides;
+        middle_points: (n_points, d) coordinates of the mesh's points, where points of S are moved midway between its sides;
             None: S lies on facets of the mesh.
     """
 
     comm: MPI.Intracomm
     x: Expr
     numbers: Callable[[int, Indices], IntArray]
-    columns: Callable[[], tuple[IntArray, Array]]
+    layer_columns: Callable[[], tuple[IntArray, Array]]
     x_on_s: Expr | None = None
-    middle: Array | None = None
+    middle_points: Array | None = None
 
 
 class MeasureRegion:
@@ -66,21 +66,21 @@ class MeasureRegion:
         parent_mesh: the whole mesh.
         mesh: submesh of the cells or facets of the measure, ghosts included.
         dim: topological dimension of the submesh.
-        parent: local numbers, in `parent_mesh`, of the cells or facets that are the cells of `mesh`.
-        maps: entity maps of the submesh, for compiling forms.
+        indices: local numbers, in `parent_mesh`, of the cells or facets that are the cells of `mesh`.
+        entity_maps: entity maps of the submesh, for compiling forms.
 
     Raises:
         InputError: the measure is not dx, ds or dS, or it selects tags but has no subdomain data.
     """
 
     def __init__(self, mesh: Mesh, measure: ufl.Measure) -> None:
-        if measure.integral_type() not in MEASURE_OF_INTEGRAL:
+        if measure.integral_type() not in MEASURE_NAMES:
             raise InputError(f"a law has a measure of type {measure.integral_type()!r}; allowed: dx, ds, dS")
         self.measure, self.parent_mesh = measure, mesh
         self.dim = mesh.topology.dim - (measure.integral_type() != "cell")
-        self.mesh, self.maps, self.parent = create_submesh(mesh, self.dim, _entities(mesh, measure))
+        self.mesh, self.entity_maps, self.indices = create_submesh(mesh, self.dim, _measured_entities(mesh, measure))
 
-    def move(self, places: Array) -> None:
+    def move_nodes(self, places: Array) -> None:
         """Move the nodes of the submesh to other coordinates, for S for instance to those midway between its sides.
 
         Args:
@@ -91,9 +91,9 @@ class MeasureRegion:
 
     def compiled(self, form: Expr) -> fem.Form:
         """Compile the UFL `form`, whose functions may be defined on `mesh` and on `parent_mesh`."""
-        return compiled(form, self.maps)
+        return compiled(form, self.entity_maps)
 
-    def side(self, f: Expr) -> Expr:
+    def plus_side(self, f: Expr) -> Expr:
         """Return `f` restricted to the side "+" if the measure is dS, otherwise `f` itself.
 
         A function on the submesh has the same values on both sides, so that the choice does not matter.
@@ -101,7 +101,7 @@ class MeasureRegion:
         return f("+") if self.measure.integral_type() == "interior_facet" else f
 
 
-def _entities(mesh: Mesh, measure: ufl.Measure) -> Indices:
+def _measured_entities(mesh: Mesh, measure: ufl.Measure) -> Indices:
     """Return the local numbers of the cells or facets over which `measure` integrates, ascending. Collective.
 
     Ghosts are included.
@@ -109,20 +109,20 @@ def _entities(mesh: Mesh, measure: ufl.Measure) -> Indices:
     kind, data, topology = measure.integral_type(), measure.subdomain_data(), mesh.topology
     dim = topology.dim - (kind != "cell")
     create_connectivity(mesh, dim)
-    imap, ids = topology.index_map(dim), np.atleast_1d(np.asarray(measure.subdomain_id(), object))
-    if "everywhere" in ids:
+    imap, tag_ids = topology.index_map(dim), np.atleast_1d(np.asarray(measure.subdomain_id(), object))
+    if "everywhere" in tag_ids:
         entities: Indices = np.arange(imap.size_local, dtype=np.int32)
         if kind != "cell":
             outer = np.asarray(dolfinx.mesh.exterior_facet_indices(topology))
             entities = outer if kind == "exterior_facet" else np.setdiff1d(entities, outer)
     elif data is None:
-        name, tags = MEASURE_OF_INTEGRAL[kind], ", ".join(map(str, ids))
+        name, tags = MEASURE_NAMES[kind], ", ".join(map(str, tag_ids))
         raise InputError(f"the measure {name}({tags}) has no tags; give {name} its subdomain_data")
     elif hasattr(data, "indices"):
-        entities = data.indices[np.isin(data.values, ids.astype(int))]
+        entities = data.indices[np.isin(data.values, tag_ids.astype(int))]
     else:
-        rows = [np.asarray(entities, np.int32).ravel() for tag, entities in data if tag in ids]
-        entities = np.concatenate([np.empty(0, np.int32), *rows])
+        tagged_entities = [np.asarray(entities, np.int32).ravel() for tag, entities in data if tag in tag_ids]
+        entities = np.concatenate([np.empty(0, np.int32), *tagged_entities])
         if kind != "cell":
             cell, facet = entities.reshape(-1, 2)[:: 2 if kind == "interior_facet" else 1].T
             to_facets = topology.connectivity(topology.dim, dim)
@@ -146,10 +146,10 @@ def quadrature_degree(V: fem.FunctionSpace, measure: ufl.Measure) -> int:
     """
     mesh = V.mesh
     degree = V.ufl_element().basix_element.degree
-    curved = 2 * (mesh.ufl_domain().ufl_coordinate_element().basix_element.degree - 1)
+    geometry_degree = 2 * (mesh.ufl_domain().ufl_coordinate_element().basix_element.degree - 1)
     if mesh.topology.cell_type in (CellType.quadrilateral, CellType.hexahedron):
-        return int(2 * degree + 1 + curved)
-    return int((2 * degree - 1 if measure.integral_type() == "cell" else 2 * degree) + curved)
+        return int(2 * degree + 1 + geometry_degree)
+    return int((2 * degree - 1 if measure.integral_type() == "cell" else 2 * degree) + geometry_degree)
 
 
 class Quadrature:
@@ -183,12 +183,12 @@ class Quadrature:
         W, mesh, parent = self._space((5 + self.dim,)), self.region.mesh, self.region.parent_mesh
         self.count = W.dofmap.index_map.size_local
         self.cells = np.asarray(W.dofmap.list)[: mesh.topology.index_map(mesh.topology.dim).size_local]
-        q, x = (self.region.side(f) for f in (ufl.TestFunction(W), ufl.SpatialCoordinate(parent)))
+        q, x = (self.region.plus_side(f) for f in (ufl.TestFunction(W), ufl.SpatialCoordinate(parent)))
         n = three_dimensional(term.n) if term.n is not None else ufl.zero(3)
-        rows = ufl.as_vector([n[0], n[1], n[2], 1, term.weight, *(x[i] for i in range(self.dim))])
-        values = self._integrated(rows, q)
-        self._integrals, self.weights = values[:, 3].copy(), values[:, 4].copy()
-        self.n, self.x = (values[:, part] / values[:, 3:4] for part in (slice(0, 3), slice(5, None)))
+        integrand = ufl.as_vector([n[0], n[1], n[2], 1, term.weight, *(x[i] for i in range(self.dim))])
+        integrals = self._assemble_at_points(integrand, q)
+        self._measure_weights, self.weights = integrals[:, 3].copy(), integrals[:, 4].copy()
+        self.n, self.x = (integrals[:, components] / integrals[:, 3:4] for components in (slice(0, 3), slice(5, None)))
         if term.n is None:
             self.n[:] = np.nan
 
@@ -198,10 +198,10 @@ class Quadrature:
         return int(self.region.parent_mesh.geometry.dim)
 
     @cached_property
-    def slots(self) -> list[int]:
+    def mandel(self) -> list[int]:
         """Positions of those Mandel components, ascending, that strains may have here; the others are zero."""
-        e_0, strain_slots = self.term.prescribed_strain, self.term.kinematics.slots(self.dim)
-        if self.term.volume is not None:
+        e_0, strain_slots = self.term.prescribed_strain, self.term.kinematics.strain_indices(self.dim)
+        if self.term.trace_degree is not None:
             strain_slots = (*strain_slots, *TRACE_SLOTS)
         e_0_slots = [k for k, pair in enumerate(MANDEL_PAIRS) if e_0 is not None and not isinstance(e_0[pair], Zero)]
         return sorted({*strain_slots, *e_0_slots})
@@ -211,14 +211,14 @@ class Quadrature:
         element = basix.ufl.quadrature_element(mesh.basix_cell(), value_shape=shape, degree=self.degree)
         return fem.functionspace(mesh, element)
 
-    def _integrated(self, rows: Expr, q: Expr) -> Array:
+    def _assemble_at_points(self, integrand: Expr, q: Expr) -> Array:
         """Return the values (points, m) of a UFL vector at the points, times the quadrature weights.
 
         Args:
-            rows: the UFL vector (m,).
+            integrand: the UFL vector (m,).
             q: test function (m,) with one degree of freedom for each component at each point.
         """
-        form = self.region.compiled(ufl.inner(rows, q) * self.measure)
+        form = self.region.compiled(ufl.inner(integrand, q) * self.measure)
         return np.asarray(fem.assemble_vector(form).array.reshape(-1, q.ufl_shape[0])[: self.count])
 
     def values(self, f: Expr) -> Array:
@@ -226,10 +226,10 @@ class Quadrature:
 
         If the measure is dS, the functions in `f` must be restricted to a side.
         """
-        q = self.region.side(ufl.TestFunction(self._space(f.ufl_shape)))
-        return self._integrated(f, q) / self._integrals[:, None]
+        q = self.region.plus_side(ufl.TestFunction(self._space(f.ufl_shape)))
+        return self._assemble_at_points(f, q) / self._measure_weights[:, None]
 
-    def means(self, values: Array) -> Array:
+    def cell_means(self, values: Array) -> Array:
         """Return the means (cells, ...) of `values` (points, ...) over each cell of `region` that this rank owns.
 
         Points are weighted by `weights`.
@@ -247,19 +247,19 @@ class Quadrature:
         on_s = self.origin.x_on_s if self.origin and self.region.dim < self.dim else None
         x = on_s if on_s is not None or self.origin is None else self.origin.x
         in_mesh = x is None or isinstance(x, ufl.SpatialCoordinate)
-        return np.ascontiguousarray((self.x if in_mesh else self.values(self.region.side(x))).T)
+        return np.ascontiguousarray((self.x if in_mesh else self.values(self.region.plus_side(x))).T)
 
-    def function(self, values: Array) -> fem.Function:
+    def mesh_function(self, values: Array) -> fem.Function:
         """Return a function (m,) on the whole mesh that has `values` (points, m) at the points, and is zero elsewhere.
 
         It can be integrated with `measure`, which must be over cells.
         """
-        width = values.shape[1]
-        if width not in self._functions:
-            self._functions[width] = self._space((width,), self.region.parent_mesh)
-        f = fem.Function(self._functions[width])
-        points = np.asarray(f.function_space.dofmap.list)[self.region.parent[: len(self.cells)]]
-        f.x.array.reshape(-1, width)[points] = values[self.cells]
+        n_components = values.shape[1]
+        if n_components not in self._functions:
+            self._functions[n_components] = self._space((n_components,), self.region.parent_mesh)
+        f = fem.Function(self._functions[n_components])
+        points = np.asarray(f.function_space.dofmap.list)[self.region.indices[: len(self.cells)]]
+        f.x.array.reshape(-1, n_components)[points] = values[self.cells]
         f.x.scatter_forward()
         return f
 
@@ -274,7 +274,7 @@ class Quadrature:
     def entity_numbers(self) -> IntArray:
         """Numbers (cells,), in the joint, of the cells or facets of `region` that this rank owns."""
         assert self.origin is not None, "a mesh without a joint"
-        return self.origin.numbers(self.region.dim, self.region.parent[: len(self.cells)])
+        return self.origin.numbers(self.region.dim, self.region.indices[: len(self.cells)])
 
     @cached_property
     def columns(self) -> Columns:
@@ -286,29 +286,29 @@ class Quadrature:
             InputError: a meshed layer without a joint.
         """
         if self.origin:
-            numbers, centres = self.origin.columns()
+            numbers, centres = self.origin.layer_columns()
             columns = numbers[self.entity_numbers]
-            used = np.zeros(len(centres), np.int8)
-            used[columns] = 1
-            self.comm.Allreduce(MPI.IN_PLACE, used, MPI.MAX)  # columns of other seams have no points of this law
-            columns, count = (np.cumsum(used, dtype=np.int64) - 1)[columns], int(used.sum())
+            has_points = np.zeros(len(centres), np.int8)
+            has_points[columns] = 1
+            self.comm.Allreduce(MPI.IN_PLACE, has_points, MPI.MAX)  # columns of other seams have no points of this law
+            columns, n_columns = (np.cumsum(has_points, dtype=np.int64) - 1)[columns], int(has_points.sum())
         elif self.measure.integral_type() == "cell":
             raise InputError(f"{type(self.term.law).__name__} has phases in columns, which layers of other meshes lack")
         else:
             imap = self.region.mesh.topology.index_map(self.region.dim)
-            columns, count = np.arange(imap.size_local, dtype=np.int64) + imap.local_range[0], int(imap.size_global)
+            columns, n_columns = np.arange(imap.size_local, dtype=np.int64) + imap.local_range[0], int(imap.size_global)
         point_columns = np.empty(self.count, np.int64)
         point_columns[self.cells] = columns[:, None]
-        return Columns(self.comm, point_columns, count, self.weights)
+        return Columns(self.comm, point_columns, n_columns, self.weights)
 
 
 def assemble_matrix(form: fem.Form) -> PETSc.Mat:
     """Assemble the matrix of the bilinear `form`; no rows or columns are changed for supports."""
     pattern = fem.create_sparsity_pattern(form)
     pattern.finalize()
-    created = dolfinx.cpp.la.petsc.create_matrix(communicator(form.mesh), pattern)
-    A = copy(created)
-    created.destroy()  # DOLFINx keeps a surplus reference, so that only the copy can be freed
+    dolfinx_matrix = dolfinx.cpp.la.petsc.create_matrix(communicator(form.mesh), pattern)
+    A = copy(dolfinx_matrix)
+    dolfinx_matrix.destroy()  # DOLFINx keeps a surplus reference, so that only the copy can be freed
     dolfinx.fem.petsc.assemble_matrix(A, form)
     A.assemble()
     return A
@@ -327,9 +327,9 @@ def add_assembled_forces(out: PETSc.Vec, *forms: fem.Form) -> float:
     """Add the nodal forces of the linear `forms` to the vector `out`, and return the norm of their sum."""
     b = assemble_forces(*forms)
     out.axpy(1.0, b)
-    size = float(b.norm())
+    force_norm = float(b.norm())
     b.destroy()
-    return size
+    return force_norm
 
 
 def set_owned_values(f: fem.Function, values: Array) -> fem.Function:
@@ -352,7 +352,7 @@ def assemble_values(form: fem.Form | None, count: int) -> Array:
     return values
 
 
-def add_distributed(
+def add_integral_to_nodes(
     density: Expr, V: fem.FunctionSpace, measure: ufl.Measure, b: PETSc.Vec, maps: EntityMaps | None = None
 ) -> None:
     """Add the integral of a density to a vector, distributed to the nodes by their shape functions.
@@ -368,5 +368,5 @@ def add_distributed(
         maps: entity maps for functions on submeshes; None: there are no such functions.
     """
     v = ufl.TestFunction(V)
-    shape = v("+")[0] if measure.integral_type() == "interior_facet" else v[0]
-    add_assembled_forces(b, compiled(density * shape * measure, maps))
+    shape_function = v("+")[0] if measure.integral_type() == "interior_facet" else v[0]
+    add_assembled_forces(b, compiled(density * shape_function * measure, maps))

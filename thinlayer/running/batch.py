@@ -35,57 +35,57 @@ class Job:
         options: name of an option of the study -> its value.
         folder: folder for the files of the run. The printed output goes to the file FOLDER.log, which stands next to
             the folder.
-        seconds: approximate duration, s. The jobs with the longest durations start first. The progress of a batch is
-            the sum of the durations of its finished jobs over the sum of all.
+        expected_seconds: approximate duration, s. The jobs with the longest durations start first. The progress of a
+            batch is the sum of the durations of its finished jobs over the sum of all.
     """
 
     study: str
     options: Mapping[str, object]
     folder: Path
-    seconds: float
+    expected_seconds: float
 
     @property
-    def words(self) -> list[str]:
+    def command_words(self) -> list[str]:
         """Words of the command line that run this job: those after `thinlayer run`, without --out and the folder."""
         words = [self.study]
         for name, value in self.options.items():
             words += [f"--{name}"] if value is True else [f"--{name}", str(value)]
         return words
 
-    def result(self) -> RunContent | None:
+    def run_content(self) -> RunContent | None:
         """Return the content of the file run.json in the folder, as nested JSON data, or None if it is not of this job.
 
         It is of this job if it has the same study, options, PETSc options of the package and source code. A missing or
         damaged file gives None, too.
         """
         with suppress(InputError):
-            return Record(self.study, self.folder, self.options).same_run()
+            return Record(self.study, self.folder, self.options).read_same_run()
         return None
 
-    def start(self, ends: ExitStack) -> subprocess.Popen[bytes] | None:
+    def start(self, stack: ExitStack) -> subprocess.Popen[bytes] | None:
         """Start the run in a new process and return it; return None if the folder has a finished run of this job.
 
         If the folder has an unfinished run of this job, the new process continues it. If an old process still writes to
         the folder, its end is awaited first.
 
         Args:
-            ends: exit stack that gets a callback; when the stack is closed, the callback ends the process if it still
+            stack: exit stack that gets a callback; when the stack is closed, the callback ends the process if it still
                 runs.
 
         Raises:
             InputError: the folder cannot be written.
         """
         with lock_folder(self.folder, wait=True):  # a killed batch may have left a process that still runs
-            earlier = self.result()
-        if earlier and earlier["error"] is None:
+            earlier_content = self.run_content()
+        if earlier_content and earlier_content["error"] is None:
             return None
-        command = [sys.executable, "-m", "thinlayer", "run", *self.words, "--out", str(self.folder)]
-        command += ["--resume"] if earlier else []
+        command = [sys.executable, "-m", "thinlayer", "run", *self.command_words, "--out", str(self.folder)]
+        command += ["--resume"] if earlier_content else []
         environment = {"OMP_NUM_THREADS": "1", **os.environ}  # every core has a run of its own
         with Path(f"{self.folder}{LOG_SUFFIX}").open("wb") as log:
             process = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
-        ends.enter_context(process)  # which waits for it
-        ends.callback(process.terminate)
+        stack.enter_context(process)  # which waits for it
+        stack.callback(process.terminate)
         return process
 
     def status(self) -> int:
@@ -94,10 +94,10 @@ class Job:
         To be called after the process has ended. "Not finished" means that run.json is missing, of another job, or
         names an error.
         """
-        result = self.result()
-        if result is None or result["error"] is not None:
+        content = self.run_content()
+        if content is None or content["error"] is not None:
             return UNFINISHED
-        return OK if all(check["passed"] for check in result["checks"]) else CHECK_FAILED
+        return OK if all(check["passed"] for check in content["checks"]) else CHECK_FAILED
 
 
 def quick_options(study: str, quick: bool) -> dict[str, bool]:
@@ -110,7 +110,7 @@ def quick_options(study: str, quick: bool) -> dict[str, bool]:
     return {"quick": True} if quick and "quick" in studies()[study].options else {}
 
 
-def run_all(jobs: Sequence[Job], out: Path, at_a_time: int | None = None) -> int:
+def run_jobs(jobs: Sequence[Job], out: Path, at_a_time: int | None = None) -> int:
     """Run several studies at the same time, each in a process, and print a line when one of them ends.
 
     If a job fails or does not finish, the others continue.
@@ -129,24 +129,24 @@ def run_all(jobs: Sequence[Job], out: Path, at_a_time: int | None = None) -> int
     """
     n_ranks = default_comm().size
     require(n_ranks == 1, "the number of MPI ranks", n_ranks, "start several studies without mpirun")
-    cores = len(os.sched_getaffinity(0)) if at_a_time is None else at_a_time
-    require(cores >= 1, "studies at a time, -j", cores, "allowed: 1 or more")
-    waiting, codes = sorted(jobs, key=lambda job: -job.seconds), [OK]
+    max_processes = len(os.sched_getaffinity(0)) if at_a_time is None else at_a_time
+    require(max_processes >= 1, "studies at a time, -j", max_processes, "allowed: 1 or more")
+    waiting, codes = sorted(jobs, key=lambda job: -job.expected_seconds), [OK]
     running: dict[Job, tuple[subprocess.Popen[bytes] | None, float]] = {}
-    with lock_folder(out, ".batch"), report("studies") as set_share, ExitStack() as ends:
-        ends.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, signal.default_int_handler))
+    with lock_folder(out, ".batch"), report("studies") as set_share, ExitStack() as stack:
+        stack.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, signal.default_int_handler))
         while waiting or running:
-            for job in waiting[: cores - len(running)]:
+            for job in waiting[: max_processes - len(running)]:
                 waiting.remove(job)
-                running[job] = job.start(ends), time.monotonic()
+                running[job] = job.start(stack), time.monotonic()
             for job, (child, start) in [*running.items()]:
                 if child is None or child.poll() is not None:
                     del running[job]
                     codes.append(job.status())
-                    took = f"{time.monotonic() - start:.0f} s, see {job.folder}{LOG_SUFFIX}" if child else "done before"
-                    print_safely(f"{len(codes) - 1} of {len(jobs)}  {job.folder.name}: {OUTCOMES[codes[-1]]} ({took})")
-            now = f"{len(codes) - 1} of {len(jobs)} done, {', '.join(job.folder.name for job in running)}"
-            left, whole = (sum(job.seconds for job in group) for group in ([*waiting, *running], jobs))
-            set_share(1 - left / whole, now)
+                    note = f"{time.monotonic() - start:.0f} s, see {job.folder}{LOG_SUFFIX}" if child else "done before"
+                    print_safely(f"{len(codes) - 1} of {len(jobs)}  {job.folder.name}: {OUTCOMES[codes[-1]]} ({note})")
+            state_text = f"{len(codes) - 1} of {len(jobs)} done, {', '.join(job.folder.name for job in running)}"
+            time_left, total = (sum(job.expected_seconds for job in group) for group in ([*waiting, *running], jobs))
+            set_share(1 - time_left / total, state_text)
             time.sleep(POLL_SECONDS)
     return max(codes)

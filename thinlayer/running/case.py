@@ -22,10 +22,10 @@ from thinlayer.system.ranks import errors_on_all
 
 ResultType = TypeVar("ResultType")
 # kind of a goal in a description -> its class
-GOALS: Mapping[str, Callable[..., Goal]] = {
+GOAL_CLASSES: Mapping[str, Callable[..., Goal]] = {
     "compliance": Compliance, "reaction": Reaction, "mean_traction": MeanTraction, "displacement": Displacement
 }  # fmt: skip
-MIN_THICKNESS = 1e-9  # thickness over size of the bodies; rounding exceeds the effect of thinner layers
+MIN_EPS_RATIO = 1e-9  # thickness over size of the bodies; rounding exceeds the effect of thinner layers
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class DescribedCase:
     goals: Sequence[Goal]
 
     @classmethod
-    def of(cls, description: Description) -> DescribedCase:
+    def from_description(cls, description: Description) -> DescribedCase:
         """Read the mesh file and make the structure, the layer and the goals. Collective.
 
         Args:
@@ -56,18 +56,18 @@ class DescribedCase:
                 size of the bodies, or thinner than 1e-9 of it.
             InputError: `Structure`, `ThinLayer` or a goal refuses an argument.
         """
-        with description.section.described("mesh"):
+        with description.file_table.locate_errors("mesh"):
             joint = read(description.mesh["path"], **{k: v for k, v in description.mesh.items() if k != "path"})
         size = joint.size
         for name, entry in description.layer.items():
-            if not MIN_THICKNESS * size <= entry.eps <= size:
-                what = f"{entry.eps:g}; allowed in bodies of size {size:.4g}: {MIN_THICKNESS * size:.2g} to {size:.4g}"
-                description.section.refuse(what, *filter(None, ("layer", name, "eps")))
-        layer = _by_name(description.layer, lambda m: ThinLayer(m.law, m.eps, eigenstrain=m.eigenstrain))
-        goals = tuple(_goal(name, **goal) for name, goal in description.goals.items()) or (Compliance(),)
-        return cls(description, _structure(description, joint), layer, goals)
+            if not MIN_EPS_RATIO * size <= entry.eps <= size:
+                text = f"{entry.eps:g}; allowed in bodies of size {size:.4g}: {MIN_EPS_RATIO * size:.2g} to {size:.4g}"
+                description.file_table.refuse(text, *filter(None, ("layer", name, "eps")))
+        layer = _map_all(description.layer, lambda m: ThinLayer(m.law, m.eps, eigenstrain=m.eigenstrain))
+        goals = tuple(_make_goal(name, **goal) for name, goal in description.goals.items()) or (Compliance(),)
+        return cls(description, _make_structure(description, joint), layer, goals)
 
-    def model(self) -> InterfaceModel:
+    def make_model(self) -> InterfaceModel:
         """Make the interface model and check that every goal can be evaluated in it. Collective.
 
         Raises:
@@ -75,47 +75,47 @@ class DescribedCase:
         """
         model = self.structure.interface(self.layer, bodies=self.description.bodies)
         for name, goal in zip(self.description.goals or ("compliance",), self.goals, strict=True):
-            with self.description.section.described("goals", name), errors_on_all(model.comm):
+            with self.description.file_table.locate_errors("goals", name), errors_on_all(model.comm):
                 goal.check(model)
         return model
 
 
-def _structure(description: Description, joint: Joint) -> Structure:
-    loads_on, supports = _timed(description.tractions).items(), _timed(description.supports)
-    tractions = {name: Pressure(load["pressure"]) if isinstance(load, Mapping) else load for name, load in loads_on}
-    loads = [(LineLoad if "first" in load else PointLoad)(**_timed(load)) for load in description.loads]
-    strained = {name: entry for name, entry in description.body.items() if entry.eigenstrain is not None}
-    eigenstrain = _by_name(strained, lambda entry: entry.eigenstrain) or None
-    loaded: Arguments = {"tractions": tractions, "body_force": description.body_force, "loads": loads}
-    bodies: Arguments = {"body": _by_name(description.body, lambda entry: entry.law), "eigenstrain": eigenstrain}
+def _make_structure(description: Description, joint: Joint) -> Structure:
+    load_items, supports = _replace_series(description.tractions).items(), _replace_series(description.supports)
+    tractions = {name: Pressure(load["pressure"]) if isinstance(load, Mapping) else load for name, load in load_items}
+    loads = [(LineLoad if "first" in load else PointLoad)(**_replace_series(load)) for load in description.loads]
+    strained_bodies = {name: entry for name, entry in description.body.items() if entry.eigenstrain is not None}
+    eigenstrain = _map_all(strained_bodies, lambda entry: entry.eigenstrain) or None
+    load_arguments: Arguments = {"tractions": tractions, "body_force": description.body_force, "loads": loads}
+    bodies: Arguments = {"body": _map_all(description.body, lambda entry: entry.law), "eigenstrain": eigenstrain}
     plane, element = description.plane or "strain", description.element
-    return Structure(joint, supports=supports, plane=plane, element=element, **bodies, **loaded)
+    return Structure(joint, supports=supports, plane=plane, element=element, **bodies, **load_arguments)
 
 
-def _timed(value: object) -> Any:
+def _replace_series(value: object) -> Any:
     """Return `value` with each `TimeSeries` (table of values against time) replaced by a function of place and time.
 
     `value` may be a table of names and entries, also a nested one. The function is linear between the times of the
     series. Other values stay as they are.
     """
     if isinstance(value, Mapping):
-        return {name: _timed(entry) for name, entry in value.items()}
+        return {name: _replace_series(entry) for name, entry in value.items()}
     return piecewise(value.values) if isinstance(value, TimeSeries) else value
 
 
-def _by_name(entries: Materials, make: Callable[[MaterialEntry], ResultType]) -> ResultType | dict[str, ResultType]:
+def _map_all(entries: Materials, make: Callable[[MaterialEntry], ResultType]) -> ResultType | dict[str, ResultType]:
     """Apply the function `make` to each material of the table `entries`, and return name -> result.
 
     If the table has the key None, its one material is for all bodies or seams. Then the result is returned without a
     name.
     """
-    made = {name: make(entry) for name, entry in entries.items()}
-    return made[None] if None in made else {name: result for name, result in made.items() if name is not None}
+    results = {name: make(entry) for name, entry in entries.items()}
+    return results[None] if None in results else {name: value for name, value in results.items() if name is not None}
 
 
-def _goal(name: str, kind: str, **arguments: Any) -> Goal:
-    goal = GOALS[kind](**arguments)
+def _make_goal(name: str, kind: str, **arguments: Any) -> Goal:
+    goal = GOAL_CLASSES[kind](**arguments)
     if name in (kind, goal.name):
         return goal
-    renamed: Goal = type("Renamed", (type(goal),), {"name": name})(**arguments)  # a subclass, for isinstance
-    return renamed
+    renamed_goal: Goal = type("Renamed", (type(goal),), {"name": name})(**arguments)  # a subclass, for isinstance
+    return renamed_goal

@@ -14,8 +14,8 @@ from typing import Any
 
 STUDIES_FOLDER = Path(__file__).parents[2] / "studies"
 BENCHMARKS_FOLDER = STUDIES_FOLDER.parent / ".ci/benchmarks"  # only in a clone
-STUDY_LISTS = [p for p in (STUDIES_FOLDER / "data/studies.toml", BENCHMARKS_FOLDER / "studies.toml") if p.exists()]
-_LISTS_TEXT = "\n".join(path.read_text(encoding="utf-8") for path in STUDY_LISTS)
+STUDY_LIST_FILES = [p for p in (STUDIES_FOLDER / "data/studies.toml", BENCHMARKS_FOLDER / "studies.toml") if p.exists()]
+_LISTS_TEXT = "\n".join(path.read_text(encoding="utf-8") for path in STUDY_LIST_FILES)
 STUDY_GROUPS: dict[str, dict[str, list[float]]] = tomllib.loads(_LISTS_TEXT)  # group -> study -> seconds, see `Study`
 OptionArguments = Mapping[str, Any]  # arguments of `ArgumentParser.add_argument`, by name
 SECONDS_OF_UNIT = {"h": 3600, "min": 60, "s": 1}
@@ -51,18 +51,18 @@ def studies() -> dict[str, Study]:
     The group "Benchmarks" is included only in a clone of the repository, which has the folder `.ci/benchmarks`.
     """
     catalogue = {}
-    for group, members in STUDY_GROUPS.items():
-        for name, seconds in members.items():
+    for group, group_studies in STUDY_GROUPS.items():
+        for name, durations in group_studies.items():
             folder = BENCHMARKS_FOLDER if group == "Benchmarks" else STUDIES_FOLDER
-            tree = ast.parse((folder / f"{name}.py").read_text(encoding="utf-8"))
-            functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
-            run, summary = functions["run"], (ast.get_docstring(tree) or "").partition("\n")[0]
-            options = {option.arg: _option(option, ast.get_docstring(run) or "") for option in run.args.kwonlyargs}
-            catalogue[name] = Study(name, summary, options, "draw" in functions, group, *seconds)
+            syntax_tree = ast.parse((folder / f"{name}.py").read_text(encoding="utf-8"))
+            functions = {node.name: node for node in syntax_tree.body if isinstance(node, ast.FunctionDef)}
+            run, summary = functions["run"], (ast.get_docstring(syntax_tree) or "").partition("\n")[0]
+            options = {option.arg: _option_args(option, ast.get_docstring(run) or "") for option in run.args.kwonlyargs}
+            catalogue[name] = Study(name, summary, options, "draw" in functions, group, *durations)
     return catalogue
 
 
-def _option(argument: ast.arg, text: str) -> OptionArguments:
+def _option_args(argument: ast.arg, text: str) -> OptionArguments:
     """Return the arguments of argparse's `add_argument`, name -> value, for one option of a study.
 
     Args:
@@ -71,18 +71,18 @@ def _option(argument: ast.arg, text: str) -> OptionArguments:
         text: docstring of `run`. In its section "Args", the first line about the keyword argument becomes the help of
             the option.
     """
-    line = re.search(rf"^\s+{argument.arg}: (.*)$", text, re.MULTILINE)
-    explained = {"help": line[1].replace("%", "%%") if line else None}
-    kind = ast.unparse(argument.annotation) if argument.annotation else ""
-    if kind == "bool":
-        return {**explained, "action": "store_true"}
-    if kind == "Sequence[float]":
-        return {**explained, "nargs": "+", "type": float, "metavar": "E"}
-    allowed = tuple(ast.literal_eval(kind.removeprefix("Literal")))
-    return {**explained, "choices": allowed, "type": type(allowed[0])}
+    help_match = re.search(rf"^\s+{argument.arg}: (.*)$", text, re.MULTILINE)
+    help_argument = {"help": help_match[1].replace("%", "%%") if help_match else None}
+    annotation = ast.unparse(argument.annotation) if argument.annotation else ""
+    if annotation == "bool":
+        return {**help_argument, "action": "store_true"}
+    if annotation == "Sequence[float]":
+        return {**help_argument, "nargs": "+", "type": float, "metavar": "E"}
+    choices = tuple(ast.literal_eval(annotation.removeprefix("Literal")))
+    return {**help_argument, "choices": choices, "type": type(choices[0])}
 
 
-def listed() -> str:
+def list_text() -> str:
     """Return the list of studies as a text: headings, and below them the name, durations and summary of each study.
 
     Lines have at most 80 columns. Benchmarks are left out.
@@ -90,12 +90,12 @@ def listed() -> str:
     lines = dict[str, None]()  # each heading once
     for study in (study for study in studies().values() if study.group != "Benchmarks"):
         lines[study.group] = None
-        lines[f"  {study.name:<20} {duration(study.full):>6}, quick {duration(study.quick)}"] = None
+        lines[f"  {study.name:<20} {duration_text(study.full):>6}, quick {duration_text(study.quick)}"] = None
         lines[fill(study.summary, 80, initial_indent=" " * 4, subsequent_indent=" " * 4)] = None
     return "\n".join(lines)
 
 
-def duration(seconds: float) -> str:
+def duration_text(seconds: float) -> str:
     """Return a text for a time in `seconds`, as "3 min": one significant digit, and the unit h, min or s."""
     unit = next(unit for unit, size in SECONDS_OF_UNIT.items() if seconds >= 1.5 * size or size == 1)
     return f"{float(f'{seconds / SECONDS_OF_UNIT[unit]:.1g}'):g} {unit}"

@@ -17,18 +17,18 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from thinlayer.running.catalogue import listed, studies
+from thinlayer.running.catalogue import list_text, studies
 from thinlayer.running.process import (
     BAD_INPUT,
     OK,
     UNFINISHED,
     Petsc,
-    computed,
     error_text,
-    is_first,
-    recorded,
-    set_signals,
-    stop,
+    is_rank_0,
+    print_error,
+    restore_signals,
+    run_with_mpi,
+    run_with_record,
 )
 from thinlayer.system.version import VERSION, error_reason, print_safely, two_columns, version_of
 
@@ -45,8 +45,8 @@ REPRODUCE_HELP = (
 )
 RESUMING = "Started again, it keeps the runs that are done with the same options and code, and goes on with the others."
 PETSC_PREFIX = "-thinlayer_"
-Commands: TypeAlias = "argparse._SubParsersAction[Parser]"
-Command = Callable[["Parser", argparse.Namespace, Petsc], int]
+CommandParsers: TypeAlias = "argparse._SubParsersAction[Parser]"
+CommandFunction = Callable[["Parser", argparse.Namespace, Petsc], int]
 
 
 class Parser(argparse.ArgumentParser):
@@ -55,40 +55,40 @@ class Parser(argparse.ArgumentParser):
     Unlike argparse's own, it does not accept abbreviated options.
     """
 
-    def __init__(self, **more: Any) -> None:
-        super().__init__(**more, allow_abbrev=False)
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options, allow_abbrev=False)
         self.set_defaults(parser=self)
 
     def _check_value(self, action: argparse.Action, value: object) -> None:
         if action.choices is not None and value not in action.choices:
             kind = str(action.metavar or action.dest).lower()
-            raise argparse.ArgumentError(None, _unknown(kind, value, action.choices))
+            raise argparse.ArgumentError(None, _unknown_name_text(kind, value, action.choices))
 
-    def petsc_options(self, rest: Sequence[str]) -> dict[str, str | None]:
+    def petsc_options(self, unknown_words: Sequence[str]) -> dict[str, str | None]:
         """Return the PETSc options among words of the command line: name -> value, or None for an option without one.
 
         Each stands on the command line as `-thinlayer_NAME` or `-thinlayer_NAME VALUE`; the returned name is
         `thinlayer_NAME`. Any other word ends the process with an error message.
 
         Args:
-            rest: words of the command line that the parser itself does not know.
+            unknown_words: words of the command line that the parser itself does not know.
         """
         options: dict[str, str | None] = {}
         name = ""
-        for word in rest:
+        for word in unknown_words:
             if word.startswith(PETSC_PREFIX):
                 options[name := word[1:]] = None
             elif name and options[name] is None and not word.startswith("--"):
                 options[name] = word
             elif word.startswith("--"):
-                self.error(_unknown("option", word.partition("=")[0], self._option_string_actions))
+                self.error(_unknown_name_text("option", word.partition("=")[0], self._option_string_actions))
             else:
-                starts = f"; PETSc options start with {PETSC_PREFIX}" if word.startswith("-") else ""
-                self.error(f"unrecognized argument {word!r}; --help has all{starts}")
+                prefix_hint = f"; PETSc options start with {PETSC_PREFIX}" if word.startswith("-") else ""
+                self.error(f"unrecognized argument {word!r}; --help has all{prefix_hint}")
         return options
 
 
-def _unknown(kind: str, name: object, choices: Iterable[object]) -> str:
+def _unknown_name_text(kind: str, name: object, choices: Iterable[object]) -> str:
     from forms.base import unknown_name_message  # imported late: it takes a second
 
     return unknown_name_message(kind, name, [choice for choice in map(str, choices) if choice != "-h"])
@@ -108,13 +108,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exception: any other error than wrong input or a failed solve, such as a bug of the package.
     """
     words = [*(sys.argv[1:] if arguments is None else arguments)]
-    several = words[:1] == ["run"] and ("--all" in words or [word[:1] == "-" for word in words[1:3]] == [False, False])
-    parser = _several_studies() if several else command_line()
+    is_batch = words[:1] == ["run"] and ("--all" in words or [word[:1] == "-" for word in words[1:3]] == [False, False])
+    parser = _batch_parser() if is_batch else command_line_parser()
     if "_ARGCOMPLETE" in os.environ:  # a shell asks for the words that may come next
         with suppress(ImportError):
             importlib.import_module("argcomplete").autocomplete(parser)
-    chosen, rest = parser.parse_known_args(words[several:])
-    return int(chosen.work(chosen.parser, chosen, chosen.parser.petsc_options(rest)))
+    args, unknown_words = parser.parse_known_args(words[is_batch:])
+    return int(args.work(args.parser, args, args.parser.petsc_options(unknown_words)))
 
 
 def start() -> int:
@@ -130,62 +130,62 @@ def start() -> int:
     try:
         return main()
     except (KeyboardInterrupt, OSError) as error:
-        return stop(True, UNFINISHED, error_reason(error))
+        return print_error(True, UNFINISHED, error_reason(error))
     except Exception as error:
         import traceback
 
         traceback.print_exception(error)
-        return stop(True, UNFINISHED, "this is a defect of thinlayer, or of what it is installed with")
+        return print_error(True, UNFINISHED, "this is a defect of thinlayer, or of what it is installed with")
 
 
-def command_line() -> argparse.ArgumentParser:
+def command_line_parser() -> argparse.ArgumentParser:
     """Make the parser of the command line: all commands, and the options of each study."""
     prog = "thinlayer" if Path(sys.argv[0]).stem == "thinlayer" else "python3 -m thinlayer"
     parser = Parser(prog=prog, description="Thin soft layers, meshed or replaced by their interface law.")
     parser.add_argument("-V", "--version", action="store_true", help="print the versions of thinlayer and of DOLFINx")
     parser.set_defaults(work=_require_subcommand)
     commands = parser.add_subparsers(metavar="COMMAND")
-    _add_json(_command(commands, "list", _list, "--json"))
-    _add_json(_command(commands, "info", _info, "--json"))
-    draw = _computing(_command(commands, "draw", _draw, "fig6_stratified"))
+    _add_json_option(_add_command(commands, "list", _print_studies, "--json"))
+    _add_json_option(_add_command(commands, "info", _print_versions, "--json"))
+    draw = _add_run_options(_add_command(commands, "draw", _draw_study, "fig6_stratified"))
     drawn = [study.name for study in studies().values() if study.drawn]
     draw.add_argument("study", metavar="STUDY", choices=drawn, help="name of a study; the command list prints all")
-    run = _command(commands, "run", _run, "fig6_stratified --quick")
-    scripts = run.add_subparsers(dest="study", required=True, metavar="STUDY")
+    run = _add_command(commands, "run", _run_study, "fig6_stratified --quick")
+    study_parsers = run.add_subparsers(dest="study", required=True, metavar="STUDY")
     for study in studies().values():
-        script = _computing(_command(scripts, study.name, _run, "--out DIR", study.summary))
-        for name, details in study.options.items():
-            script.add_argument(f"--{name}", default=None, **details)
+        script = _add_run_options(_add_command(study_parsers, study.name, _run_study, "--out DIR", study.summary))
+        for name, option_arguments in study.options.items():
+            script.add_argument(f"--{name}", default=None, **option_arguments)
         script.add_argument("--resume", action="store_true", help="go on with the sweeps of a killed run, same options")
-    estimate = _computing(_command(commands, "estimate", _estimate, "joint.toml --set layer.eps=0.1"))
-    file = "a file in TOML; with --new a mesh file"
-    estimate.add_argument("description", type=Path, metavar="DESCRIPTION", help=file)
-    keys = "a key of the description anew, as layer.E=2e3 or 'tractions.RIGHT=[60, 0]'; may be repeated"
-    estimate.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=keys)
-    before = estimate.add_mutually_exclusive_group()
-    before.add_argument("--check", action="store_true", help="print what is read, and the sum of loads; solve nothing")
-    before.add_argument("--new", action="store_true", help="print a description to fill in, with a mesh file's names")
-    _add_json(before)
-    what = "Run the studies of the paper, and write a page with its numbers beside those that are computed."
-    page = _command(commands, "reproduce", _batch, "--quick", f"{what} {RESUMING}")
-    page.epilog = f"{REPRODUCE_HELP} {page.epilog}"
-    _add_batch(page, Path("out", "reproduce"))
+    estimate = _add_run_options(_add_command(commands, "estimate", _run_estimate, "joint.toml --set layer.eps=0.1"))
+    file_help = "a file in TOML; with --new a mesh file"
+    estimate.add_argument("description", type=Path, metavar="DESCRIPTION", help=file_help)
+    set_help = "a key of the description anew, as layer.E=2e3 or 'tractions.RIGHT=[60, 0]'; may be repeated"
+    estimate.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=set_help)
+    modes = estimate.add_mutually_exclusive_group()
+    modes.add_argument("--check", action="store_true", help="print what is read, and the sum of loads; solve nothing")
+    modes.add_argument("--new", action="store_true", help="print a description to fill in, with a mesh file's names")
+    _add_json_option(modes)
+    description = "Run the studies of the paper, and write a page with its numbers beside those that are computed."
+    page_parser = _add_command(commands, "reproduce", _run_batch, "--quick", f"{description} {RESUMING}")
+    page_parser.epilog = f"{REPRODUCE_HELP} {page_parser.epilog}"
+    _add_batch_options(page_parser, Path("out", "reproduce"))
     return parser
 
 
-def _several_studies() -> Parser:
+def _batch_parser() -> Parser:
     """Make the parser for the command `run` when it is followed by several names of studies, or by --all."""
-    what = f"Run several studies, each in its folder DIR/STUDY. {RESUMING}"
-    parser = Parser(prog="python3 -m thinlayer run", description=what, epilog=EXIT_STATUS_HELP)
+    description = f"Run several studies, each in its folder DIR/STUDY. {RESUMING}"
+    parser = Parser(prog="python3 -m thinlayer run", description=description, epilog=EXIT_STATUS_HELP)
     parser.add_argument("studies", nargs="*", metavar="STUDY", choices=studies(), help="names of studies")
-    names = [study.name for study in studies().values() if study.drawn]
-    parser.add_argument("--all", action="store_const", const=names, help="all studies that draw pictures")
-    parser.set_defaults(work=_batch)
-    _add_batch(parser, Path("out"))
+    drawn_names = [study.name for study in studies().values() if study.drawn]
+    parser.add_argument("--all", action="store_const", const=drawn_names, help="all studies that draw pictures")
+    parser.set_defaults(work=_run_batch)
+    _add_batch_options(parser, Path("out"))
     return parser
 
 
-def _add_batch(parser: Parser, out: Path) -> None:
+def _add_batch_options(parser: Parser, out: Path) -> None:
     """Add to `parser` the options --quick, --out and -j, which commands that run several studies have.
 
     `out` is the default of --out, the folder of the results.
@@ -195,7 +195,7 @@ def _add_batch(parser: Parser, out: Path) -> None:
     parser.add_argument("-j", type=int, metavar="N", help="studies at a time (default: as many as cores)")
 
 
-def _command(commands: Commands, name: str, work: Command, example: str, what: str = "") -> Parser:
+def _add_command(commands: CommandParsers, name: str, work: CommandFunction, example: str, what: str = "") -> Parser:
     """Add a command to the command line and return the parser of its arguments.
 
     Args:
@@ -206,13 +206,13 @@ def _command(commands: Commands, name: str, work: Command, example: str, what: s
         what: sentence that describes the command in its help; "": the docstring of `work`.
     """
     what = what or work.__doc__ or name
-    short, epilog = what.rstrip("."), f"Example: %(prog)s {example}"
-    parser = commands.add_parser(name, help=short[0].lower() + short[1:], description=what, epilog=epilog)
+    summary, epilog = what.rstrip("."), f"Example: %(prog)s {example}"
+    parser = commands.add_parser(name, help=summary[0].lower() + summary[1:], description=what, epilog=epilog)
     parser.set_defaults(work=work)
     return parser
 
 
-def _computing(parser: Parser) -> Parser:
+def _add_run_options(parser: Parser) -> Parser:
     """Add to `parser` the options --verbose, --quiet and --out, which commands that compute have, and return `parser`.
 
     Its help also gets a sentence about PETSc options and the list of exit statuses.
@@ -221,10 +221,10 @@ def _computing(parser: Parser) -> Parser:
     parser.epilog = f"{EXIT_STATUS_HELP} {parser.epilog}"
     level = parser.add_mutually_exclusive_group()
     level.add_argument("-v", "--verbose", action="count", default=0, help="show attempts of solves; twice: their steps")
-    quiet = "print no progress and no tables, only errors, warnings and checks that fail"
-    level.add_argument("-q", "--quiet", dest="verbose", action="store_const", const=-1, help=quiet)
-    where = "folder of tables and pictures (default: out/STUDY, out/estimate/NAME)"
-    parser.add_argument("--out", type=_folder, metavar="DIR", help=where)
+    quiet_help = "print no progress and no tables, only errors, warnings and checks that fail"
+    level.add_argument("-q", "--quiet", dest="verbose", action="store_const", const=-1, help=quiet_help)
+    out_help = "folder of tables and pictures (default: out/STUDY, out/estimate/NAME)"
+    parser.add_argument("--out", type=_folder, metavar="DIR", help=out_help)
     return parser
 
 
@@ -234,66 +234,66 @@ def _folder(text: str) -> Path:
     return Path(text)
 
 
-def _add_json(group: argparse._ActionsContainer) -> None:
+def _add_json_option(group: argparse._ActionsContainer) -> None:
     group.add_argument("--json", action="store_true", help="print the answer as JSON, nothing else on standard output")
 
 
-def _print_answer(chosen: argparse.Namespace, answer: object, words: str) -> int:
+def _print_answer(args: argparse.Namespace, json_data: object, text: str) -> int:
     """Print the answer of a command on rank 0, and return exit status 0.
 
     Args:
-        chosen: options of the command line, of which --json decides between the two forms.
-        answer: what is printed with --json, as JSON.
-        words: what is printed without --json.
+        args: options of the command line, of which --json decides between the two forms.
+        json_data: what is printed with --json, as JSON.
+        text: what is printed without --json.
     """
-    if is_first():
-        print_safely(json.dumps(answer, indent=1, default=str) if chosen.json else words)
+    if is_rank_0():
+        print_safely(json.dumps(json_data, indent=1, default=str) if args.json else text)
     return OK
 
 
-def _require_subcommand(parser: Parser, chosen: argparse.Namespace, _: Petsc) -> int:
-    if not chosen.version:
+def _require_subcommand(parser: Parser, args: argparse.Namespace, _: Petsc) -> int:
+    if not args.version:
         parser.print_help()
         return BAD_INPUT
     print_safely(f"thinlayer {VERSION} (DOLFINx {version_of('fenics-dolfinx')})")
     return OK
 
 
-def _list(_: Parser, chosen: argparse.Namespace, __: Petsc) -> int:
+def _print_studies(_: Parser, args: argparse.Namespace, __: Petsc) -> int:
     """List the studies in groups, with their times on one core (benchmarks only with --json)."""
-    return _print_answer(chosen, {name: vars(study) for name, study in studies().items()}, listed())
+    return _print_answer(args, {name: vars(study) for name, study in studies().items()}, list_text())
 
 
-def _info(_: Parser, chosen: argparse.Namespace, __: Petsc) -> int:
+def _print_versions(_: Parser, args: argparse.Namespace, __: Petsc) -> int:
     """Print the versions of the packages on which results depend."""
-    from thinlayer.running.provenance import versions
+    from thinlayer.running.provenance import package_versions
 
-    set_signals()
-    return _print_answer(chosen, versions(), two_columns(versions()))
+    restore_signals()
+    return _print_answer(args, package_versions(), two_columns(package_versions()))
 
 
-def _draw(parser: Parser, chosen: argparse.Namespace, _: Petsc) -> int:
+def _draw_study(parser: Parser, args: argparse.Namespace, _: Petsc) -> int:
     """Draw the pictures of a study again, from the tables that an earlier run has written."""
-    out = chosen.out or Path("out", chosen.study)
+    out = args.out or Path("out", args.study)
     from forms.base import InputError
     from thinlayer.running.record import Record
 
-    set_signals()
+    restore_signals()
     try:
-        record = Record(chosen.study, out, {})
-        record.check_drawn()
-        importlib.import_module(f"studies.{chosen.study}").draw(record)
+        record = Record(args.study, out, {})
+        record.require_run()
+        importlib.import_module(f"studies.{args.study}").draw(record)
     except (InputError, FileNotFoundError, KeyError) as error:
-        parser.error(f"{out} is not a whole run of {chosen.study}: {error}; run the study first")
-    if chosen.verbose >= 0:
+        parser.error(f"{out} is not a whole run of {args.study}: {error}; run the study first")
+    if args.verbose >= 0:
         print_safely(f"drawn again in {out}")
     return OK
 
 
-def _run(_: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
+def _run_study(_: Parser, args: argparse.Namespace, petsc: Petsc) -> int:
     """Run one study; several names, or --all, run several studies. STUDY --help shows the options of a study."""
-    study = studies()[chosen.study]
-    options = {name: value for name, value in vars(chosen).items() if name in study.options and value is not None}
+    study = studies()[args.study]
+    options = {name: value for name, value in vars(args).items() if name in study.options and value is not None}
 
     def work(record: Record) -> None:
         from thinlayer.running.provenance import constants
@@ -305,12 +305,12 @@ def _run(_: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
         if study.drawn:
             module.draw(record)
 
-    out = chosen.out or Path("out", study.name)
-    return recorded(study.name, out, work, options, petsc, chosen.verbose, resume=chosen.resume)
+    out = args.out or Path("out", study.name)
+    return run_with_record(study.name, out, work, options, petsc, args.verbose, resume=args.resume)
 
 
-def _batch(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
-    """Run the studies that the parsed command line `chosen` names, or those of the paper; return the exit status.
+def _run_batch(parser: Parser, args: argparse.Namespace, petsc: Petsc) -> int:
+    """Run the studies that the parsed command line `args` names, or those of the paper; return the exit status.
 
     The command `run` gives the names. The command `reproduce` has none: it runs the studies of the paper and writes a
     page of their numbers. `petsc`, the PETSc options, must be empty, as they belong to one study; else `parser` ends
@@ -320,58 +320,58 @@ def _batch(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
         parser.error("PETSc options are those of one study; run it by itself")
 
     def work() -> int:
-        from thinlayer.running.batch import Job, quick_options, run_all
+        from thinlayer.running.batch import Job, quick_options, run_jobs
         from thinlayer.running.reproduce import reproduce
 
-        if "studies" not in chosen:
-            return reproduce(chosen.out, quick=chosen.quick, at_a_time=chosen.j)
-        quick, members = chosen.quick, (studies()[name] for name in chosen.all or chosen.studies)
-        times = {study.name: study.quick if quick else study.full for study in members}
-        jobs = [Job(name, quick_options(name, quick), chosen.out / name, time) for name, time in times.items()]
-        return run_all(jobs, chosen.out, chosen.j)
+        if "studies" not in args:
+            return reproduce(args.out, quick=args.quick, at_a_time=args.j)
+        quick, batch_studies = args.quick, (studies()[name] for name in args.all or args.studies)
+        durations = {study.name: study.quick if quick else study.full for study in batch_studies}
+        jobs = [Job(name, quick_options(name, quick), args.out / name, seconds) for name, seconds in durations.items()]
+        return run_jobs(jobs, args.out, args.j)
 
-    return computed(work, petsc={}, verbose=0)
+    return run_with_mpi(work, petsc={}, verbose=0)
 
 
-def _estimate(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
+def _run_estimate(parser: Parser, args: argparse.Namespace, petsc: Petsc) -> int:
     """Estimate what changes if a layer is not meshed. Keys of the file: thinlayer/docs/reference/description.md"""
-    ask = partial(computed, petsc=petsc, verbose=chosen.verbose)
-    if chosen.new:
-        if chosen.set:
+    run_function = partial(run_with_mpi, petsc=petsc, verbose=args.verbose)
+    if args.new:
+        if args.set:
             parser.error("--new reads a mesh file, which has no keys to --set")
-        return ask(partial(_new, chosen))
+        return run_function(partial(_print_template, args))
     from forms.base import InputError
     from thinlayer.running.description import Description
 
     try:
-        description = Description.read(chosen.description, chosen.set)
+        description = Description.read(args.description, args.set)
     except InputError as error:
-        return stop(is_first(), BAD_INPUT, error_text(error, chosen.verbose))
-    if chosen.check:
-        return ask(partial(_check, chosen, description))
+        return print_error(is_rank_0(), BAD_INPUT, error_text(error, args.verbose))
+    if args.check:
+        return run_function(partial(_print_summary, args, description))
 
     def work(record: Record) -> None:
         from thinlayer.running.estimation import run
 
-        record.quiet |= chosen.json
-        with description.section.described():
-            run(record, description, chosen.description)
-        if chosen.json:
-            _print_answer(chosen, record.results, "")
+        record.quiet |= args.json
+        with description.file_table.locate_errors():
+            run(record, description, args.description)
+        if args.json:
+            _print_answer(args, record.results, "")
 
-    out = chosen.out or Path("out", "estimate", chosen.description.stem)
-    return recorded("estimate", out, work, {"set": chosen.set}, petsc, chosen.verbose)
+    out = args.out or Path("out", "estimate", args.description.stem)
+    return run_with_record("estimate", out, work, {"set": args.set}, petsc, args.verbose)
 
 
-def _new(chosen: argparse.Namespace) -> int:
+def _print_template(args: argparse.Namespace) -> int:
     from thinlayer.running.template import template
 
-    return _print_answer(chosen, None, template(chosen.description))
+    return _print_answer(args, None, template(args.description))
 
 
-def _check(chosen: argparse.Namespace, description: Description) -> int:
+def _print_summary(args: argparse.Namespace, description: Description) -> int:
     from thinlayer.running.case import DescribedCase
     from thinlayer.running.summary import summarise
 
-    with description.section.described():
-        return _print_answer(chosen, None, summarise(DescribedCase.of(description)))
+    with description.file_table.locate_errors():
+        return _print_answer(args, None, summarise(DescribedCase.from_description(description)))

@@ -18,13 +18,13 @@ from thinlayer.running.materials import Materials, read_materials
 from thinlayer.running.toml_table import (
     Reader,
     Readers,
-    Section,
     TimeSeries,
+    TomlTable,
     choice_reader,
-    is_growing,
+    is_increasing,
     positive_reader,
-    read_description,
-    time_series,
+    read_input_file,
+    series_reader,
 )
 
 Place = str | tuple[float, ...]
@@ -35,11 +35,11 @@ Arguments = Mapping[str, Any]  # arguments of a function of the package, by name
 
 GOAL_READERS: dict[str, Readers] = {
     "compliance": {},
-    "reaction": {"place": Section.text, "direction": Section.vector},
-    "mean_traction": {"direction": Section.vector, "seam": Section.text},
-    "displacement": {"x": Section.vector, "direction": Section.vector, "side": choice_reader("lower", "upper")},
+    "reaction": {"place": TomlTable.text, "direction": TomlTable.vector},
+    "mean_traction": {"direction": TomlTable.vector, "seam": TomlTable.text},
+    "displacement": {"x": TomlTable.vector, "direction": TomlTable.vector, "side": choice_reader("lower", "upper")},
 }  # kind of goal -> readers of its arguments
-DEFAULT_QUANTITIES = ("traction", "jump")  # quantities that every estimate has, in addition to goals
+STANDARD_QUANTITIES = ("traction", "jump")  # quantities that every estimate has, in addition to goals
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Description:
     The change of these quantities is estimated if the layer is not meshed.
 
     Attributes:
-        section: all tables of the input file as read, by which errors name the entry they are about.
+        file_table: all tables of the input file as read, by which errors name the entry they are about.
         mesh: arguments of `geometry.read` by name; "path" is the path of the mesh file.
         body: name of a region -> its law and eigenstrain; the key None stands for all regions.
         layer: name of a seam -> law, eigenstrain and thickness of its layer; the key None stands for all seams.
@@ -69,7 +69,7 @@ class Description:
         bonded: whether to estimate, too, what changes if the layer is left out and the bodies are bonded.
     """
 
-    section: Section
+    file_table: TomlTable
     mesh: Arguments
     body: Materials
     layer: Materials
@@ -98,17 +98,17 @@ class Description:
             DescriptionError: an entry is wrong or missing; the message says which one, what is wrong, and what is
                 allowed.
         """
-        section = read_description(path, settings)
-        law = "the parameters of a law, such as E and nu, in a table"
-        needed = {"mesh": MESH_HINT, "body": f"{law} [body]", "layer": f"{law} [layer]"}
-        description = cls(section, **section.entries(ENTRY_READERS, needed))
-        moves = [v for u in description.supports.values() for v in (u.values() if isinstance(u, Mapping) else [u])]
-        strained = any(entry.eigenstrain for entry in (*description.body.values(), *description.layer.values()))
-        if not (description.tractions or description.body_force or description.loads or any(moves) or strained):
-            section.refuse("nothing loads the structure; give tractions, body_force, loads, or supports that move")
+        file_table = read_input_file(path, settings)
+        law_hint = "the parameters of a law, such as E and nu, in a table"
+        required = {"mesh": MESH_HINT, "body": f"{law_hint} [body]", "layer": f"{law_hint} [layer]"}
+        description = cls(file_table, **file_table.entries(ENTRY_READERS, required))
+        motions = [v for u in description.supports.values() for v in (u.values() if isinstance(u, Mapping) else [u])]
+        has_strain = any(entry.eigenstrain for entry in (*description.body.values(), *description.layer.values()))
+        if not (description.tractions or description.body_force or description.loads or any(motions) or has_strain):
+            file_table.refuse("nothing loads the structure; give tractions, body_force, loads, or supports that move")
         description._require_times()
         if description.tolerance and None not in description.layer:
-            section.refuse("a tolerance needs one layer for all seams; give [layer] without names", "tolerance")
+            file_table.refuse("a tolerance needs one layer for all seams; give [layer] without names", "tolerance")
         return description
 
     def _require_times(self) -> None:
@@ -118,16 +118,16 @@ class Description:
             DescriptionError: a load or support depends on time, and `times` is missing; or its values do not cover the
                 interval from 0 to the last of `times`.
         """
-        for history in self.section.histories:
-            first, last = min(history.values), max(history.values)
+        for series in self.file_table.time_series:
+            start, end = min(series.values), max(series.values)
             if not self.times:
-                self.section.refuse("a history needs times, the ends of time steps", *history.keys)
-            if first > 0 or last < self.times[-1]:
-                what = f"the history goes from {first:g} to {last:g}; it must cover all times, 0 to {self.times[-1]:g}"
-                self.section.refuse(what, *history.keys)
+                self.file_table.refuse("a history needs times, the ends of time steps", *series.key_path)
+            if start > 0 or end < self.times[-1]:
+                text = f"the history goes from {start:g} to {end:g}; it must cover all times, 0 to {self.times[-1]:g}"
+                self.file_table.refuse(text, *series.key_path)
 
 
-def _mesh(section: Section, key: str) -> Arguments:
+def _read_mesh(section: TomlTable, key: str) -> Arguments:
     """Read the mesh entry of the input file, and return the arguments of `geometry.read` by name.
 
     With regions in `upper` and `lower`, `S` is set to None if it is missing. S then consists of all facets between
@@ -137,14 +137,14 @@ def _mesh(section: Section, key: str) -> Arguments:
         section: the whole input file.
         key: "mesh". Its value is the path of the mesh file, or a table of arguments.
     """
-    value, sides = section.values[key], dict[str, Reader].fromkeys(("upper", "lower"), Section.texts)
-    table = section.inner({"path": value} if isinstance(value, str) else value, "path and arguments of read", key)
-    readers: Readers = {"path": Section.text, "S": _sides, **sides, "direction": Section.vector}
+    value, side_readers = section.values[key], dict[str, Reader].fromkeys(("upper", "lower"), TomlTable.texts)
+    table = section.as_table({"path": value} if isinstance(value, str) else value, "path and arguments of read", key)
+    readers: Readers = {"path": TomlTable.text, "S": _read_S_facets, **side_readers, "direction": TomlTable.vector}
     arguments = table.entries({**readers, "scale": positive_reader("a factor")}, {"path": MESH_HINT})
-    return {"S": None, **arguments} if sides.keys() <= arguments.keys() else arguments
+    return {"S": None, **arguments} if side_readers.keys() <= arguments.keys() else arguments
 
 
-def _sides(section: Section, key: str) -> object:
+def _read_S_facets(section: TomlTable, key: str) -> object:
     """Read which facets form S, at `key` in the table `section`: one name of a facet set, several names, or a table.
 
     The table has the sides of each seam by the name of the seam; only `geometry.read` checks it.
@@ -153,15 +153,15 @@ def _sides(section: Section, key: str) -> object:
     return value if isinstance(value, Mapping) else section.texts(key)
 
 
-def _units(section: Section, key: str) -> tuple[str, str]:
+def _read_units(section: TomlTable, key: str) -> tuple[str, str]:
     text = section.text(key)
-    lengths, *stresses = map(str.strip, text.split(","))
-    if not lengths or len(stresses) != 1 or not stresses[0]:
+    length_unit, *stress_units = map(str.strip, text.split(","))
+    if not length_unit or len(stress_units) != 1 or not stress_units[0]:
         section.refuse(f"{text!r} are not two units; give those of lengths and of stresses, such as 'mm, MPa'", key)
-    return lengths, stresses[0]
+    return length_unit, stress_units[0]
 
 
-def _supports(section: Section, key: str) -> dict[Place, Support]:
+def _read_supports(section: TomlTable, key: str) -> dict[Place, Support]:
     """Read the supports, a table at `key` in the input file `section`.
 
     Returns:
@@ -169,20 +169,20 @@ def _supports(section: Section, key: str) -> dict[Place, Support]:
         or component -> number or values in time. Components are "x", "y", "z" and, on a facet set, "n", along its
         normal.
     """
-    places, supports = section.table(key, "places with what they prescribe, such as LEFT = 0"), dict[Place, Support]()
-    for name, value in places.values.items():
-        place = _place(name)
+    table, supports = section.table(key, "places with what they prescribe, such as LEFT = 0"), dict[Place, Support]()
+    for name, value in table.values.items():
+        place = _parse_place(name)
         if isinstance(value, Mapping):
-            readers = dict.fromkeys("xyzn" if isinstance(place, str) else "xyz", time_series(Section.number))
-            supports[place] = places.table(name, "components").entries(readers, kind="component")
+            readers = dict.fromkeys("xyzn" if isinstance(place, str) else "xyz", series_reader(TomlTable.number))
+            supports[place] = table.table(name, "components").entries(readers, kind="component")
             if not value:
-                places.refuse("it has no components; give some, such as {x = 0}", name)
+                table.refuse("it has no components; give some, such as {x = 0}", name)
         else:
-            supports[place] = places.number(name)
+            supports[place] = table.number(name)
     return supports
 
 
-def _place(text: str) -> Place:
+def _parse_place(text: str) -> Place:
     """Return where a support is, from its key `text` in the input file: the coordinates of a vertex, or a facet set.
 
     A text such as "(1, 0)" stands for a vertex; any other text is the name of a facet set.
@@ -193,25 +193,25 @@ def _place(text: str) -> Place:
     return text
 
 
-def _tractions(section: Section, key: str) -> dict[str, Traction]:
+def _read_tractions(section: TomlTable, key: str) -> dict[str, Traction]:
     """Read the tractions on facet sets, a table at `key` in the input file `section`.
 
     Returns:
         Name of a facet set -> components of the traction, or {"pressure": number}. Components and pressure may also be
         values in time.
     """
-    sets = section.table(key, "names of facet sets with a vector, such as TOP = [0, -50]")
-    return {name: time_series(_traction)(sets, name) for name in sets.values}
+    table = section.table(key, "names of facet sets with a vector, such as TOP = [0, -50]")
+    return {name: series_reader(_read_traction)(table, name) for name in table.values}
 
 
-def _traction(section: Section, key: str) -> Traction:
+def _read_traction(section: TomlTable, key: str) -> Traction:
     if isinstance(section.values[key], Mapping):
-        what = {"pressure": "a stress, > 0 where it presses"}
-        return section.table(key, "pressure").entries({"pressure": time_series(Section.number)}, what)
+        required = {"pressure": "a stress, > 0 where it presses"}
+        return section.table(key, "pressure").entries({"pressure": series_reader(TomlTable.number)}, required)
     return section.vector(key)
 
 
-def _body_force(section: Section, key: str) -> Vector | dict[str, Vector]:
+def _read_body_force(section: TomlTable, key: str) -> Vector | dict[str, Vector]:
     """Read the force per volume at `key` in the input file `section`.
 
     Returns:
@@ -220,10 +220,10 @@ def _body_force(section: Section, key: str) -> Vector | dict[str, Vector]:
     value = section.values[key]
     if not isinstance(value, Mapping):
         return section.vector(key)
-    return section.table(key, "names of regions and seams").entries(dict.fromkeys(value, Section.vector))
+    return section.table(key, "names of regions and seams").entries(dict.fromkeys(value, TomlTable.vector))
 
 
-def _loads(section: Section, key: str) -> tuple[Arguments, ...]:
+def _read_loads(section: TomlTable, key: str) -> tuple[Arguments, ...]:
     """Read the concentrated loads, a list of tables at `key` in the input file `section`.
 
     Returns:
@@ -233,64 +233,64 @@ def _loads(section: Section, key: str) -> tuple[Arguments, ...]:
     loads = []
     for table in section.tables(key, "place and force, or first, second and force"):
         on_edges = {"first", "second"} & table.values.keys()
-        where: Readers = dict.fromkeys(("first", "second"), Section.text) if on_edges else {"place": Section.vector}
+        where: Readers = dict.fromkeys(("first", "second"), TomlTable.text) if on_edges else {"place": TomlTable.vector}
         needed = {**dict.fromkeys(where, "where the load acts"), "force": "the vector of the force"}
-        loads.append(table.entries({**where, "force": time_series(Section.vector), "body": Section.text}, needed))
+        loads.append(table.entries({**where, "force": series_reader(TomlTable.vector), "body": TomlTable.text}, needed))
     return tuple(loads)
 
 
-def _times(section: Section, key: str) -> tuple[float, ...]:
+def _read_times(section: TomlTable, key: str) -> tuple[float, ...]:
     wrong = "are not times; give numbers > 0 that grow, such as [0.5, 1]"
-    return tuple(map(float, section.checked(key, lambda times: times and is_growing(times) and times[0] > 0, wrong)))
+    return tuple(map(float, section.checked(key, lambda times: times and is_increasing(times) and times[0] > 0, wrong)))
 
 
-def _goals(section: Section, key: str) -> dict[str, Arguments]:
-    goals = section.table(key, "names with what they ask for, such as compliance = true")
+def _read_goals(section: TomlTable, key: str) -> dict[str, Arguments]:
+    table = section.table(key, "names with what they ask for, such as compliance = true")
     arguments: dict[str, Arguments] = {}
-    for name, value in goals.values.items():
-        if name in DEFAULT_QUANTITIES:
-            goals.refuse("every estimate has this quantity; give the goal another name", name)
-        goal = goals.inner({} if value is True else value, "arguments of a goal, or is true", name)
-        kind = goal.text("kind", GOAL_READERS) if "kind" in goal.values else name
+    for name, value in table.values.items():
+        if name in STANDARD_QUANTITIES:
+            table.refuse("every estimate has this quantity; give the goal another name", name)
+        goal_table = table.as_table({} if value is True else value, "arguments of a goal, or is true", name)
+        kind = goal_table.text("kind", GOAL_READERS) if "kind" in goal_table.values else name
         if kind not in GOAL_READERS:
-            goals.refuse(f"kind is missing; allowed: {', '.join(GOAL_READERS)}, also as the goal's key", name)
+            table.refuse(f"kind is missing; allowed: {', '.join(GOAL_READERS)}, also as the goal's key", name)
         readers = GOAL_READERS[kind]
-        needed = {key: f"{kind} has {', '.join(readers)}" for key in readers if key not in ("seam", "side")}
-        arguments[name] = {"kind": kind, **goal.entries({"kind": Section.text, **readers}, needed)}
+        required = {key: f"{kind} has {', '.join(readers)}" for key in readers if key not in ("seam", "side")}
+        arguments[name] = {"kind": kind, **goal_table.entries({"kind": TomlTable.text, **readers}, required)}
     return arguments
 
 
-def _tolerance(section: Section, key: str) -> dict[str, float]:
+def _read_tolerances(section: TomlTable, key: str) -> dict[str, float]:
     """Read the allowed changes at `key` in the input file `section`: name of a quantity -> largest relative change.
 
     A number in place of a table is the largest relative change of the traction.
     """
     value, what = section.values[key], "the largest relative change that is allowed, between 0 and 1"
-    table = section.inner(value if isinstance(value, Mapping) else {"traction": value}, what, key)
+    table = section.as_table(value if isinstance(value, Mapping) else {"traction": value}, what, key)
     goals = section.values.get("goals") or {"compliance": True}
-    tolerances = table.entries(dict.fromkeys([*DEFAULT_QUANTITIES, *goals], positive_reader(what)), kind="quantity")
+    tolerances = table.entries(dict.fromkeys([*STANDARD_QUANTITIES, *goals], positive_reader(what)), kind="quantity")
     return {name: table.checked(name, lambda number: number < 1, f"is not < 1; it is {what}") for name in tolerances}
 
 
-def _bonded(section: Section, key: str) -> bool:
+def _read_bonded(section: TomlTable, key: str) -> bool:
     return bool(section.checked(key, lambda value: isinstance(value, bool), "is neither true nor false"))
 
 
 MESH_HINT = 'the name of a mesh file, mesh = "joint.msh"'
 ENTRY_READERS: dict[str, Reader] = {
-    "mesh": _mesh,
-    "units": _units,
+    "mesh": _read_mesh,
+    "units": _read_units,
     "body": read_materials,
-    "layer": partial(read_materials, thin=True),
-    "supports": _supports,
-    "tractions": _tractions,
-    "body_force": _body_force,
-    "loads": _loads,
+    "layer": partial(read_materials, are_layers=True),
+    "supports": _read_supports,
+    "tractions": _read_tractions,
+    "body_force": _read_body_force,
+    "loads": _read_loads,
     "plane": choice_reader("strain", "stress", "axisymmetric"),
     "element": choice_reader("P2", "Q2", "S2"),  # of degree 2, as interface laws of order 1 need it
     "bodies": choice_reader("kept", "extended"),
-    "times": _times,
-    "goals": _goals,
-    "tolerance": _tolerance,
-    "bonded": _bonded,
+    "times": _read_times,
+    "goals": _read_goals,
+    "tolerance": _read_tolerances,
+    "bonded": _read_bonded,
 }

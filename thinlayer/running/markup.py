@@ -21,13 +21,13 @@ ACCENTS = {"bar": "\u0304", "dot": "\u0307"}
 MARKUP_PATTERN = re.compile(r"\$([^$]+)\$|`([^`]+)`|\*\*([^*]+)\*\*|\[([^\]]+)\]\(([^)\s]+)\)")
 
 
-def html_of(text: str) -> str:
+def paragraphs_html(text: str) -> str:
     """Convert a text to HTML, each of its paragraphs to an element <p>; empty lines separate paragraphs.
 
     Raises:
         InputError: a formula has an unknown symbol or a group within a group.
     """
-    return "".join(f"<p>{line_of(part)}</p>" for part in re.split(r"\n\s*\n", text.strip()))
+    return "".join(f"<p>{line_of(paragraph)}</p>" for paragraph in re.split(r"\n\s*\n", text.strip()))
 
 
 def line_of(text: str) -> str:
@@ -37,32 +37,32 @@ def line_of(text: str) -> str:
         InputError: a formula has an unknown symbol or a group within a group.
     """
 
-    def marked(match: re.Match[str]) -> str:
-        formula, code, stress, label, link = match.groups()
+    def element_html(match: re.Match[str]) -> str:
+        formula, code, strong, label, link = match.groups()
         if formula:
-            return f'<span class="formula">{formula_of(html.unescape(formula))}</span>'
+            return f'<span class="formula">{formula_html(html.unescape(formula))}</span>'
         if link:
             return f'<a href="{link}">{line_of(html.unescape(label))}</a>'
-        return f"<code>{code}</code>" if code else f"<strong>{stress}</strong>"
+        return f"<code>{code}</code>" if code else f"<strong>{strong}</strong>"
 
-    return MARKUP_PATTERN.sub(marked, html.escape(text))
+    return MARKUP_PATTERN.sub(element_html, html.escape(text))
 
 
-def formula_of(tex: str) -> str:
+def formula_html(tex: str) -> str:
     """Convert a formula in TeX, without its dollar signs, to HTML.
 
     Raises:
         InputError: the formula has an unknown symbol or a group within a group.
     """
 
-    def sign(match: re.Match[str]) -> str:
+    def sign_html(match: re.Match[str]) -> str:
         text = SIGN_ENTITIES.get(match[1][1:], match[1]) if match[1][0] == "\\" else match[1]
         return f"<i>{text}{match[2]}</i>" if len(text) == 1 and text.isalpha() else text
 
-    done = re.sub(r"\\(bar|dot)\s*\{?(\\[a-z]+|\w)\}?", lambda match: match[2] + ACCENTS[match[1]], html.escape(tex))
-    done = re.sub(r"(\\[A-Za-z]+|\\.|&\w+;|[A-Za-z-])([\u0304\u0307]?)", sign, done.replace("-", "\\-"))
-    for raised, tag in (("_", "sub"), (r"\^", "sup")):
-        done = re.sub(rf"{raised}(?:\{{([^{{}}]*)\}}|(<i>.*?</i>|.))", rf"<{tag}>\1\2</{tag}>", done)
-    if m := re.search(r"[\\{}]\w*", done):
+    result = re.sub(r"\\(bar|dot)\s*\{?(\\[a-z]+|\w)\}?", lambda match: match[2] + ACCENTS[match[1]], html.escape(tex))
+    result = re.sub(r"(\\[A-Za-z]+|\\.|&\w+;|[A-Za-z-])([\u0304\u0307]?)", sign_html, result.replace("-", "\\-"))
+    for marker, tag in (("_", "sub"), (r"\^", "sup")):
+        result = re.sub(rf"{marker}(?:\{{([^{{}}]*)\}}|(<i>.*?</i>|.))", rf"<{tag}>\1\2</{tag}>", result)
+    if m := re.search(r"[\\{}]\w*", result):
         raise InputError(f"the formula {tex!r} has {m[0]!r}, neither a name of {SIGNS_FILE} nor a group without groups")
-    return done
+    return result

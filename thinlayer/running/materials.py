@@ -13,12 +13,12 @@ import forms
 from forms.base import InputError
 from forms.elastic import LinearElastic
 from forms.kernel import KernelLaw
-from forms.law import BulkLaw, scalar_fields
+from forms.law import BulkLaw, scalar_field_names
 from forms.series import Stack
-from thinlayer.running.toml_table import Reader, Section, choice_reader, positive_reader
+from thinlayer.running.toml_table import Reader, TomlTable, choice_reader, positive_reader
 
 LawType = TypeVar("LawType", bound=BulkLaw)
-ELASTIC_CONSTANTS = ("E", "nu", "K", "G", "mu", "lmbda")
+ELASTIC_KEYS = ("E", "nu", "K", "G", "mu", "lmbda")
 ELASTIC_PAIRS_TEXT = "E and nu, G and nu, K and G, or lmbda and mu (G is mu)"
 
 
@@ -40,7 +40,7 @@ class MaterialEntry:
 Materials = Mapping[str | None, MaterialEntry]  # by the name of a region or seam; None: all
 
 
-def read_materials(section: Section, key: str, *, thin: bool = False) -> Materials:
+def read_materials(section: TomlTable, key: str, *, are_layers: bool = False) -> Materials:
     """Read the materials of all bodies, or those of all layers, from an input file.
 
     The table of materials has the parameters of one law for all; or it has a table of parameters for each name of a
@@ -49,7 +49,7 @@ def read_materials(section: Section, key: str, *, thin: bool = False) -> Materia
     Args:
         section: the whole input file.
         key: key of the table of materials, "body" or "layer".
-        thin: whether the materials are those of layers, which have a thickness.
+        are_layers: whether the materials are those of layers, which have a thickness.
 
     Returns:
         Name of a region or seam -> its material. The key None stands for all regions or seams.
@@ -58,15 +58,15 @@ def read_materials(section: Section, key: str, *, thin: bool = False) -> Materia
         DescriptionError: an unknown law, an unknown or missing parameter, moduli that do not determine an elastic law,
             or parameters that the law refuses.
     """
-    what, thickness = "the parameters of a law, such as E and nu", "the thickness of the layer, a length"
-    whole = section.table(key, what)
-    inside = [isinstance(value, dict) for value in whole.values.values()]
-    if any(inside) and not all(inside):
-        whole.refuse(f"it has tables with names beside keys without one; give each name a table with {what}")
-    tables = {name: whole.table(name, what) for name in whole.values} if any(inside) else {None: whole}
-    materials, needed = dict[str | None, MaterialEntry](), {"eps": positive_reader(thickness)} if thin else {}
+    content, eps_hint = "the parameters of a law, such as E and nu", "the thickness of the layer, a length"
+    whole = section.table(key, content)
+    are_tables = [isinstance(value, dict) for value in whole.values.values()]
+    if any(are_tables) and not all(are_tables):
+        whole.refuse(f"it has tables with names beside keys without one; give each name a table with {content}")
+    tables = {name: whole.table(name, content) for name in whole.values} if any(are_tables) else {None: whole}
+    materials, needed = dict[str | None, MaterialEntry](), {"eps": positive_reader(eps_hint)} if are_layers else {}
     for name, table in tables.items():
-        law, entries = _law(table, {**needed, "eigenstrain": Section.number}, dict.fromkeys(needed, thickness))
+        law, entries = _read_law(table, {**needed, "eigenstrain": TomlTable.number}, dict.fromkeys(needed, eps_hint))
         materials[name] = MaterialEntry(law, entries.get("eps", 0.0), entries.get("eigenstrain"))
     return materials
 
@@ -78,52 +78,54 @@ def laws_by_name() -> dict[str, type[BulkLaw]]:
     return {name: law for name, law in classes.items() if issubclass(law, BulkLaw) and law not in (BulkLaw, KernelLaw)}
 
 
-def _law(section: Section, extra: Mapping[str, Reader], needed: Mapping[str, str]) -> tuple[BulkLaw, dict[str, Any]]:
+def _read_law(
+    section: TomlTable, extra_readers: Mapping[str, Reader], required: Mapping[str, str]
+) -> tuple[BulkLaw, dict[str, Any]]:
     """Read a law from a table {law = name, parameter = value, ...}, or the law of a stack from {sublayers = [...]}.
 
     Args:
         section: the table.
-        extra: key that the table may have besides the law -> function that reads its value.
-        needed: key that the table must have besides the law -> explanation of the key, for errors.
+        extra_readers: key that the table may have besides the law -> function that reads its value.
+        required: key that the table must have besides the law -> explanation of the key, for errors.
 
     Returns:
         The law, and key -> value of all entries of the table.
     """
     if "sublayers" in section.values or section.values.get("law") == "Stack":
-        of_stack = {"law": choice_reader("Stack"), "sublayers": _sublayers, **extra}
-        entries = section.entries(of_stack, {**needed, "sublayers": "tables with a law"}, "key of Stack")
-        return _made(section, lambda: Stack(*entries["sublayers"])), entries
+        stack_readers = {"law": choice_reader("Stack"), "sublayers": _read_sublayers, **extra_readers}
+        entries = section.entries(stack_readers, {**required, "sublayers": "tables with a law"}, "key of Stack")
+        return _make_law(section, lambda: Stack(*entries["sublayers"])), entries
     name = section.text("law", laws_by_name(), "law of strains") if "law" in section.values else "LinearElastic"
-    kind: Any = laws_by_name()[name]  # mypy does not see that classes can be hashed, as `scalar_fields` needs
-    parameters = {f.name: f for f in fields(kind) if f.init}
-    elastic = ELASTIC_CONSTANTS if "lmbda" in parameters else ("E", "G", "mu") if "mu" in parameters else ()
-    others = [key for key in parameters if key not in elastic]
-    numbers = {*elastic, *scalar_fields(kind)}
-    readers = {key: Section.number if key in numbers else _value for key in (*elastic, *others)}
-    has = f"{name} has {', '.join([ELASTIC_PAIRS_TEXT, *others] if elastic else others)}"
-    words = {**{key: has for key in others if parameters[key].default is MISSING}, **needed}
-    entries = section.entries({"law": Section.text, **extra, **readers}, words, f"key of {name}")
-    moduli = {key: entries[key] for key in elastic if key in entries}
-    arguments = {key: entries[key] for key in others if key in entries}
-    if elastic:
-        arguments |= _pair(section, name, moduli) if "lmbda" in parameters else _shear(section, name, moduli)
-    return _made(section, lambda: kind(**arguments)), entries
+    law_class: Any = laws_by_name()[name]  # mypy does not see that classes can be hashed, as `scalar_field_names` needs
+    parameters = {f.name: f for f in fields(law_class) if f.init}
+    elastic_keys = ELASTIC_KEYS if "lmbda" in parameters else ("E", "G", "mu") if "mu" in parameters else ()
+    other_keys = [key for key in parameters if key not in elastic_keys]
+    number_keys = {*elastic_keys, *scalar_field_names(law_class)}
+    readers = {key: TomlTable.number if key in number_keys else _read_parameter for key in (*elastic_keys, *other_keys)}
+    allowed_text = f"{name} has {', '.join([ELASTIC_PAIRS_TEXT, *other_keys] if elastic_keys else other_keys)}"
+    hints = {**{key: allowed_text for key in other_keys if parameters[key].default is MISSING}, **required}
+    entries = section.entries({"law": TomlTable.text, **extra_readers, **readers}, hints, f"key of {name}")
+    moduli = {key: entries[key] for key in elastic_keys if key in entries}
+    arguments = {key: entries[key] for key in other_keys if key in entries}
+    if elastic_keys:
+        arguments |= _lame_moduli(section, name, moduli) if "lmbda" in parameters else _shear(section, name, moduli)
+    return _make_law(section, lambda: law_class(**arguments)), entries
 
 
-def _made(section: Section, make: Callable[[], LawType]) -> LawType:
+def _make_law(section: TomlTable, make: Callable[[], LawType]) -> LawType:
     try:
         return make()
     except (InputError, TypeError, ValueError) as error:
         section.refuse(str(error))
 
 
-def _sublayers(section: Section, key: str) -> list[tuple[float, BulkLaw]]:
-    what, tables = "share of the thickness", section.tables(key, "a fraction of the thickness and a law")
-    laws = [_law(table, {"fraction": positive_reader(what)}, {"fraction": what}) for table in tables]
+def _read_sublayers(section: TomlTable, key: str) -> list[tuple[float, BulkLaw]]:
+    explanation, tables = "share of the thickness", section.tables(key, "a fraction of the thickness and a law")
+    laws = [_read_law(table, {"fraction": positive_reader(explanation)}, {"fraction": explanation}) for table in tables]
     return [(entries["fraction"], law) for law, entries in laws]
 
 
-def _value(section: Section, key: str) -> object:
+def _read_parameter(section: TomlTable, key: str) -> object:
     """Return the parameter of a law at `key` in the table `section`: a list as an array, any other value as it is."""
     value = section.values[key]
     try:
@@ -132,7 +134,7 @@ def _value(section: Section, key: str) -> object:
         section.refuse("it must be a table of numbers", key)
 
 
-def _shear(section: Section, name: str, moduli: Mapping[str, float]) -> dict[str, float]:
+def _shear(section: TomlTable, name: str, moduli: Mapping[str, float]) -> dict[str, float]:
     """Return {"mu": shear modulus} for an incompressible law, from the one modulus that the user gives.
 
     Args:
@@ -146,7 +148,7 @@ def _shear(section: Section, name: str, moduli: Mapping[str, float]) -> dict[str
     return {"mu": value / 3 if key == "E" else value}
 
 
-def _pair(section: Section, name: str, moduli: Mapping[str, float]) -> dict[str, float]:
+def _lame_moduli(section: TomlTable, name: str, moduli: Mapping[str, float]) -> dict[str, float]:
     """Return Lamé's moduli, {"lmbda": ..., "mu": ...}, of an isotropic law, from two constants that the user gives.
 
     Args:
@@ -161,6 +163,6 @@ def _pair(section: Section, name: str, moduli: Mapping[str, float]) -> dict[str,
         return constants
     if "K" in constants:
         return {"lmbda": constants["K"] - 2 * constants["G"] / 3, "mu": constants["G"]}
-    make, first = (LinearElastic.young, "E") if "E" in constants else (LinearElastic.shear, "G")
-    law = _made(section, lambda: make(constants[first], constants["nu"]))
+    make, modulus = (LinearElastic.young, "E") if "E" in constants else (LinearElastic.shear, "G")
+    law = _make_law(section, lambda: make(constants[modulus], constants["nu"]))
     return {"lmbda": law.lmbda, "mu": law.mu}

@@ -21,7 +21,7 @@ RECORDED_PACKAGES = (
 
 
 @cache
-def versions() -> dict[str, str]:
+def package_versions() -> dict[str, str]:
     """Return name -> version of Python, PETSc and the packages that results depend on.
 
     The version of a package that is missing is "not installed".
@@ -42,7 +42,7 @@ def petsc_options() -> dict[str, object]:
 
 
 @cache
-def code() -> str:
+def code_hash() -> str:
     """Return a hash of the Python and C sources of the package and of its studies."""
     folder = Path(__file__).parents[2]
     paths = (path for package in (*PACKAGES, "studies") for path in sorted((folder / package).rglob("*")))
@@ -56,9 +56,9 @@ def constants(module: ModuleType) -> dict[str, object]:
     Constants are variables with a name in capitals whose value is a number, a text, a law, or a tuple or dict of these.
     """
 
-    def plain(value: object) -> bool:
+    def is_storable(value: object) -> bool:
         if isinstance(value, dict):
-            return all(isinstance(key, str) and plain(entry) for key, entry in value.items())
-        return all(map(plain, value)) if isinstance(value, tuple) else isinstance(value, (int, float, str, Law))
+            return all(isinstance(key, str) and is_storable(entry) for key, entry in value.items())
+        return all(map(is_storable, value)) if isinstance(value, tuple) else isinstance(value, (int, float, str, Law))
 
-    return {name: value for name, value in vars(module).items() if name.isupper() and plain(value)}
+    return {name: value for name, value in vars(module).items() if name.isupper() and is_storable(value)}

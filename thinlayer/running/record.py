@@ -18,7 +18,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.output.sweep import sweep
-from thinlayer.running.provenance import code, petsc_options, versions
+from thinlayer.running.provenance import code_hash, package_versions, petsc_options
 from thinlayer.solving.history import History
 from thinlayer.solving.petsc import PREFIX
 from thinlayer.system.fingerprint import differences, differences_text
@@ -35,7 +35,7 @@ RunContent = dict[str, Any]  # content of run.json
 RUN_FILE, RUN_FORMAT = "run.json", 1  # name of the file, and version of its format
 MAX_PRINTED_ROWS = 40  # largest number of rows of a table that is printed
 ENTRY_TYPES = {"study": str, "options": dict, "code": str, "petsc": dict, "files": list, "checks": list}  # in run.json
-MARCHES_FOLDER = "unfinished"  # folder for the states of marches, needed to resume
+UNFINISHED_FOLDER = "unfinished"  # folder for the states of marches, needed to resume
 
 
 @dataclass
@@ -56,12 +56,12 @@ class Check:
     passed: bool = field(init=False)
 
     def __post_init__(self) -> None:
-        above = self.low is None or self.value >= self.low
-        below = self.high is None or self.value <= self.high
-        self.passed = bool(above and below)  # NaN fails; JSON needs Python's bool
+        above_low = self.low is None or self.value >= self.low
+        below_high = self.high is None or self.value <= self.high
+        self.passed = bool(above_low and below_high)  # NaN fails; JSON needs Python's bool
 
     def __str__(self) -> str:
-        ends = [f"{sign} {end:.6g}" for sign, end in ((">=", self.low), ("<=", self.high)) if end is not None]
+        ends = [f"{sign} {bound:.6g}" for sign, bound in ((">=", self.low), ("<=", self.high)) if bound is not None]
         return f"{self.name}: {self.value:.6g} ({' and '.join(ends)})"
 
 
@@ -93,10 +93,10 @@ class Record:
         self.checks: list[Check] = []
         self.solves: list[dict[str, object]] = []
         self._tables: dict[str, Table] = {}
-        self._files: set[str] = set()  # names of the run's files except run.json
-        self._previous: Path | None = None  # where the files of an earlier run are now
-        self._lock, self._start = ExitStack(), time.perf_counter()
-        self.root, self.quiet, self._owns = default_comm().rank == 0, False, False
+        self._file_names: set[str] = set()  # names of the run's files except run.json
+        self._previous_folder: Path | None = None  # where the files of an earlier run are now
+        self._lock_stack, self._start_time = ExitStack(), time.perf_counter()
+        self.root, self.quiet, self._has_lock = default_comm().rank == 0, False, False
 
     # ---------------------------------------------------------------- the folder
     def __enter__(self) -> Self:
@@ -107,19 +107,19 @@ class Record:
                 earlier run cannot be continued.
         """
         with ExitStack() as stack:
-            on_root(default_comm(), lambda: self._copy_u(stack))
-            self._lock = stack.pop_all()
-        self._owns = True
+            on_root(default_comm(), lambda: self._claim_folder(stack))
+            self._lock_stack = stack.pop_all()
+        self._has_lock = True
         return self
 
-    def _copy_u(self, stack: ExitStack) -> None:
-        stack.enter_context(lock_folder(self.out))
+    def _claim_folder(self, exit_stack: ExitStack) -> None:
+        exit_stack.enter_context(lock_folder(self.out))
         if (self.out / RUN_FILE).exists():
             if self.resume:
-                self._files |= {*self.same_run()["files"]}
+                self._file_names |= {*self.read_same_run()["files"]}
             else:  # run.json last: it is still there if the process is killed while files are moved
-                files = (name for name in self._read()["files"] if Path(name).name == name)
-                self._previous = move_away(self.out, [*files, RUN_FILE])
+                files = (name for name in self._read_run_file()["files"] if Path(name).name == name)
+                self._previous_folder = move_away(self.out, [*files, RUN_FILE])
         elif tables := sorted(path.name for path in self.out.glob("*.csv")):
             raise InputError(f"{self.out} has {', '.join(tables)}, but no run.json; give another --out, or remove them")
 
@@ -136,19 +136,19 @@ class Record:
         Raises:
             OSError: the run is done, but run.json cannot be written; all ranks raise it.
         """
-        with self._lock:
+        with self._lock_stack:
             if error is None:
                 self.close()
             elif self.root:
                 with suppress(OSError):
                     if not isinstance(error, InputError):
-                        self._write(error_reason(error))
-                    elif not any((self.out / name).exists() for name in self._files):
+                        self._write_run_file(error_reason(error))
+                    elif not any((self.out / name).exists() for name in self._file_names):
                         (self.out / RUN_FILE).unlink(missing_ok=True)
-                        if self._previous:
-                            move_back(self._previous)
+                        if self._previous_folder:
+                            move_back(self._previous_folder)
 
-    def _read(self) -> RunContent:
+    def _read_run_file(self) -> RunContent:
         """Return the content of run.json as nested JSON data. To be called on rank 0 only.
 
         Raises:
@@ -157,26 +157,26 @@ class Record:
         path = self.out / RUN_FILE
         try:
             run = dict(json.loads(path.read_text(encoding="utf-8")))
-            if wrong := [name for name, kind in ENTRY_TYPES.items() if not isinstance(run.get(name), kind)]:
-                raise ValueError(f"wrong or missing entries: {', '.join(wrong)}")
+            if wrong_names := [name for name, kind in ENTRY_TYPES.items() if not isinstance(run.get(name), kind)]:
+                raise ValueError(f"wrong or missing entries: {', '.join(wrong_names)}")
             Path(*run["files"])
             dict(run["petsc"]["options"])
             return run
         except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
             raise InputError(f"{path} cannot be read ({error}); give another folder, or remove it") from error
 
-    def _of_study(self) -> RunContent:
+    def _read_study_run(self) -> RunContent:
         """Return the content of run.json after a check that it is of this study. To be called on rank 0 only.
 
         Raises:
             InputError: the file cannot be read, lacks entries, or belongs to another study.
         """
-        run = self._read()
-        if run["study"] != self.study:
-            raise InputError(f"the run in {self.out} is of the study {run['study']}, not {self.study}")
-        return run
+        content = self._read_run_file()
+        if content["study"] != self.study:
+            raise InputError(f"the run in {self.out} is of the study {content['study']}, not {self.study}")
+        return content
 
-    def same_run(self) -> RunContent:
+    def read_same_run(self) -> RunContent:
         """Return the content of run.json after a check that its run had the input of this one.
 
         To be called on rank 0 only.
@@ -185,15 +185,15 @@ class Record:
             InputError: the file cannot be read; or its run differs in the study, its options, the package's PETSc
                 options or the source code.
         """
-        run = self._of_study()
-        here: RunContent = {"options": self.identity()[1], "code": code(), "petsc": petsc_options()}
-        there = {name: run[name] for name in here}
-        for data in (there, here):
+        content = self._read_study_run()
+        own_input: RunContent = {"options": self.identity()[1], "code": code_hash(), "petsc": petsc_options()}
+        earlier_input = {name: content[name] for name in own_input}
+        for data in (earlier_input, own_input):
             data["petsc"] = {k: value for k, value in data["petsc"]["options"].items() if k.startswith(f"-{PREFIX}")}
-        if changes := [*differences(there, here)]:
+        if changes := [*differences(earlier_input, own_input)]:
             text = differences_text(changes)
             raise InputError(f"--resume: the run in {self.out} was another one ({text}); run the study anew")
-        return run
+        return content
 
     def identity(self) -> list[object]:
         """Return the study's name and its options as JSON data: [name, {option: value}].
@@ -202,13 +202,13 @@ class Record:
         """
         return [self.study, json.loads(json.dumps(self.options, default=str))]
 
-    def check_drawn(self) -> None:
+    def require_run(self) -> None:
         """Check that the folder has a run of this study, whose pictures can be drawn again. Collective.
 
         Raises:
             InputError: the folder has no readable run.json, or one of another study.
         """
-        on_root(default_comm(), self._of_study)
+        on_root(default_comm(), self._read_study_run)
 
     def close(self) -> None:
         """Write run.json for a run that is done. Collective.
@@ -216,18 +216,18 @@ class Record:
         Raises:
             OSError: the file cannot be written; all ranks raise it.
         """
-        on_root(default_comm(), lambda: self._write(None))
+        on_root(default_comm(), lambda: self._write_run_file(None))
 
-    def _write(self, error: str | None) -> None:
+    def _write_run_file(self, error: str | None) -> None:
         content: RunContent = {"study": self.study, "options": self.options, "parameters": self.parameters}
-        content |= {"results": self.results, "solves": self.solves, "code": code(), "petsc": petsc_options()}
-        seconds, checks = round(time.perf_counter() - self._start, 3), [*map(asdict, self.checks)]
-        content |= {"versions": versions(), "ranks": default_comm().size, "seconds": seconds, "checks": checks}
-        content |= {"format": RUN_FORMAT, "error": error, "files": sorted(self._files)}
+        content |= {"results": self.results, "solves": self.solves, "code": code_hash(), "petsc": petsc_options()}
+        seconds, checks = round(time.perf_counter() - self._start_time, 3), [*map(asdict, self.checks)]
+        content |= {"versions": package_versions(), "ranks": default_comm().size, "seconds": seconds, "checks": checks}
+        content |= {"format": RUN_FORMAT, "error": error, "files": sorted(self._file_names)}
         with replace_file(self.out / RUN_FILE) as file:
             file.write((json.dumps(content, indent=1, default=str) + "\n").encode())
         if error is None:
-            shutil.rmtree(self.out / MARCHES_FOLDER, ignore_errors=True)
+            shutil.rmtree(self.out / UNFINISHED_FOLDER, ignore_errors=True)
 
     # ---------------------------------------------------------------- files
     def path(self, name: str) -> Path:
@@ -235,15 +235,15 @@ class Record:
 
         The file is not made, nor the folder: the function that writes the file makes both.
         """
-        if name not in self._files:
-            self._files.add(name)
-            if self._owns and self.root:  # so that run.json names the files even if the run is killed
+        if name not in self._file_names:
+            self._file_names.add(name)
+            if self._has_lock and self.root:  # so that run.json names the files even if the run is killed
                 with suppress(OSError):
                     move_away(self.out, [name])  # no file of an earlier run: these have been moved already
-                    self._write("not finished")
+                    self._write_run_file("not finished")
         return self.out / name
 
-    def table(self, name: str) -> Table:
+    def new_table(self, name: str) -> Table:
         """Return a new, empty table, of which each added row is written at once to a csv file. Collective.
 
         Args:
@@ -261,7 +261,7 @@ class Record:
             row: function that returns a row of the table: name of a column -> entry.
             label: format string for a case, such as "eps = {}"; it makes the text shown while the row is computed.
         """
-        table = self.table(name)
+        table = self.new_table(name)
         for case in track(list(cases), self.study, label):
             table.append(row(*case) if isinstance(case, tuple) else row(case))
         return table
@@ -321,24 +321,24 @@ class Record:
             choices: further arguments of `march`.
         """
         try:
-            history = march(model, times, out=self.path(MARCHES_FOLDER) / name, resume=self.resume, **choices)
+            history = march(model, times, out=self.path(UNFINISHED_FOLDER) / name, resume=self.resume, **choices)
         except SolveError as error:
             for state in error.history or ():
-                self.solved(state)
+                self.add_report(state)
             raise
         for state in history:
-            self.solved(state)
+            self.add_report(state)
         return history
 
-    def solved(self, solution: SolvedType) -> SolvedType:
+    def add_report(self, solution: SolvedType) -> SolvedType:
         """Add the solver's report of a solution to `solves`, for run.json, and return the solution unchanged.
 
         Args:
             solution: a state; or a history, of which the report of the last state is added.
         """
         state = solution if isinstance(solution, State) else solution.last
-        thin = {name: layer.thin_layer.eps for name, layer in state.model.layers.items() if layer.thin_layer}
-        eps = thin if len(thin) > 1 else next(iter(thin.values()), None)
+        eps_by_name = {name: layer.thin_layer.eps for name, layer in state.model.layers.items() if layer.thin_layer}
+        eps = eps_by_name if len(eps_by_name) > 1 else next(iter(eps_by_name.values()), None)
         self.solves.append({"model": repr(state.model), "eps": eps, "t": state.t} | asdict(state.report))
         STUDY_LOGGER.info("%(model)s, eps = %(eps)s, t = %(t)g: %(method)s, %(iterations)d steps", self.solves[-1])
         return solution
@@ -367,6 +367,6 @@ class Record:
         self.check(name, value, low=low, high=high)
 
     @property
-    def failed(self) -> list[Check]:
+    def failures(self) -> list[Check]:
         """The checks whose numbers do not lie in their ranges."""
         return [check for check in self.checks if not check.passed]

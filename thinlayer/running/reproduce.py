@@ -24,17 +24,17 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from thinlayer.running.batch import LOG_SUFFIX, Job, quick_options, run_all
-from thinlayer.running.markup import DATA_FOLDER, html_of, line_of
+from thinlayer.running.batch import LOG_SUFFIX, Job, quick_options, run_jobs
+from thinlayer.running.markup import DATA_FOLDER, line_of, paragraphs_html
 from thinlayer.running.process import CHECK_FAILED, OK, UNFINISHED
-from thinlayer.running.provenance import code, versions
+from thinlayer.running.provenance import code_hash, package_versions
 from thinlayer.system.folder import replace_file
 from thinlayer.system.table import Table
 from thinlayer.system.version import print_safely
 
 STATUS_OF_VERDICT = {"holds": OK, "fails": CHECK_FAILED, "missing": UNFINISHED}  # verdict of a row -> exit status
 HEADER_PACKAGES = ("python", "thinlayer", "fenics-dolfinx", "petsc", "numpy")  # versions at the head of the page
-NARROW_RANGE = 0.05  # half-width over lower end, up to which a range is shown as a number and a tolerance
+MAX_HALF_WIDTH_RATIO = 0.05  # half-width over lower end, up to which a range is shown as a number and a tolerance
 NUMBERS = {"label": "Number", "printed": "Paper", "computed": "Computed", "bounds": "Bounds", "verdict": "Verdict"}
 ERRATA = {"where": "Where", "printed": "Printed", "right": "Right", "shown": "Shown by"}
 Entries = Mapping[str, Any]  # a table of paper.toml, or a check of run.json
@@ -57,16 +57,16 @@ def reproduce(out: Path, *, quick: bool, at_a_time: int | None) -> int:
         InputError: the program runs on several MPI ranks; `at_a_time` < 1; another batch uses `out`; or no files can be
             written there.
     """
-    start, page = time.monotonic(), Page(out, quick=quick)
-    run_all([*page.jobs.values()], out, at_a_time)
-    head = DATA_FOLDER.parents[1] / ".git" / "HEAD"
-    name = head.read_text().strip().removeprefix("ref: ") if head.exists() else "not known"
-    commit = (head.parent / name).read_text().strip() if (head.parent / name).is_file() else name
-    facts = {name: versions()[name] for name in HEADER_PACKAGES}
-    facts |= {"commit": commit[:12], "code": code(), "date": time.strftime("%F")}
+    start_time, page = time.monotonic(), Page(out, quick=quick)
+    run_jobs([*page.jobs.values()], out, at_a_time)
+    head_file = DATA_FOLDER.parents[1] / ".git" / "HEAD"
+    name = head_file.read_text().strip().removeprefix("ref: ") if head_file.exists() else "not known"
+    commit = (head_file.parent / name).read_text().strip() if (head_file.parent / name).is_file() else name
+    facts = {name: package_versions()[name] for name in HEADER_PACKAGES}
+    facts |= {"commit": commit[:12], "code": code_hash(), "date": time.strftime("%F")}
     facts["machine"] = f"{platform.system()} {platform.machine()}, {len(os.sched_getaffinity(0))} cores"
     facts["command"] = f"python3 -m thinlayer reproduce{' --quick' * quick}"
-    return page.write(facts | {"seconds": f"{time.monotonic() - start:.0f}"})
+    return page.write(facts | {"seconds": f"{time.monotonic() - start_time:.0f}"})
 
 
 class Page:
@@ -74,7 +74,7 @@ class Page:
 
     Attributes:
         out: folder of the page and of the runs.
-        data: content of studies/data/paper.toml.
+        paper: content of studies/data/paper.toml.
         jobs: name of a run -> the run, whose folder in `out` has this name.
         results: name of a run -> content of its run.json; {} if there is none.
         unfinished: names of the runs that are not finished.
@@ -84,9 +84,9 @@ class Page:
     """
 
     def __init__(self, out: Path, *, quick: bool) -> None:
-        self.out, self.data = out, tomllib.loads((DATA_FOLDER / "paper.toml").read_text(encoding="utf-8"))
+        self.out, self.paper = out, tomllib.loads((DATA_FOLDER / "paper.toml").read_text(encoding="utf-8"))
         self.jobs = {}
-        for name, run in self.data["runs"].items():
+        for name, run in self.paper["runs"].items():
             options = run.get("options", {}) | quick_options(run["study"], quick)
             self.jobs[name] = Job(run["study"], options, out / name, run["seconds"][not quick])
 
@@ -99,20 +99,20 @@ class Page:
         Returns:
             3 if a run or a number is missing, else 1 if a number does not agree with the paper, else 0.
         """
-        self.results = {name: job.result() or {} for name, job in self.jobs.items()}
+        self.results = {name: job.run_content() or {} for name, job in self.jobs.items()}
         self.unfinished = [name for name, result in self.results.items() if result.get("error", "no run") is not None]
-        self.rows = [row for part in self.data["sections"] for row in self.of(part["rows"], part["id"])]
-        hold = f"{sum(row['verdict'] == 'holds' for row in self.rows)} of {len(self.rows)} numbers hold"
-        figures = sum(part.get("figures", 0) for part in self.data["sections"])
-        self.summary = f"{hold}; {figures} figures; {len(self.data['errata'])} places of the paper corrected"
-        content = {**facts, "versions": versions(), "unfinished": self.unfinished, "rows": self.rows}
+        self.rows = [row for part in self.paper["sections"] for row in self.number_rows(part["rows"], part["id"])]
+        count_text = f"{sum(row['verdict'] == 'holds' for row in self.rows)} of {len(self.rows)} numbers hold"
+        n_figures = sum(part.get("figures", 0) for part in self.paper["sections"])
+        self.summary = f"{count_text}; {n_figures} figures; {len(self.paper['errata'])} places of the paper corrected"
+        content = {**facts, "versions": package_versions(), "unfinished": self.unfinished, "rows": self.rows}
         for name, text in {"reproduce.json": json.dumps(content, indent=1), "index.html": self.html(facts)}.items():
             with replace_file(self.out / name) as file:
                 file.write(text.encode())
         print_safely(f"{self.summary}\nwritten to {self.out / 'index.html'}")
         return max(UNFINISHED if self.unfinished else OK, *(STATUS_OF_VERDICT[row["verdict"]] for row in self.rows))
 
-    def of(self, entries: Iterable[Mapping[str, str]], section: str = "") -> list[Entries]:
+    def number_rows(self, entries: Iterable[Mapping[str, str]], section: str = "") -> list[Entries]:
         """Make the rows of a table of numbers from entries of paper.toml and from the checks of the runs.
 
         An entry names a run and has a pattern for names of its checks, in which * stands for any text. Each check with
@@ -134,43 +134,43 @@ class Page:
             about = {"section": section, "run": run, "study": self.jobs[run].study, "options": self.jobs[run].options}
             checks = self.results[run].get("checks", ())
             matches = [(check, match.groups()) for check in checks if (match := pattern.fullmatch(check["name"]))]
-            for check, parts in matches or [({"name": entry["check"], **MISSING_CHECK}, ())]:
-                label = entry.get("label", check["name"])
-                for part in parts:
-                    label = label.replace("*", part, 1)
+            for check, wildcard_texts in matches or [({"name": entry["check"], **MISSING_CHECK}, ())]:
+                row_label = entry.get("label", check["name"])
+                for wildcard_text in wildcard_texts:
+                    row_label = row_label.replace("*", wildcard_text, 1)
                 computed = f"{check['value']:.6g}" if matches else ""
                 verdict = {True: "holds", False: "fails", None: "missing"}[check["passed"]]
-                words = {"label": label, "printed": entry.get("printed", ""), "verdict": verdict}
-                rows.append(about | check | words | {"computed": computed, "bounds": bounds_text(check)})
+                texts = {"label": row_label, "printed": entry.get("printed", ""), "verdict": verdict}
+                rows.append(about | check | texts | {"computed": computed, "bounds": bounds_text(check)})
         return rows
 
     def html(self, facts: Mapping[str, str]) -> str:
         """Return the HTML of the whole page; `facts`, name -> text, say how it was made."""
-        about = {name: html_of(text) for name, text in self.data["paper"].items() if name != "bibtex"}
-        about |= {name: escape(self.data["paper"][name].strip()) for name in ("title", "bibtex")}
-        sections = self.data["sections"]
-        about["links"] = "".join(fill_template("link", id=part["id"], short=part["short"]) for part in sections)
-        about["sections"] = "".join(map(self.section, sections))
-        about["gaps"] = "".join(fill_template("gap", name=name, log=f"{name}{LOG_SUFFIX}") for name in self.unfinished)
-        about["errata"] = html_table(ERRATA, "erratum", map(self.erratum, self.data["errata"]))
-        about["summary"] = self.summary
-        return fill_template("page", **about, facts=html_pairs(facts), versions=html_pairs(versions()))
+        values = {name: paragraphs_html(text) for name, text in self.paper["paper"].items() if name != "bibtex"}
+        values |= {name: escape(self.paper["paper"][name].strip()) for name in ("title", "bibtex")}
+        sections = self.paper["sections"]
+        values["links"] = "".join(fill_template("link", id=part["id"], short=part["short"]) for part in sections)
+        values["sections"] = "".join(map(self.section_html, sections))
+        values["gaps"] = "".join(fill_template("gap", name=name, log=f"{name}{LOG_SUFFIX}") for name in self.unfinished)
+        values["errata"] = html_table(ERRATA, "erratum", map(self.erratum_row, self.paper["errata"]))
+        values["summary"] = self.summary
+        return fill_template("page", **values, facts=html_pairs(facts), versions=html_pairs(package_versions()))
 
-    def section(self, part: Entries) -> str:
+    def section_html(self, part: Entries) -> str:
         """Return the HTML of one section of the page: statements of the paper on the left, results on the right.
 
         Args:
             part: table of the section in paper.toml, with its texts, pictures and entries of numbers.
         """
-        words = {"id": part["id"], "title": line_of(part["title"])}
-        words |= {name: html_of(part[name]) for name in ("problem", "says", "computed")}
-        words["sketch"] = html_picture(DATA_FOLDER / part["sketch"], part["sketch_says"])
-        words["pictures"] = "".join(html_picture(self.out / name, text) for name, text in part["pictures"].items())
-        runs = dict.fromkeys(row["run"] for row in part["rows"])
-        words["details"] = "".join(self.details(name, part.get("tables", ())) for name in runs)
-        return fill_template("section", **words, numbers=html_table(NUMBERS, "number", self.of(part["rows"])))
+        values = {"id": part["id"], "title": line_of(part["title"])}
+        values |= {name: paragraphs_html(part[name]) for name in ("problem", "says", "computed")}
+        values["sketch"] = html_picture(DATA_FOLDER / part["sketch"], part["sketch_says"])
+        values["pictures"] = "".join(html_picture(self.out / name, text) for name, text in part["pictures"].items())
+        run_names = dict.fromkeys(row["run"] for row in part["rows"])
+        values["details"] = "".join(self.details_html(name, part.get("tables", ())) for name in run_names)
+        return fill_template("section", **values, numbers=html_table(NUMBERS, "number", self.number_rows(part["rows"])))
 
-    def details(self, run: str, tables: Iterable[str]) -> str:
+    def details_html(self, run: str, tables: Iterable[str]) -> str:
         """Return the HTML of a box with details of a run, closed until a reader opens it.
 
         The box shows the run's command, tables, checks and parameters.
@@ -180,44 +180,44 @@ class Page:
             tables: names of csv files, as RUN/FILE. Only those of this run are shown.
         """
         result, job = self.results[run], self.jobs[run]
-        paths = [self.out / name for name in tables if name.startswith(f"{run}/")]
-        texts = {path.name: str(Table.load(path)) for path in paths if path.exists()}
-        words = {"command": escape(shlex.join(job.words)), "seconds": f"{result.get('seconds', 0):.0f}"}
-        words["tables"] = "".join(fill_template("csv", name=name, text=escape(text)) for name, text in texts.items())
-        words["numbers"] = html_table(NUMBERS, "number", self.of([{"run": run, "check": "*"}]))
-        return fill_template("details", **words, parameters=html_pairs(result.get("parameters", {})))
+        table_paths = [self.out / name for name in tables if name.startswith(f"{run}/")]
+        texts = {path.name: str(Table.load(path)) for path in table_paths if path.exists()}
+        values = {"command": escape(shlex.join(job.command_words)), "seconds": f"{result.get('seconds', 0):.0f}"}
+        values["tables"] = "".join(fill_template("csv", name=name, text=escape(text)) for name, text in texts.items())
+        values["numbers"] = html_table(NUMBERS, "number", self.number_rows([{"run": run, "check": "*"}]))
+        return fill_template("details", **values, parameters=html_pairs(result.get("parameters", {})))
 
-    def erratum(self, entry: Mapping[str, str]) -> dict[str, str]:
+    def erratum_row(self, entry: Mapping[str, str]) -> dict[str, str]:
         """Return a row of the table of the paper's errors: name of a column -> text.
 
         Args:
             entry: table of one error in paper.toml. What shows the error is a check of a run, in "run" and "check", or
                 a text, in "evidence".
         """
-        checks = self.of([entry]) if "check" in entry else ()
-        shown = "; ".join(f"{row['label']}: {row['computed']}" for row in checks) or entry["evidence"]
-        return {**entry, "shown": shown}
+        rows = self.number_rows([entry]) if "check" in entry else ()
+        evidence = "; ".join(f"{row['label']}: {row['computed']}" for row in rows) or entry["evidence"]
+        return {**entry, "shown": evidence}
 
 
 # ---------------------------------------------------------------- pieces of HTML
 @cache
-def templates() -> dict[str, Template]:
+def template_pieces() -> dict[str, Template]:
     """Return name -> piece of the template studies/data/paper.html.
 
     In the file, a comment "part: NAME" stands before each piece; the first piece, without a comment, is called "page".
     """
-    first, *rest = re.split(r"<!-- part: (.*) -->\n", (DATA_FOLDER / "paper.html").read_text(encoding="utf-8"))
-    return {"page": Template(first)} | dict(zip(rest[::2], map(Template, rest[1::2]), strict=True))
+    page_text, *rest = re.split(r"<!-- part: (.*) -->\n", (DATA_FOLDER / "paper.html").read_text(encoding="utf-8"))
+    return {"page": Template(page_text)} | dict(zip(rest[::2], map(Template, rest[1::2]), strict=True))
 
 
-def fill_template(part: str, **values: str) -> str:
+def fill_template(piece: str, **values: str) -> str:
     """Return the piece of the template with a given name, with its placeholders filled in.
 
     Args:
-        part: name of the piece.
+        piece: name of the piece.
         **values: for each placeholder $NAME in the piece, the HTML text that replaces it, as argument NAME.
     """
-    return templates()[part].substitute(values)
+    return template_pieces()[piece].substitute(values)
 
 
 def bounds_text(check: Entries) -> str:
@@ -228,21 +228,21 @@ def bounds_text(check: Entries) -> str:
     low, high = check["low"], check["high"]
     if low is None or high is None:
         return "".join(f"{sign} {end:.6g}" for sign, end in (("≥", low), ("≤", high)) if end is not None)
-    half = (high - low) / 2
-    near = f"{low + half:.6g}" + f" ± {half:.2g}" * (half > 0)
-    return near if half <= NARROW_RANGE * abs(low) else f"{low:.6g} to {high:.6g}"
+    half_width = (high - low) / 2
+    narrow_text = f"{low + half_width:.6g}" + f" ± {half_width:.2g}" * (half_width > 0)
+    return narrow_text if half_width <= MAX_HALF_WIDTH_RATIO * abs(low) else f"{low:.6g} to {high:.6g}"
 
 
-def html_table(heads: Mapping[str, str], part: str, rows: Iterable[Entries]) -> str:
+def html_table(headings: Mapping[str, str], part: str, rows: Iterable[Entries]) -> str:
     """Return the HTML of a table.
 
     Args:
-        heads: name of a column that is shown -> its heading.
+        headings: name of a column that is shown -> its heading.
         part: name of the piece of the template that makes a row.
         rows: for each row, name of a column -> text.
     """
-    lines = [fill_template(part, **row | {name: line_of(row[name]) for name in heads}) for row in map(dict, rows)]
-    return fill_template("table", head="".join(f"<th>{name}</th>" for name in heads.values()), body="".join(lines))
+    lines = [fill_template(part, **row | {name: line_of(row[name]) for name in headings}) for row in map(dict, rows)]
+    return fill_template("table", head="".join(f"<th>{name}</th>" for name in headings.values()), body="".join(lines))
 
 
 def html_pairs(values: Mapping[str, object]) -> str:

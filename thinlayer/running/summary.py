@@ -27,21 +27,21 @@ def summarise(case: DescribedCase) -> str:
     Raises:
         InputError: the interface law does not suit the layer, or a goal cannot be evaluated.
     """
-    entries, model, values = case.description, case.model(), case.description.section.values
-    joint, sizes, t = model.joint, _sizes(model), entries.times[-1] if entries.times else 0.0
+    entries, model, values = case.description, case.make_model(), case.description.file_table.values
+    joint, measures, t = model.joint, _measures(model), entries.times[-1] if entries.times else 0.0
     of_body, of_layer = ("volume", "area") if joint.dim == 3 or entries.plane == "axisymmetric" else ("area", "length")
     names = {S: entries.mesh.get("S") or S}  # the only seam has another name in the file
     about = "" if joint.dim == 3 else f", plane {model.plane}"
     lines = [f"mesh {entries.mesh['path']}: {len(joint.cells)} {joint.cell_type} cells, element {model.element}{about}"]
     lines += ["lengths in {}, stresses in {}".format(*entries.units)] if entries.units else []
     for name in joint.bodies:
-        lines.append(f"body {name}: {_law(values['body'], entries.body, name)}, {of_body} = {sizes[name]:.6g}")
+        lines.append(f"body {name}: {_law(values['body'], entries.body, name)}, {of_body} = {measures[name]:.6g}")
     for name, seam in joint.seams.items():
         sides = f"from {', '.join(seam.lower) or 'a rigid base'} to {', '.join(seam.upper)}"
-        size = f"{of_layer} = {sizes[name]:.6g}, {len(joint.rows_of(name))} facets"
+        size = f"{of_layer} = {measures[name]:.6g}, {len(joint.rows_of(name))} facets"
         lines.append(f"layer {names.get(name, name)}: {_law(values['layer'], entries.layer, name)}, {size}, {sides}")
-    lines += [f"support {place}: {_shown(support)}" for place, support in values.get("supports", {}).items()]
-    lines += [f"{key}: {_shown(values[key])}" for key in ("tractions", "body_force", "loads") if key in values]
+    lines += [f"support {place}: {_value_text(support)}" for place, support in values.get("supports", {}).items()]
+    lines += [f"{key}: {_value_text(values[key])}" for key in ("tractions", "body_force", "loads") if key in values]
     lines.append(f"loads in all, at t = {t:g}: {model.applied(t).at(np.zeros(joint.dim))}")
     return "\n".join([*lines, *(f"goal {goal.name}" for goal in case.goals)])
 
@@ -55,30 +55,30 @@ def _law(values: Mapping[str, Mapping[str, object]], materials: Materials, name:
         name: name of the region or seam.
     """
     key = name if name in materials else None
-    return _entries({"law": type(materials[key].law).__name__, **(values[key] if key else values)})
+    return _entries_text({"law": type(materials[key].law).__name__, **(values[key] if key else values)})
 
 
-def _sizes(model: InterfaceModel) -> dict[str, float]:
+def _measures(model: InterfaceModel) -> dict[str, float]:
     """Return name -> volume of each body and area of each seam. Collective.
 
     In plane models these are areas and lengths, in models of bodies of revolution those of the whole revolution.
     """
-    places = {name: (model.kinematics.factor, model.dx(model.domain.cell_values(name))) for name in model.joint.bodies}
-    sides = {name: model.sides_of(name) for name in model.joint.seams}
-    places |= {name: (interface.factor, interface.measure) for name, interface in sides.items()}
-    chosen = fem.Constant(model.domain.mesh, np.zeros(len(places)))
-    parts = (chosen[k] * factor * measure for k, (factor, measure) in enumerate(places.values()))
-    return dict(zip(places, map(float, unit_values(model.comm, sum(parts, ufl.Form([])), chosen)), strict=True))
+    places = {name: (model.kinematics.factor, model.dx(model.domain.region_tags(name))) for name in model.joint.bodies}
+    interfaces = {name: model.sides_of(name) for name in model.joint.seams}
+    places |= {name: (interface.factor, interface.measure) for name, interface in interfaces.items()}
+    selector = fem.Constant(model.domain.mesh, np.zeros(len(places)))
+    terms = (selector[k] * factor * measure for k, (factor, measure) in enumerate(places.values()))
+    return dict(zip(places, map(float, unit_values(model.comm, sum(terms, ufl.Form([])), selector)), strict=True))
 
 
-def _entries(table: Mapping[str, object]) -> str:
-    return ", ".join(f"{key} = {_shown(value)}" for key, value in table.items())
+def _entries_text(table: Mapping[str, object]) -> str:
+    return ", ".join(f"{key} = {_value_text(value)}" for key, value in table.items())
 
 
-def _shown(value: object) -> str:
+def _value_text(value: object) -> str:
     """Return the text of a value of the input file (number, text, list or table) in one line."""
     if isinstance(value, Mapping):
-        return f"{{{_entries(value)}}}"
+        return f"{{{_entries_text(value)}}}"
     if isinstance(value, list):
-        return f"[{', '.join(map(_shown, value))}]"
+        return f"[{', '.join(map(_value_text, value))}]"
     return f"{value:.6g}" if isinstance(value, float) else str(value)

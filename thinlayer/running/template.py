@@ -11,7 +11,7 @@ from geometry.importing.naming import NamedGroups
 from geometry.importing.reading import read_groups
 from geometry.parallel import default_comm, on_root
 
-quoted = partial(json.dumps, ensure_ascii=False)  # a text as a string or a key of TOML
+quote = partial(json.dumps, ensure_ascii=False)  # a text as a string or a key of TOML
 
 
 def template(mesh: Path) -> str:
@@ -25,45 +25,45 @@ def template(mesh: Path) -> str:
     Raises:
         InputError: the mesh file cannot be read.
     """
-    return on_root(default_comm(), partial(read_groups, mesh, partial(_filled, mesh)))
+    return on_root(default_comm(), partial(read_groups, mesh, partial(_fill_template, mesh)))
 
 
-def _filled(mesh: Path, named: NamedGroups) -> str:
-    adjacent = {name: named.adjacent_cells(name) for name in named.facets}
-    inside = {name: named.regions_at(cells) for name, cells in adjacent.items() if cells.size and (cells >= 0).all()}
-    seam, words = _seam(inside, ", ".join(named.facets))
+def _fill_template(mesh: Path, groups: NamedGroups) -> str:
+    adjacent = {name: groups.adjacent_cells(name) for name in groups.facets}
+    inside = {name: groups.regions_at(cells) for name, cells in adjacent.items() if cells.size and (cells >= 0).all()}
+    seam_text, words = _seam_entries(inside, ", ".join(groups.facets))
     layers = "\n\n".join(
         f'[layer{name}]\nlaw = "LinearElastic"\nE = "?"\nnu = "?"\neps = "?"  # thickness'
-        for name in ([f".{quoted(name)}" for name in inside] if len(inside) > 1 else [""])
+        for name in ([f".{quote(name)}" for name in inside] if len(inside) > 1 else [""])
     )
-    moduli, vector = 'E = "?"\nnu = "?"', ["?"] * named.cells.points.shape[1]
-    sides = [quoted(name) for name in named.facets if name not in inside]
-    bodies = "\n\n".join(f"[body.{quoted(name)}]\n{moduli}" for name in named.regions)
-    supports, loaded = ("\n".join(f"{name} = {quoted(value)}" for name in sides) for value in ("?", vector))
-    values = {"bodies": bodies, "layers": layers, "held": supports, "loaded": loaded, "seam": seam, "words": words}
+    moduli_text, empty_vector = 'E = "?"\nnu = "?"', ["?"] * groups.cells.points.shape[1]
+    outer_names = [quote(name) for name in groups.facets if name not in inside]
+    bodies = "\n\n".join(f"[body.{quote(name)}]\n{moduli_text}" for name in groups.region_masks)
+    supports, loaded = ("\n".join(f"{name} = {quote(value)}" for name in outer_names) for value in ("?", empty_vector))
+    values = {"bodies": bodies, "layers": layers, "held": supports, "loaded": loaded, "seam": seam_text, "words": words}
     text = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8").rstrip()
-    return Template(text).substitute(values, path=quoted(str(mesh)))
+    return Template(text).substitute(values, path=quote(str(mesh)))
 
 
-def _seam(inside: dict[str, list[str]], names: str) -> tuple[str, str]:
+def _seam_entries(inner_regions: dict[str, list[str]], names: str) -> tuple[str, str]:
     """Return the entries of the input file that say where the layer is, and a comment that explains them.
 
     Args:
-        inside: name of a facet set that lies wholly inside the bodies -> names of the regions that it touches.
+        inner_regions: name of a facet set that lies wholly inside the bodies -> names of the regions that it touches.
         names: names of all facet sets, joined by commas.
 
     Returns:
         The entries, which are arguments of `geometry.read` in TOML; and the comment.
     """
-    if len(inside) == 1:
-        ((name, touched),) = inside.items()
-        side = f"upper = {quoted(touched[-1])}" if len(touched) > 1 else 'direction = "?"'
-        words = f"S is the only facet set inside the bodies; it touches {', '.join(touched)}"
-        return f"S = {quoted(name)}, {side}", words
-    if inside:
-        pairs = {name: quoted(touched if len(touched) == 2 else "?") for name, touched in inside.items()}
-        sides = ", ".join(f"{quoted(name)} = {pair}" for name, pair in pairs.items())
-        words = "S has the facet sets inside the bodies: [lower region, upper region], or a vector upwards"
-        return f"S = {{{sides}}}", words
+    if len(inner_regions) == 1:
+        ((name, regions),) = inner_regions.items()
+        side_text = f"upper = {quote(regions[-1])}" if len(regions) > 1 else 'direction = "?"'
+        comment = f"S is the only facet set inside the bodies; it touches {', '.join(regions)}"
+        return f"S = {quote(name)}, {side_text}", comment
+    if inner_regions:
+        regions_texts = {name: quote(regions if len(regions) == 2 else "?") for name, regions in inner_regions.items()}
+        sides_text = ", ".join(f"{quote(name)} = {regions_text}" for name, regions_text in regions_texts.items())
+        comment = "S has the facet sets inside the bodies: [lower region, upper region], or a vector upwards"
+        return f"S = {{{sides_text}}}", comment
     candidates = names or "none; with lower and upper alone S is all between these regions"
     return 'S = "?", upper = "?"', f"S is where the layer is, upper a region above it; facet sets: {candidates}"

@@ -16,7 +16,7 @@ from typing import Any, NoReturn, TypeGuard
 
 from forms.base import InputError, is_finite, unknown_name_message
 
-Keys = tuple[str, ...]
+KeyPath = tuple[str, ...]
 
 
 class DescriptionError(InputError):
@@ -29,14 +29,14 @@ class TimeSeries:
 
     Attributes:
         values: time -> value, a number or the components of a vector; at least two times, increasing.
-        keys: where the value is in the file: keys of nested tables, the outermost first, and last the key of the value.
+        key_path: where the value is in the file: keys of nested tables, the outermost first, and last that of the value.
     """
 
     values: Mapping[float, float | tuple[float, ...]]
-    keys: Keys
+    key_path: KeyPath
 
 
-def read_description(path: Path, settings: Sequence[str] = ()) -> Section:
+def read_input_file(path: Path, settings: Sequence[str] = ()) -> TomlTable:
     """Read an input file in TOML, and replace some of its entries.
 
     Args:
@@ -63,81 +63,81 @@ def read_description(path: Path, settings: Sequence[str] = ()) -> Section:
     mesh = {"path": mesh} if isinstance(mesh, str) else mesh
     if isinstance(mesh, dict) and isinstance(mesh.get("path"), str):
         values["mesh"] = {**mesh, "path": str(path.parent / mesh["path"])}
-    options = [f"--set {text!r}" for text in settings]
-    for text, option in zip(settings, options, strict=True):
-        values = _with_value(values, *_assignment(text, option), option)
-    return Section(values, (), f"{path} with {', '.join(options)}" if options else str(path), [])
+    option_texts = [f"--set {text!r}" for text in settings]
+    for text, option_text in zip(settings, option_texts, strict=True):
+        values = _with_value(values, *_parse_assignment(text, option_text), option_text)
+    return TomlTable(values, (), f"{path} with {', '.join(option_texts)}" if option_texts else str(path), [])
 
 
-def _assignment(text: str, option: str) -> tuple[Keys, object]:
+def _parse_assignment(text: str, option_text: str) -> tuple[KeyPath, object]:
     """Return the keys and the value in the text "KEY=VALUE"; KEY joins the keys of nested tables by dots.
 
     Args:
         text: the text, as the user gave it.
-        option: the option with this text, for errors.
+        option_text: the option with this text, for errors.
     """
-    name, equals, value_text = text.partition("=")
+    key_text, separator, value_text = text.partition("=")
     try:
-        keys: Keys = ()
-        inner: object = tomllib.loads(f"{name}{equals}0")
-        while isinstance(inner, dict):
-            ((key, inner),) = inner.items()
+        keys: KeyPath = ()
+        nested: object = tomllib.loads(f"{key_text}{separator}0")
+        while isinstance(nested, dict):
+            ((key, nested),) = nested.items()
             keys = (*keys, key)
     except ValueError:
-        raise DescriptionError(f"{option} cannot be read; give KEY=VALUE in TOML, such as layer.E=2e3") from None
+        raise DescriptionError(f"{option_text} cannot be read; give KEY=VALUE in TOML, such as layer.E=2e3") from None
     with suppress(ValueError):
         (value,) = tomllib.loads(f"value={value_text}").values()
         return keys, value
     return keys, value_text.strip()
 
 
-def _with_value(old: object, keys: Sequence[str], value: object, option: str) -> Any:
+def _with_value(container: object, keys: Sequence[str], value: object, option_text: str) -> Any:
     """Return a copy of a table or list in which one entry, perhaps in a nested table, has a new value.
 
     Args:
-        old: the table or list.
+        container: the table or list.
         keys: keys of the nested tables (in a list the number of an entry, from 1), and last that of the entry.
         value: the new value.
-        option: option of the command line with the new value, for errors.
+        option_text: option of the command line with the new value, for errors.
     """
     if not keys:
         return value
-    key, *rest = keys
-    if isinstance(old, list) and key in (numbers := [str(k) for k in range(1, len(old) + 1)]):
-        k = numbers.index(key)
-        return [*old[:k], _with_value(old[k], rest, value, option), *old[k + 1 :]]
-    if not isinstance(old, dict):
-        raise DescriptionError(f"{option}: {_shown(old)} has no {key!r}; set the whole entry")
-    return {**old, key: _with_value(old.get(key, {}), rest, value, option)}
+    key, *inner_keys = keys
+    if isinstance(container, list) and key in (item_numbers := [str(k) for k in range(1, len(container) + 1)]):
+        k = item_numbers.index(key)
+        return [*container[:k], _with_value(container[k], inner_keys, value, option_text), *container[k + 1 :]]
+    if not isinstance(container, dict):
+        raise DescriptionError(f"{option_text}: {_shown(container)} has no {key!r}; set the whole entry")
+    return {**container, key: _with_value(container.get(key, {}), inner_keys, value, option_text)}
 
 
 @dataclass(frozen=True)
-class Section:
+class TomlTable:
     """A table of an input file in TOML.
 
     Attributes:
         values: its entries, key -> value.
         path: keys of the nested tables by which this table is reached from the whole file; () for the whole file.
-        name: name of the file, and options of the command line that replaced entries; errors start with it.
-        histories: values that depend on time, read so far; one list for all tables of the file.
+        file_text: name of the file, and options of the command line that replaced entries; errors start with it.
+        time_series: values that depend on time, read so far; one list for all tables of the file.
     """
 
     values: Mapping[str, Any]
-    path: Keys
-    name: str
-    histories: list[TimeSeries]
+    path: KeyPath
+    file_text: str
+    time_series: list[TimeSeries]
 
-    def refuse(self, what: str, *keys: str) -> NoReturn:
+    def refuse(self, reason: str, *keys: str) -> NoReturn:
         """Raise a DescriptionError about this table or, with `keys`, about an entry in it or in a table nested in it.
 
         Args:
-            what: what is wrong.
+            reason: what is wrong.
             *keys: keys of the nested tables, and last that of the entry; none: the error is about this table.
         """
-        raise DescriptionError(": ".join(filter(None, [self.name, ".".join((*self.path, *keys)), what])))
+        raise DescriptionError(": ".join(filter(None, [self.file_text, ".".join((*self.path, *keys)), reason])))
 
     @contextmanager
-    def described(self, *keys: str) -> Iterator[None]:
+    def locate_errors(self, *keys: str) -> Iterator[None]:
         """Context manager that turns an InputError into a DescriptionError about this table, or about an entry.
 
         Args:
@@ -150,36 +150,36 @@ class Section:
         except InputError as error:
             self.refuse(str(error), *keys)
 
-    def entries(self, keys: Readers, needs: Mapping[str, str] | None = None, kind: str = "key") -> dict[str, Any]:
+    def entries(self, readers: Readers, required: Mapping[str, str] | None = None, kind: str = "key") -> dict[str, Any]:
         """Read and check all entries of the table; return key -> value.
 
         Args:
-            keys: allowed key -> function that takes the table and the key, checks the value and returns it.
-            needs: required key -> explanation of the key, for errors; None: no key is required.
+            readers: allowed key -> function that takes the table and the key, checks the value and returns it.
+            required: required key -> explanation of the key, for errors; None: no key is required.
             kind: word for a key in errors, such as "component".
 
         Raises:
             DescriptionError: a key is not allowed, a required key is missing, or a value is wrong.
         """
-        if unknown := [key for key in self.values if key not in keys]:
-            self.refuse(unknown_name_message(kind, unknown[0], keys))
-        if missing := [f"{key} is missing: {what}" for key, what in (needs or {}).items() if key not in self.values]:
+        if unknown_keys := [key for key in self.values if key not in readers]:
+            self.refuse(unknown_name_message(kind, unknown_keys[0], readers))
+        if missing := [f"{key} is missing: {what}" for key, what in (required or {}).items() if key not in self.values]:
             self.refuse(missing[0])
-        return {key: read(self, key) for key, read in keys.items() if key in self.values}
+        return {key: reader(self, key) for key, reader in readers.items() if key in self.values}
 
-    def checked(self, key: str, good: Callable[[Any], bool], wrong: str) -> Any:
+    def checked(self, key: str, is_allowed: Callable[[Any], bool], error_text: str) -> Any:
         """Return the value at `key`, after a check of it.
 
         Args:
             key: key of the value.
-            good: function of the value that returns whether it is allowed.
-            wrong: text of the error, after the value, such as "is not a finite number".
+            is_allowed: function of the value that returns whether it is allowed.
+            error_text: text of the error, after the value, such as "is not a finite number".
 
         Raises:
             DescriptionError: the value is not allowed.
         """
-        if not good(value := self.values[key]):
-            self.refuse("it is not filled in" if "?" in str(value) else f"{_shown(value)} {wrong}", key)
+        if not is_allowed(value := self.values[key]):
+            self.refuse("it is not filled in" if "?" in str(value) else f"{_shown(value)} {error_text}", key)
         return value
 
     def number(self, key: str) -> float:
@@ -212,38 +212,38 @@ class Section:
     def texts(self, key: str) -> str | list[str]:
         """Return the text at `key`, or the list of texts; raise DescriptionError if the value is anything else."""
         value = self.values[key]
-        several = isinstance(value, list) and value and all(isinstance(text, str) for text in value)
-        return value if several else self.text(key)
+        is_list = isinstance(value, list) and value and all(isinstance(text, str) for text in value)
+        return value if is_list else self.text(key)
 
-    def table(self, key: str, what: str) -> Section:
+    def table(self, key: str, content: str) -> TomlTable:
         """Return the table at `key` within this table, or an empty one if the key is missing.
 
         Args:
             key: key of the table.
-            what: what the table contains, for errors.
+            content: what the table contains, for errors.
 
         Raises:
             DescriptionError: the value is not a table.
         """
-        return self.inner(self.values.get(key, {}), what, key)
+        return self.as_table(self.values.get(key, {}), content, key)
 
-    def inner(self, value: object, what: str, *keys: str) -> Section:
-        """Return a value within this table, or within a table nested in it, as a `Section` with its place in the file.
+    def as_table(self, value: object, content: str, *keys: str) -> TomlTable:
+        """Return a value within this table, or within a table nested in it, as a `TomlTable` with its place in the file.
 
         Args:
             value: the value, which must be a table.
-            what: what the table contains, for errors.
+            content: what the table contains, for errors.
             *keys: keys of nested tables, and last that of the value.
 
         Raises:
             DescriptionError: the value is not a table.
         """
         if not isinstance(value, Mapping):
-            self.refuse(f"{_shown(value)} is not a table; it has {what}", *keys)
+            self.refuse(f"{_shown(value)} is not a table; it has {content}", *keys)
         return replace(self, values=value, path=(*self.path, *keys))
 
-    def tables(self, key: str, what: str) -> list[Section]:
-        """Return the tables in the list at `key`, each as a `Section`.
+    def tables(self, key: str, what: str) -> list[TomlTable]:
+        """Return the tables in the list at `key`, each as a `TomlTable`.
 
         Args:
             key: key of the list.
@@ -253,10 +253,10 @@ class Section:
             DescriptionError: the value is not a list of tables.
         """
         tables = self.checked(key, lambda value: isinstance(value, list), f"is not a list of tables; each has {what}")
-        return [self.inner(table, what, key, str(number)) for number, table in enumerate(tables, 1)]
+        return [self.as_table(table, what, key, str(number)) for number, table in enumerate(tables, 1)]
 
 
-Reader = Callable[[Section, str], Any]
+Reader = Callable[[TomlTable, str], Any]
 Readers = Mapping[str, Reader]
 
 
@@ -268,14 +268,14 @@ def choice_reader(*allowed: str) -> Reader:
 def positive_reader(what: str) -> Reader:
     """Return a reader (function of a table and a key) of a number > 0; `what` says in errors what the number is."""
 
-    def read(section: Section, key: str) -> float:
+    def read(section: TomlTable, key: str) -> float:
         section.number(key)
         return float(section.checked(key, lambda number: number > 0, f"is not > 0; it is {what}"))
 
     return read
 
 
-def time_series(read: Reader) -> Reader:
+def series_reader(read: Reader) -> Reader:
     """Return a reader of a value that may depend on time, in the form {times = [...], values = [...]}.
 
     The reader, a function of a table and a key, returns this form as a `TimeSeries`. It returns a constant value as
@@ -285,23 +285,23 @@ def time_series(read: Reader) -> Reader:
         read: reader of a constant value, and of each entry of "values".
     """
 
-    def read_each(section: Section, key: str) -> object:
+    def read_value(section: TomlTable, key: str) -> object:
         entry, what = section.values[key], "a history is {times = [0, 1], values = [0, 5]}: two or more times that grow"
         if not isinstance(entry, Mapping) or not {"times", "values"} & entry.keys():
             return read(section, key)
-        parts = dict.fromkeys(("times", "values"), lambda table, name: table.values[name])
-        times, values = section.table(key, what).entries(parts, dict.fromkeys(parts, what)).values()
-        if not (isinstance(values, list) and is_growing(times) and len(times) == len(values) >= 2):
+        list_readers = dict.fromkeys(("times", "values"), lambda table, name: table.values[name])
+        times, values = section.table(key, what).entries(list_readers, dict.fromkeys(list_readers, what)).values()
+        if not (isinstance(values, list) and is_increasing(times) and len(times) == len(values) >= 2):
             section.refuse(what, key)
-        inner = section.inner({str(k): value for k, value in enumerate(values, 1)}, what, key, "values")
-        series = TimeSeries({float(t): read(inner, str(k)) for k, t in enumerate(times, 1)}, (*section.path, key))
-        section.histories.append(series)
+        value_table = section.as_table({str(k): value for k, value in enumerate(values, 1)}, what, key, "values")
+        series = TimeSeries({float(t): read(value_table, str(k)) for k, t in enumerate(times, 1)}, (*section.path, key))
+        section.time_series.append(series)
         return series
 
-    return read_each
+    return read_value
 
 
-def is_growing(times: object) -> TypeGuard[list[float]]:
+def is_increasing(times: object) -> TypeGuard[list[float]]:
     """Return whether `times` is a list of finite numbers, each larger than the one before."""
     return _are_finite(times) and all(a < b for a, b in itertools.pairwise(times))
 

@@ -21,9 +21,9 @@ from thinlayer.discretisation.supports import Place
 from thinlayer.parts.part import DISPLACEMENT_KEY, Part, TimeStep
 from thinlayer.pointwise.quadrature import assemble_forces, set_owned_values
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.linear_solvers import linear_solvers, mark_symmetry, needs_factor_only
+from thinlayer.solving.linear_solvers import mark_symmetry, needs_factor_only, solver_options
 from thinlayer.solving.part_sum import PartSum, TangentMatrix
-from thinlayer.solving.petsc import Options, default_options, solve_linear, value_of
+from thinlayer.solving.petsc import Options, set_defaults, solve_linear, user_value
 from thinlayer.system.ranks import destroy
 
 # relative difference of changes of a goal that counts as rounding: forces of random motions are large
@@ -57,26 +57,26 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         assert isinstance(state.model, InterfaceModel)
         self.state, self.model = state, state.model
         self.equations = equations = Equations(self.model)
-        self._x, self._r = equations.vector(), equations.vector()
-        initial = equations.rest(state.t) if old is None else old
+        self._x, self._r = equations.create_vector(), equations.create_vector()
+        initial = equations.rest_state(state.t) if old is None else old
         self.interval = TimeStep(initial, state.t, state.t - initial.t, 1.0)
         equations.begin(self.interval)
         equations.put_state(state, self._x)
         equations.residual(self._x, self._r)
-        linear_options = linear_solvers(self.model, equations.parts, value_of("pc_type", options or {}))
+        linear_options = solver_options(self.model, equations.parts, user_value("pc_type", options or {}))
         self._options = {**linear_options[0], **(options or {})}
         self._tangent: PETSc.Mat | None = None
         self.transposed = False
         self._one_factor = self.model.linear and self.model.symmetric  # one factor serves all states, and the transpose
         if self._one_factor and equations.factor.matrix_key == (0.0, 1.0):
             return
-        with default_options(self._options):
+        with set_defaults(self._options):
             in_place = self._one_factor and needs_factor_only()
-            with equations.with_supports(lend=True) if in_place else nullcontext(equations.tangent()) as A:
+            with equations.constrained_tangent(in_place=True) if in_place else nullcontext(equations.tangent()) as A:
                 if not in_place:
                     self._tangent = A.copy()
                     equations.apply_bcs(A)
-                mark_symmetry(A, self.model, saddle=equations.traits.saddle)
+                mark_symmetry(A, self.model, is_saddle=equations.traits.saddle)
                 equations.factor.renew(A, None, equations.set_preconditioner_data)
                 if in_place:
                     equations.factor.set_up()
@@ -87,7 +87,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
     # ---------------------------------------------------------------- goals, as vectors of unknowns
     def zero_vector(self) -> PETSc.Vec:
         """Return a new vector of unknowns, filled with zeros."""
-        return self.equations.vector()
+        return self.equations.create_vector()
 
     def form_weights(self, form: Expr) -> PETSc.Vec:
         """Assemble a linear form as a vector q, so that its value for displacements u is q . u.
@@ -95,7 +95,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         Args:
             form: UFL form that is linear in a test function of the model's displacements.
         """
-        return self.equations.on_unknowns(assemble_forces(compiled(form)))
+        return self.equations.forces_on_unknowns(assemble_forces(compiled(form)))
 
     def nodal_weights(self, dofs: IntArray, values: Array) -> PETSc.Vec:
         """Return the vector q for which q . u is the sum of `values` times the displacements u at `dofs`.
@@ -108,7 +108,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         np.add.at(f.x.array, dofs, values)
         f.x.scatter_reverse(la.InsertMode.add)
         forces.array[:] = f.x.array[: self.equations.n_displacements]
-        return self.equations.on_unknowns(forces)
+        return self.equations.forces_on_unknowns(forces)
 
     def load_weights(self) -> PETSc.Vec:
         """Return the vector q of nodal forces of the loads, for which q . u is their work in displacements u.
@@ -118,14 +118,14 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         """
         loads = self.equations.loads.copy()
         loads.array[:] -= self.layer_loads
-        return self.equations.on_unknowns(loads, [part.load for part in self.equations.with_own])
+        return self.equations.forces_on_unknowns(loads, [part.own_load for part in self.equations.field_parts])
 
     @cached_property
     def layer_loads(self) -> Array:
         """Nodal forces (m,) of the loads on the layers, at the m displacement dofs that this rank owns. Collective."""
-        return np.asarray(self.model.forces.nodal_at(self.model.V, self.state.t, layers=True).array_r.copy())
+        return np.asarray(self.model.forces.nodal_forces_at(self.model.V, self.state.t, layers=True).array_r.copy())
 
-    def prescribed_motions(self) -> PETSc.Vec:
+    def prescribed_displacements(self) -> PETSc.Vec:
         """Return the vector g of the prescribed displacements at constrained dofs, with zeros at all other dofs.
 
         With reactions r at these dofs, g . r is their work.
@@ -134,7 +134,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         g.array[self.equations.bc_dofs] = self.equations.prescribed
         return g
 
-    def reaction_motions(self, place: Place, direction: Array) -> PETSc.Vec:
+    def support_force_weights(self, place: Place, direction: Array) -> PETSc.Vec:
         """Return the vector g for which -g . r is a component of the reaction of a support or a rigid plate.
 
         Here r is the residual on the unknowns, whose entries at constrained dofs are the reactions there.
@@ -144,12 +144,12 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             direction: (d,) vector along which the component is taken, in d dimensions.
         """
         g, constraints = self.zero_vector(), self.model.constraints
-        dual = constraints.dual_to_resultant(self.model.holder_rows(place), direction)
+        dual = constraints.resultant_weights(self.model.held_indices(place), direction)
         g.array[: self.equations.n_displacements] = -dual
         return g
 
-    def require_dual(
-        self, name: str, value: Callable[[State, InterfaceModel], float], q: PETSc.Vec, g: PETSc.Vec, *, layers: bool
+    def check_goal(
+        self, name: str, value: Callable[[State, InterfaceModel], float], q: PETSc.Vec, g: PETSc.Vec, *, on_layers: bool
     ) -> None:
         """Check that the weights q and g of a goal are the derivative of its value.
 
@@ -162,34 +162,36 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             value: function of a state and the model that returns the goal's value.
             q: weights of the displacements.
             g: weights of the reactions.
-            layers: whether the goal also contains the work of the loads on the layers, which q leaves out.
+            on_layers: whether the goal also contains the work of the loads on the layers, which q leaves out.
 
         Raises:
             InputError: the value does not change as the weights say.
         """
         equations, bc_dofs = self.equations, self.equations.bc_dofs
-        d, residuals, values = equations.vector(), [], []
-        size = float(self._x.norm(PETSc.NormType.INFINITY)) or 1.0
-        d.array[:] = np.random.default_rng(self.model.comm.rank).uniform(-size, size, d.getLocalSize())
+        d, residuals, goal_values = equations.create_vector(), [], []
+        amplitude = float(self._x.norm(PETSc.NormType.INFINITY)) or 1.0
+        d.array[:] = np.random.default_rng(self.model.comm.rank).uniform(-amplitude, amplitude, d.getLocalSize())
         d.array[bc_dofs] = 0.0
-        for share in (1.0, 0.0):  # the last evaluation of the parts is at the state, as before
-            x, r = self._x.copy(), equations.vector()
-            x.axpy(share, d)
+        for factor in (1.0, 0.0):  # the last evaluation of the parts is at the state, as before
+            x, r = self._x.copy(), equations.create_vector()
+            x.axpy(factor, d)
             equations.residual(x, r)
-            work = self.model.comm.allreduce(float(r.array_r[bc_dofs] @ x.array_r[bc_dofs]))
-            shifted_state = replace(self.state, u=equations.u, reactions=equations.reactions(), prescribed_work=work)
-            values.append(value(shifted_state, self.model))
+            bc_work = self.model.comm.allreduce(float(r.array_r[bc_dofs] @ x.array_r[bc_dofs]))
+            shifted_state = replace(self.state, u=equations.u, reactions=equations.reactions(), prescribed_work=bc_work)
+            goal_values.append(value(shifted_state, self.model))
             residuals.append(r.array_r.copy())
             destroy(x, r)
         after, before = residuals
-        layer_weights = equations.vector()
-        layer_weights.array[: equations.n_displacements] = self.model.constraints.forces(self.layer_loads) * layers
-        terms = np.concatenate([(q.array_r + layer_weights.array_r) * d.array_r, g.array_r * (before - after)])
+        layer_weights = equations.create_vector()
+        layer_weights.array[: equations.n_displacements] = (
+            self.model.constraints.forces_on_y(self.layer_loads) * on_layers
+        )
+        changes = np.concatenate([(q.array_r + layer_weights.array_r) * d.array_r, g.array_r * (before - after)])
         destroy(d, layer_weights)
-        change, term_sizes = self.model.comm.allreduce(np.array([terms.sum(), np.abs(terms).sum()]))
-        difference, sizes = values[0] - values[1], term_sizes + abs(values[0]) + abs(values[1])
-        if not abs(difference - change) <= GOAL_CHANGE_TOLERANCE * sizes:
-            text = f"the goal {name!r} changes by {difference:.6g} along a random motion, its weights say {change:.6g}"
+        expected, abs_sum = self.model.comm.allreduce(np.array([changes.sum(), np.abs(changes).sum()]))
+        actual, magnitude = goal_values[0] - goal_values[1], abs_sum + abs(goal_values[0]) + abs(goal_values[1])
+        if not abs(actual - expected) <= GOAL_CHANGE_TOLERANCE * magnitude:
+            text = f"the goal {name!r} changes by {actual:.6g} along a random motion, its weights say {expected:.6g}"
             raise InputError(f"estimate: {text}: `value` and `dual` differ; write `dual` as the derivative of `value`")
 
     # ---------------------------------------------------------------- displacements and weights
@@ -203,7 +205,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             dofs: (n,) local numbers of displacement dofs on this rank, ghosts included.
             forces: (n,) nodal forces at `dofs`. Forces that several ranks give at the same dof are added.
         """
-        q, x = self.nodal_weights(dofs, forces), self.equations.vector()
+        q, x = self.nodal_weights(dofs, forces), self.equations.create_vector()
         q.array[self.equations.bc_dofs] = 0.0
         self._solve(q, x, transposed=self.transposed)
         return np.asarray(self.equations.configuration(x).u.x.array[: self.equations.n_displacements])
@@ -221,9 +223,9 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             Configuration with the displacements of z, and those of its fields that belong to layers, such as pressures.
         """
         equations, bc_dofs = self.equations, self.equations.bc_dofs
-        if self._one_factor and self._match_state(q, g):
+        if self._one_factor and self._equilibrium_is_adjoint(q, g):
             return equations.configuration(self._x)
-        z, out = equations.vector(), equations.vector()
+        z, out = equations.create_vector(), equations.create_vector()
         g.array[np.setdiff1d(np.arange(g.getLocalSize()), bc_dofs)] = 0.0
         if g.norm():
             self._transposed_product(g, out)
@@ -234,24 +236,24 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return equations.configuration(z)
 
     def _solve(self, q: PETSc.Vec, x: PETSc.Vec, *, transposed: bool) -> None:
-        with default_options(self._options):
+        with set_defaults(self._options):
             if transposed and not self.model.symmetric:
                 self.equations.factor.ksp.solveTranspose(q, x)
             else:
                 solve_linear(self.equations.factor.ksp, q, x)
 
-    def _match_state(self, q: PETSc.Vec, g: PETSc.Vec) -> bool:
+    def _equilibrium_is_adjoint(self, q: PETSc.Vec, g: PETSc.Vec) -> bool:
         """Whether `q` equals the nodal forces of the loads, and `g` the prescribed displacements.
 
         In a linear, symmetric model the equilibrium itself is then the adjoint solution.
         """
         bc_dofs, r = self.equations.bc_dofs, self._r
-        self.equations.residual(self.equations.vector(), r)  # minus the loads
+        self.equations.residual(self.equations.create_vector(), r)  # minus the loads
         r.array[bc_dofs] = 0.0
-        size = r.norm()
+        load_norm = r.norm()
         r.axpy(1.0, q)
         r.array[bc_dofs] = np.where(g.array_r == self._x.array_r, 0.0, np.inf)[bc_dofs]
-        return bool(r.norm() <= LOAD_DIFFERENCE_TOLERANCE * size)
+        return bool(r.norm() <= LOAD_DIFFERENCE_TOLERANCE * load_norm)
 
     def _transposed_product(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Write the product of the transposed tangent and `x` into `out`; Dirichlet conditions are not applied.
@@ -261,9 +263,9 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         if self._tangent is not None:
             self._tangent.multTranspose(x, out)
             return
-        zero_residual = self.equations.vector()
+        zero_residual = self.equations.create_vector()
         self.equations.residual(x, out)
-        self.equations.residual(self.equations.vector(), zero_residual)
+        self.equations.residual(self.equations.create_vector(), zero_residual)
         out.axpy(-1.0, zero_residual)
 
     # ---------------------------------------------------------------- parts of the balance
@@ -291,8 +293,8 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         if parts:
             part_sum = PartSum(parts)
             part_sum.begin_parts(interval)
-            for part in part_sum.with_own:
-                set_owned_values(part.field, part.own_start(state))
+            for part in part_sum.field_parts:
+                set_owned_values(part.field, part.own_values_before(state))
             part_sum.forces(u, u, out.x.petsc_vec)
         return np.asarray(out.x.petsc_vec.array_r.copy())
 

@@ -19,10 +19,10 @@ from thinlayer.discretisation.prescribed_strains import VaryingStrainIntegrals
 from thinlayer.discretisation.rigid_motions import model_motions
 from thinlayer.discretisation.state import Audit, Configuration, Report, State
 from thinlayer.errors import SolveError
-from thinlayer.parts.build_parts import body_parts, diagonal_at_rest, layer_parts
-from thinlayer.parts.compiled_part import SAMPLE_FRACTIONS
+from thinlayer.parts.build_parts import body_parts, layer_parts, sum_diagonals_at_rest
+from thinlayer.parts.compiled_part import SAMPLED_STEP_FRACTIONS
 from thinlayer.parts.part import DISPLACEMENT_KEY, Block, MeasuresError, TimeStep
-from thinlayer.solving.linear_solvers import MULTIGRID_TYPES, SharedMatrices, orthonormal, set_field_split
+from thinlayer.solving.linear_solvers import MULTIGRID_PC_TYPES, SharedMatrices, orthonormalise, set_field_split
 from thinlayer.solving.part_sum import (
     ForceScale,
     PartSum,
@@ -34,7 +34,7 @@ from thinlayer.solving.part_sum import (
 from thinlayer.solving.reactions import RigidMotions, SupportReactions
 from thinlayer.system.ranks import destroy
 
-LINEARITY_TOLERANCE = 1e-9  # relative deviation from a straight line in time that still counts as rounding
+TIME_LINEARITY_TOLERANCE = 1e-9  # relative deviation from a straight line in time that still counts as rounding
 
 
 class Equations(PartSum):
@@ -47,7 +47,7 @@ class Equations(PartSum):
     Attributes:
         parts: the parts whose forces are summed, such as bodies, layers, contact and springs.
         traits: properties of all parts together: a flag is set if one part has it.
-        with_own: the parts with unknowns of their own.
+        field_parts: the parts with unknowns of their own.
         depends_on_dt: whether the tangent depends on the length of the step.
         failed: number of points where laws failed in the last evaluation of the residual.
         bodies, layers: the parts of the bodies, and of the layers.
@@ -74,63 +74,65 @@ class Equations(PartSum):
         self.bodies = matrices.bodies = matrices.bodies or body_parts(model)
         self.layers = layer_parts(model, self.constraints.bc_dofs, matrices.bodies)
         user_parts = [part for definition in model.parts if (part := definition.part(model)) is not None]
-        self._own_parts = [*self.layers, *user_parts]
-        super().__init__([*matrices.bodies, *self._own_parts])
-        self._layout = UnknownLayout(self.comm, {DISPLACEMENT_KEY: self.u, **{p.key: p.field for p in self.with_own}})
+        self._unshared_parts = [*self.layers, *user_parts]
+        super().__init__([*matrices.bodies, *self._unshared_parts])
+        self._layout = UnknownLayout(
+            self.comm, {DISPLACEMENT_KEY: self.u, **{p.key: p.field for p in self.field_parts}}
+        )
         matrices.matrix = self._matrix = matrices.matrix or TangentMatrix(self.comm, self._layout.sizes)
         self.factor = matrices.factor
         self.n_displacements = self._layout.sizes[DISPLACEMENT_KEY]
-        self._T = self._layout.widened(self.constraints.T)
-        self._product: PETSc.Mat | None = None
-        self.bc_dofs = self._prescribed(None)[0].astype(np.int32)
-        diag = diagonal_at_rest(self.parts, self.u.x.petsc_vec.duplicate())
-        self._rigid = RigidMotions(model, float(diag.norm()))
-        (self.block_of, self.nesting), self.last_body = self._rigid.blocks, [None, *matrices.bodies][-1]
+        self._T = self._layout.extended_to_all_fields(self.constraints.T)
+        self._reduced_tangent: PETSc.Mat | None = None
+        self.bc_dofs = self._bc_values(None)[0].astype(np.int32)
+        diag = sum_diagonals_at_rest(self.parts, self.u.x.petsc_vec.duplicate())
+        self._rigid_motions = RigidMotions(model, float(diag.norm()))
+        (self.block_of, self.nesting), self.last_body = self._rigid_motions.nested_blocks, [None, *matrices.bodies][-1]
         self.n_blocks = self.nesting.shape[0]
-        self.scale = ForceScale(self.norms(diag.array_r), max(part.cancelling for part in self.parts), self.nesting)
+        self.scale = ForceScale(self.norms(diag.array_r), max(part.jump_stiffness for part in self.parts), self.nesting)
         self.mean_stiffness = float(diag.norm(PETSc.NormType.NORM_1)) / diag.getSize()
         self._reactions = SupportReactions(model, self.parts)
         self._forces, self.loads, self.external = (self.u.x.petsc_vec.duplicate() for _ in range(3))
         self.homotopy_parameter, self._relative_residual = 0.0, 0.0
 
     # ---------------------------------------------------------------- unknowns
-    def vector(self) -> PETSc.Vec:
+    def create_vector(self) -> PETSc.Vec:
         """Return a new vector of unknowns, filled with zeros."""
-        return self._layout.vector()
+        return self._layout.create_vector()
 
     def put_state(self, state: Configuration, x: PETSc.Vec) -> None:
         """Write the unknowns of `state` into the vector `x`, as initial values of the next time step."""
         values = self._layout.split(x.array)
         values[DISPLACEMENT_KEY][:] = self.constraints.unknowns(state.u.x.array[: self.n_displacements])
-        for part in self.with_own:
-            values[part.key][:] = part.own_start(state)
+        for part in self.field_parts:
+            values[part.key][:] = part.own_values_before(state)
 
     def _set_unknowns(self, x: PETSc.Vec) -> None:
         """Copy the vector of unknowns `x` into the displacements `u` and the fields of parts with own unknowns."""
-        self._layout.put(x)
+        self._layout.copy_to_fields(x)
         if self._T is not None:
             owned = self.u.x.array[: self.n_displacements]
             owned[:] = self.constraints.displacements(owned)
             self.u.x.scatter_forward()
 
-    def _prescribed(self, t: float | None) -> tuple[IntArray, Array]:
+    def _bc_values(self, t: float | None) -> tuple[IntArray, Array]:
         """Return the local numbers, ascending, of the constrained unknowns, and their values at time `t`.
 
         If `t` is None, the values are zeros.
         """
         bc_dofs = self.constraints.bc_dofs.astype(np.int64)
-        values = np.zeros(len(bc_dofs)) if t is None else self.constraints.values(t)
-        first = self.n_displacements
-        for part in self.with_own:
+        values = np.zeros(len(bc_dofs)) if t is None else self.constraints.bc_values(t)
+        offset = self.n_displacements
+        for part in self.field_parts:
             part_dofs, own_values = part.own_prescribed(t)
-            bc_dofs, values = np.append(bc_dofs, first + part_dofs), np.append(values, own_values)
-            first += self._layout.sizes[part.key]
+            bc_dofs, values = np.append(bc_dofs, offset + part_dofs), np.append(values, own_values)
+            offset += self._layout.sizes[part.key]
         return bc_dofs, values
 
     @property
     def bc_rows(self) -> PetscIndices:
         """Global numbers of this rank's constrained unknowns."""
-        return self._layout.rows(self.bc_dofs)
+        return self._layout.global_rows(self.bc_dofs)
 
     @cached_property
     def K(self) -> PETSc.Mat:
@@ -154,10 +156,10 @@ class Equations(PartSum):
     def near_null(self) -> list[PETSc.Vec]:
         """Orthonormal vectors of unknowns that are the rigid motions of the whole structure."""
         motions = model_motions(self.model).values()
-        vectors = [self.vector() for _ in motions]
+        vectors = [self.create_vector() for _ in motions]
         for x, motion in zip(vectors, motions, strict=True):
             x.array[: self.n_displacements] = self.constraints.unknowns(motion.x.array[: self.n_displacements])
-        return orthonormal(vectors)
+        return orthonormalise(vectors)
 
     def set_preconditioner_data(self, ksp: PETSc.KSP, A: PETSc.Mat) -> None:
         """Pass to a linear solver the data that its preconditioner needs besides the matrix.
@@ -169,10 +171,10 @@ class Equations(PartSum):
             ksp: the linear solver.
             A: matrix of the linear solver: a tangent with Dirichlet conditions applied.
         """
-        kind = ksp.getPC().getType()
-        if kind in MULTIGRID_TYPES:
+        pc_type = ksp.getPC().getType()
+        if pc_type in MULTIGRID_PC_TYPES:
             A.setNearNullSpace(PETSc.NullSpace().create(vectors=self.near_null, comm=A.comm))
-        elif kind == "fieldsplit" and self.with_own:
+        elif pc_type == "fieldsplit" and self.field_parts:
             set_field_split(ksp.getPC(), A, self._layout, self.near_null)
 
     # ---------------------------------------------------------------- uniqueness
@@ -190,17 +192,17 @@ class Equations(PartSum):
             r: residual at the last displacements; None: it is not considered.
         """
         if not self.traits.weakens:
-            block_forces, rounding = self.scale.target(self._largest(self.u.x.array)), self.u.x.petsc_vec.duplicate()
-            block_forces = block_forces if r is None else np.maximum(block_forces, self.residual_norms(r))
-            rounding.array[:] = block_forces[self.block_of]
-            self._rigid.require_resisted(self.resisting(self._relative_residual, rounding))
-            destroy(rounding)
+            limits, threshold = self.scale.max_norms(self._largest(self.u.x.array)), self.u.x.petsc_vec.duplicate()
+            limits = limits if r is None else np.maximum(limits, self.residual_norms(r))
+            threshold.array[:] = limits[self.block_of]
+            self._rigid_motions.require_resisted(self.resisting_blocks(self._relative_residual, threshold))
+            destroy(threshold)
 
     # ---------------------------------------------------------------- a step
-    def rest(self, t: float) -> State:
+    def rest_state(self, t: float) -> State:
         """Return the state at rest at time `t`, before the first step: displacements are zero, and stresses too."""
         model, report = self.model, Report("rest", 0, 0.0, 0.0)
-        dissipated, u = dict.fromkeys(model.by_place({}), 0.0), fem.Function(model.V)
+        dissipated, u = dict.fromkeys(model.sums_by_seam_and_bodies({}), 0.0), fem.Function(model.V)
         memory, stresses = self.memory_at_rest, self.stresses_at_rest
         return State(u, t, memory, stresses=stresses, at_rest=True, model=model, report=report, dissipated=dissipated)
 
@@ -215,24 +217,24 @@ class Equations(PartSum):
         """
         self.interval, old = interval, interval.old
         self.loads.set(0.0)
-        for t, share in ((interval.t, interval.theta), (old.t, 1 - interval.theta)):
-            if share:
-                self.loads.axpy(share, self.loads_at(t))
-        self.prescribed = self._prescribed(interval.t)[1]
-        self._strains_at(interval.t)
-        largest_displacement = self._largest(self.prescribed)
+        for t, weight in ((interval.t, interval.theta), (old.t, 1 - interval.theta)):
+            if weight:
+                self.loads.axpy(weight, self.loads_at(t))
+        self.prescribed = self._bc_values(interval.t)[1]
+        self._strain_integrals_at(interval.t)
+        max_prescribed = self._largest(self.prescribed)
         if self.model.strain:  # it moves the sides of the periodic cell, as supports would
-            strain_displacement = float(np.abs(self.model.strain.at(interval.t)).max()) * self.model.strain.size
-            largest_displacement = max(largest_displacement, strain_displacement)
+            strain_displacement = float(np.abs(self.model.strain.tensor_at(interval.t)).max()) * self.model.strain.size
+            max_prescribed = max(max_prescribed, strain_displacement)
         # if loads end at zero, so may all forces
-        max_u = max([float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)), *(part.distance for part in self.parts)])
+        max_u = max([float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)), *(part.max_gap for part in self.parts)])
         if self.mean_stiffness:  # about the displacement of an elastic response
             max_u = max(max_u, float(self.loads.norm()) / (self.mean_stiffness * math.sqrt(self.loads.getSize())))
-        self.scale.begin(self.norms(self.loads.array_r), largest_displacement, max_u)
+        self.scale.begin(self.norms(self.loads.array_r), max_prescribed, max_u)
         self.begin_parts(interval)
         self.external.set(0.0)
         for part in self.parts:
-            part.add_fixed(self.external)
+            part.add_constant_forces(self.external)
         self.external.aypx(-1.0, self.loads)
 
     def loads_at(self, t: float) -> PETSc.Vec:
@@ -244,8 +246,8 @@ class Equations(PartSum):
         Raises:
             InputError: loads are not finite, or nothing balances them in a periodic joint.
         """
-        b = self.model.forces.nodal_at(self.model.V, t)
-        self.model.supports.require_balance(b, t)
+        b = self.model.forces.nodal_forces_at(self.model.V, t)
+        self.model.supports.require_balanced_loads(b, t)
         b.array[:] += self.constraints.loads_at(t)
         return b
 
@@ -254,38 +256,38 @@ class Equations(PartSum):
 
         They are the forces `external` on the displacements, and the loads of parts on their own unknowns.
         """
-        return self.on_unknowns(self.external, [part.load for part in self.with_own])
+        return self.forces_on_unknowns(self.external, [part.own_load for part in self.field_parts])
 
     def configuration(self, x: PETSc.Vec) -> Configuration:
         """Return the configuration at the end of the time step: the displacements and other fields of unknowns `x`."""
         self._set_unknowns(x)
-        fields = {part.key: part.own_result() for part in self.with_own}
+        fields = {part.key: part.own_result() for part in self.field_parts}
         return Configuration(self.u.copy(), self.interval.t, fields=fields)
 
     def prescribed_forces_at(self, t: float) -> PETSc.Vec:
         """Return a new vector of forces on the unknowns at time `t`: loads, and parts' loads on their own unknowns."""
-        return self.on_unknowns(self.loads_at(t), [part.load_at(t) for part in self.with_own])
+        return self.forces_on_unknowns(self.loads_at(t), [part.own_load_at(t) for part in self.field_parts])
 
-    def on_unknowns(self, forces: PETSc.Vec, part_loads: Sequence[Array] = ()) -> PETSc.Vec:
+    def forces_on_unknowns(self, forces: PETSc.Vec, part_loads: Sequence[Array] = ()) -> PETSc.Vec:
         """Return a new vector of forces on the unknowns, for given nodal forces and loads of parts.
 
         With constraints u = T y of the displacements, the forces on y are T^t times the nodal forces.
 
         Args:
             forces: nodal forces on the displacements u.
-            part_loads: arrays of loads on the own unknowns of parts, in the order of `with_own`. (): no loads.
+            part_loads: arrays of loads on the own unknowns of parts, in the order of `field_parts`. (): no loads.
         """
-        out = self.vector()
+        out = self.create_vector()
         self._put_forces(forces.array_r, part_loads, out)
         return out
 
     def _put_forces(self, forces: Array, part_loads: Sequence[Array], out: PETSc.Vec) -> None:
         fields = self._layout.split(out.array)
-        fields[DISPLACEMENT_KEY][:] = self.constraints.forces(forces)
-        for part, values in zip(self.with_own, part_loads, strict=False):
+        fields[DISPLACEMENT_KEY][:] = self.constraints.forces_on_y(forces)
+        for part, values in zip(self.field_parts, part_loads, strict=False):
             fields[part.key][:] = values
 
-    def start(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
+    def initial_residual(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Write the residual at the step's initial unknowns `x` into `out`, and add it to the reference forces.
 
         It is not added in two cases, in which it would be too large. In a periodic cell under a mean strain, stiff
@@ -294,7 +296,7 @@ class Equations(PartSum):
         """
         self.residual(x, out)
         if self.model.strain is None and not self.homotopy_parameter:
-            self.scale.start(self.residual_norms(out))
+            self.scale.include_initial_residual(self.residual_norms(out))
 
     def residual(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Write the residual at unknowns `x` into `out`.
@@ -309,14 +311,14 @@ class Equations(PartSum):
         mid.axpy(1 - theta, self.interval.old.u.x.petsc_vec)
         self._mid.x.scatter_forward()
         part_norms = self.forces(self.u, self._mid, self._forces)
-        all_norms = np.zeros(self.n_blocks)
+        common_norms = np.zeros(self.n_blocks)
         # a mean strain or stress acts on all blocks alike
-        all_norms[: None if self.model.strain or self.model.stress else 1] = max(part_norms, default=0.0)
-        self.scale.update_stresses(np.maximum(self.body_norms, all_norms))
+        common_norms[: None if self.model.strain or self.model.stress else 1] = max(part_norms, default=0.0)
+        self.scale.update_stresses(np.maximum(self.body_norms, common_norms))
         self._forces.axpy(-1.0, self.loads)
         forces = np.full(self.n_displacements, np.nan) if self.failed else self._forces.array_r
-        self._put_forces(forces, [part.own_residual() for part in self.with_own], out)
-        self._relative_residual = self.relative(out) if self.traits.singular else 0.0
+        self._put_forces(forces, [part.own_residual() for part in self.field_parts], out)
+        self._relative_residual = self.relative_norm(out) if self.traits.singular else 0.0
 
     def tangent(self) -> PETSc.Mat:
         """Return the tangent at the unknowns of the last residual, without Dirichlet conditions.
@@ -329,24 +331,24 @@ class Equations(PartSum):
         tangent = self._matrix.fill(self.blocks(self._relative_residual))
         if self._T is None:
             return tangent
-        self._product = tangent.ptap(self._T, result=self._product)
-        self._product.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        return self._product
+        self._reduced_tangent = tangent.ptap(self._T, result=self._reduced_tangent)
+        self._reduced_tangent.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        return self._reduced_tangent
 
     @contextmanager
-    def with_supports(
-        self, x: PETSc.Vec | None = None, b: PETSc.Vec | None = None, *, lend: bool = False
+    def constrained_tangent(
+        self, x: PETSc.Vec | None = None, b: PETSc.Vec | None = None, *, in_place: bool = False
     ) -> Iterator[PETSc.Mat]:
         """Within a `with` block, return the tangent at the last residual's unknowns, with Dirichlet conditions.
 
         Args:
             x: vector whose values at constrained unknowns the solution shall have; None: zero values.
             b: right-hand side, to which the forces due to these values are added; None if `x` is None.
-            lend: whether, to save memory, the tangent may be made in place from the matrix of the bodies. Within the
+            in_place: whether, to save memory, the tangent may be made in place from the matrix of the bodies. Within the
                 block that matrix may then serve only for a factorisation. Without effect if `x` is given.
         """
-        only_u = x is None and self._T is None and not self.with_own
-        first, *others = self.blocks(self._relative_residual) if lend and only_u else [Block(None)]
+        only_u = x is None and self._T is None and not self.field_parts
+        first, *others = self.blocks(self._relative_residual) if in_place and only_u else [Block(None)]
         if first.kept and first.factor == 1:
             with augmented_in_place(self.comm, first.matrix, others, self.bc_rows, self.mean_stiffness or 1.0) as A:
                 yield A
@@ -372,7 +374,7 @@ class Equations(PartSum):
             SolveError: `x` is not an equilibrium, even if the solver converged.
             LooseBody: a law that can release a body, such as contact, has done so.
         """
-        out, x0 = self.vector(), self.vector()
+        out, x0 = self.create_vector(), self.create_vector()
         self.residual(x, out)
         self.require_equilibrium(out)
         if self.traits.releases:
@@ -380,25 +382,25 @@ class Equations(PartSum):
         self._require_bounded_jumps()
         self.put_state(self.interval.old, x0)
         bc_forces, u0 = out.array_r[self.bc_dofs], self.interval.old.u.x.array
-        moved, du = x.array_r[self.bc_dofs] - x0.array_r[self.bc_dofs], (self.u.x.array - u0)[: self.n_displacements]
-        works = bc_forces @ x.array_r[self.bc_dofs], bc_forces @ moved + self.loads.array_r @ du
+        du_bc, du = x.array_r[self.bc_dofs] - x0.array_r[self.bc_dofs], (self.u.x.array - u0)[: self.n_displacements]
+        works = bc_forces @ x.array_r[self.bc_dofs], bc_forces @ du_bc + self.loads.array_r @ du
         prescribed_work, supplied = map(float, self.comm.allreduce(np.array(works)))
         outcomes, end = self.end_parts(self.u, self.interval.t)
         end = replace(end, reactions=self.reactions())
-        names = ("supplied", "before", "dissipated", "remainder", "after")
-        added, start, lost, remainder, total = (sum(getattr(o, name) for o in outcomes.values()) for name in names)
-        audit = Audit(supplied + added, total - start, lost, remainder, total)
+        energies = ("supplied", "before", "dissipated", "remainder", "after")
+        added, before, lost, remainder, after = (sum(getattr(o, name) for o in outcomes.values()) for name in energies)
+        audit = Audit(supplied + added, after - before, lost, remainder, after)
         state = State(**vars(end), model=self.model, report=report, audit=audit, prescribed_work=prescribed_work)
-        dissipated = self.model.by_place({key: outcome.dissipated for key, outcome in outcomes.items()})
+        dissipated = self.model.sums_by_seam_and_bodies({key: outcome.dissipated for key, outcome in outcomes.items()})
         return replace(state, sudden=self.interval.dt == 0 and self.interval.old.at_rest, dissipated=dissipated)
 
     def reactions(self) -> Array:
         """Return the reactions (n, k) at the end of the time step: k components of force and moment at n supports.
 
-        The rows are in the order of `Model.holders`: supports, rigid plates and rigid bases. Moments are about
+        The rows are in the order of `Model.held_places`: supports, rigid plates and rigid bases. Moments are about
         `Model.centre`. The reactions belong to the last evaluation of the residual.
         """
-        return self._reactions.at_end(self._forces, self.interval, self.loads_at)
+        return self._reactions.reactions_at_end(self._forces, self.interval, self.loads_at)
 
     def _require_bounded_jumps(self) -> None:
         """Raise SolveError if the jumps of a layer exceed the size of the model.
@@ -406,17 +408,17 @@ class Equations(PartSum):
         Only layers with bounded stresses or in contact are tested. Beyond a limit load their displacements grow without
         bound, until the rounding errors of forces hide the residual.
         """
-        size = self.model.joint.size
+        model_size = self.model.joint.size
         for part in self.layers:
             if (part.traits.bounded or part.traits.releases) and isinstance(part, MeasuresError):
                 squared_jumps = self.comm.allreduce(float((part.error_measure(self.u) ** 2).sum()))
-                if not squared_jumps <= part.unit_jump_measure() * size**2:
-                    text = f"{part.key!r} jumps farther than the model's size, {size:.3g}"
+                if not squared_jumps <= part.unit_jump_measure() * model_size**2:
+                    text = f"{part.key!r} jumps farther than the model's size, {model_size:.3g}"
                     advice = "loads may be beyond their limit; march from less"
                     raise SolveError(f"what the solver returned is not an equilibrium: {text}", advice=advice)
 
     # ---------------------------------------------------------------- time
-    def check_times(self, times: list[float]) -> None:
+    def check_data_at(self, times: list[float]) -> None:
         """Raise InputError if data that vary in time are out of range at one of `times`.
 
         These are loads, prescribed displacements and parameters of laws.
@@ -424,17 +426,17 @@ class Equations(PartSum):
         for t in times:
             self._data_at(t)
 
-    def linear_in_time(self, start: float, end: float) -> bool:
+    def is_linear_in_time(self, start: float, end: float) -> bool:
         """Whether loads, prescribed values and parameters of laws vary linearly in time from `start` to `end`.
 
         This is tested at a few times in between.
         """
         start_data, end_data = self._data_at(start), self._data_at(end)
-        for share in SAMPLE_FRACTIONS:
-            data = self._data_at(start + share * (end - start))
-            for a, b, c in zip(start_data, end_data, data, strict=True):
-                error = self._largest((1 - share) * a + share * b - c)
-                if error > LINEARITY_TOLERANCE * self._largest(np.array([a, b, c])):
+        for fraction in SAMPLED_STEP_FRACTIONS:
+            mid_data = self._data_at(start + fraction * (end - start))
+            for a, b, c in zip(start_data, end_data, mid_data, strict=True):
+                error = self._largest((1 - fraction) * a + fraction * b - c)
+                if error > TIME_LINEARITY_TOLERANCE * self._largest(np.array([a, b, c])):
                     return False
         return True
 
@@ -448,17 +450,22 @@ class Equations(PartSum):
         They are the loads, the prescribed displacements, integrals of prescribed strains, and parameters of laws.
         """
         for part in self.parts:
-            part.at_time(t)
-        varying = [values for part in self.parts for values in part.parameters()]
-        return [self.loads_at(t).array_r.copy(), self.constraints.values(t), *self._strains_at(t), *varying]
+            part.set_time(t)
+        parameters = [values for part in self.parts for values in part.parameters()]
+        return [
+            self.loads_at(t).array_r.copy(),
+            self.constraints.bc_values(t),
+            *self._strain_integrals_at(t),
+            *parameters,
+        ]
 
-    def _strains_at(self, t: float) -> list[Array]:
+    def _strain_integrals_at(self, t: float) -> list[Array]:
         if self.model.strain:  # it has its own error for values that are not finite
-            self.model.strain.at(t)
-        return self._strains.integrals(t)
+            self.model.strain.tensor_at(t)
+        return self._strains.integrals_at(t)
 
     # ---------------------------------------------------------------- end
     def destroy(self) -> None:
         """Free the matrices of this model, and leave shared ones to the next model of its `ModelFamily`."""
-        destroy(*self._own_parts)
+        destroy(*self._unshared_parts)
         self._shared.release(self.model)

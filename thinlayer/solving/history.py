@@ -62,8 +62,8 @@ class History:
     begun: bool = False
 
     def __repr__(self) -> str:
-        span = f", t = {self.t[0]:g} to {self.t[-1]:g}" if self.table.rows else ""
-        return f"History({self.model!r}, {len(self)} steps{span}, {len(self.states)} states)"
+        span_text = f", t = {self.t[0]:g} to {self.t[-1]:g}" if self.table.rows else ""
+        return f"History({self.model!r}, {len(self)} steps{span_text}, {len(self.states)} states)"
 
     def identity(self) -> dict[str, Any]:
         """Return data that identify the history: those of its model (`Model.identity`), and the times of its states."""
@@ -97,15 +97,15 @@ class History:
         if not self.table.rows:
             return []
         t, dt, lost = (self.table[name] for name in ("t", "dt", "dissipated"))
-        rows = [int(k) for k in np.flatnonzero(dt == 0) if k > 0]
-        return [Snap(float(t[k]), k, float(lost[k]), self._changed(k)) for k in rows]
+        row_numbers = [int(k) for k in np.flatnonzero(dt == 0) if k > 0]
+        return [Snap(float(t[k]), k, float(lost[k]), self._changed_seams(k)) for k in row_numbers]
 
-    def _changed(self, row: int) -> tuple[str, ...]:
+    def _changed_seams(self, row: int) -> tuple[str, ...]:
         """Return the seams in whose layers volume fractions differ between table rows `row` - 1 and `row`."""
         before, after = (self.table.rows[k] for k in (row - 1, row))
         changed_columns = {column for column in after if after[column] != before[column]}
         seams = seams_with_shares(self.model)
-        return tuple(seam for seam in seams if changed_columns & {*columns_of_shares(self.model, seam).values()})
+        return tuple(seam for seam in seams if changed_columns & {*fraction_columns(self.model, seam).values()})
 
     def at(self, t: float) -> State:
         """Return the state at time `t`; the last one, if several have this time.
@@ -118,15 +118,15 @@ class History:
         for state in reversed(self.states.values()):
             if abs(state.t - t) <= tolerance:
                 return state
-        times = ", ".join(f"{state.t:g}" for state in self)
-        raise InputError(f"no state at t = {t:g} is kept; there are states at {times}")
+        times_text = ", ".join(f"{state.t:g}" for state in self)
+        raise InputError(f"no state at t = {t:g} is kept; there are states at {times_text}")
 
 
 Solution = State | History
 
 
 # ---------------------------------------------------------------- columns
-def columns(model: Model) -> dict[str, Callable[[State], float]]:
+def column_getters(model: Model) -> dict[str, Callable[[State], float]]:
     """Return the columns of a march's table: name of a column -> function that returns its value in a state.
 
     Columns "dt" and observed values are missing here. The column "dissipated" has the energy that all layers and bodies
@@ -136,21 +136,21 @@ def columns(model: Model) -> dict[str, Callable[[State], float]]:
     bodies, if they have internal variables. These columns do not contain the energy lost in a snap. If a law has an
     `elastic_fraction`, the column "elastic share" has the fraction of the load in the springs parallel to it.
     """
-    names = ("t", "report.iterations", "report.residual", *(f"audit.{name}" for name in ENERGY_COLUMNS))
-    getters: dict[str, Callable[[State], float]] = {name.rpartition(".")[2]: attrgetter(name) for name in names}
-    remembering = {BODIES, *(name for name, layer in model.layers.items() if layer.remembers)}
-    for place in (name for name in model.by_place({}) if name in remembering):
+    attributes = ("t", "report.iterations", "report.residual", *(f"audit.{name}" for name in ENERGY_COLUMNS))
+    getters: dict[str, Callable[[State], float]] = {name.rpartition(".")[2]: attrgetter(name) for name in attributes}
+    with_memory = {BODIES, *(name for name, layer in model.layers.items() if layer.remembers)}
+    for place in (name for name in model.sums_by_seam_and_bodies({}) if name in with_memory):
         getters[f"dissipated {place}"] = lambda state, place=place: state.dissipated[place]  # type: ignore[misc]
     if any("elastic_fraction" in term.law.parameters() for term in model.terms):
         getters["elastic share"] = attrgetter("elastic_share")
     for seam in seams_with_shares(model):
         getters["energy"] = attrgetter("audit.total")
-        for name, column in columns_of_shares(model, seam).items():
+        for name, column in fraction_columns(model, seam).items():
             getters[column] = lambda state, seam=seam, name=name: layer_shares(state, seam)[name]  # type: ignore[misc]
     return getters
 
 
-def columns_of_shares(model: Model, seam: str) -> dict[str, str]:
+def fraction_columns(model: Model, seam: str) -> dict[str, str]:
     """Return the columns of a layer's volume fractions: name of a fraction in `layer_shares` -> its column.
 
     Args:

@@ -19,7 +19,7 @@ from geometry.joint import Joint
 from geometry.seam import LOWER_FACE, UPPER_FACE, FacetName
 from geometry.topology import BoolArray, IntArray, sub_entities
 from thinlayer.discretisation.constraints import create_aij, local_csr
-from thinlayer.discretisation.full_model import LayerModel, meeting_layers
+from thinlayer.discretisation.full_model import LayerModel, why_not_alone
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.model import Model
@@ -29,14 +29,14 @@ from thinlayer.discretisation.supports import Place
 from thinlayer.errors import SolveError
 from thinlayer.parts.part import TimeStep
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.part_sum import ROUNDING_SHARE
+from thinlayer.solving.part_sum import FORCE_ROUNDING
 from thinlayer.system.compat import interpolation_points
 
-Vertices = tuple[int, ...]
+VertexNumbers = tuple[int, ...]
 MAX_NEWTON_STEPS = 100  # largest number of Newton steps
-MESH_REMEDY = "mesh the layer (structure.full), in smaller steps of time if it slips or opens far"
+MESH_ADVICE = "mesh the layer (structure.full), in smaller steps of time if it slips or opens far"
 NEWTON_TOLERANCE = 1e-9  # relative change by a Newton step, in the energy norm, at which Newton's method stops
-MIN_STEP_RATIO, MAX_SHORTENINGS = 0.1, 8  # least ratio of successive lengths of a step, and number of such reductions
+MIN_LENGTH_RATIO, MAX_SHORTENINGS = 0.1, 8  # least ratio of successive lengths of a step, and number of such reductions
 WORK_SUBSTEPS = 32  # number of substeps of the line between two displacements over which work is summed
 MAX_WORK_DIFFERENCE = 0.01  # largest relative difference of the work of face forces and the energy of their response
 RANK_TOLERANCE = 1e-9  # least singular value of independent motions, over the largest
@@ -54,7 +54,7 @@ class DirichletLayers:
         K: (n, n) tangent stiffness of the layers, at the unknowns of the last `linearise`.
         load: (n,) forces for which the linearised residual at unknowns w is K w - load. They include the effect of
             prescribed strains.
-        forces: (n,) nodal forces of the loads on the layers, without prescribed strains.
+        nodal_loads: (n,) nodal forces of the loads on the layers, without prescribed strains.
         values: (n,) prescribed displacements of the layers' sides; zero elsewhere.
         on_face: (n,) mask of the displacements of the faces, including those that supports constrain.
 
@@ -66,37 +66,37 @@ class DirichletLayers:
     def __init__(self, model: LayerModel, t: float) -> None:
         self.model, self.K = model, scipy.sparse.csr_matrix((0, 0))
         self._equations = equations = Equations(model)  # on this rank only: freed with the layers
-        self._x, self._out = equations.vector(), equations.vector()
+        self._x, self._out = equations.create_vector(), equations.create_vector()
         self._n_u, n = equations.n_displacements, self._x.getLocalSize()
-        self.forces, self.values, self._at_sides = np.zeros(n), np.zeros(n), np.zeros(n, bool)
+        self.nodal_loads, self.values, self._at_sides = np.zeros(n), np.zeros(n), np.zeros(n, bool)
         self._at_sides[equations.bc_dofs] = True
-        self.begin(self.rest(t), t)
+        self.begin(self.rest_state(t), t)
         domain, d = model.domain, model.joint.dim
         assert domain.joint.band is not None
         nodes = [fem.locate_dofs_topological(model.V, d - 1, domain.facets(name)) for name in domain.joint.band.faces]
         self.on_face = np.zeros(n, bool)
         self.on_face[np.concatenate(nodes)[:, None] * d + np.arange(d)] = True
-        self._inside = ~self.on_face & ~self._at_sides
+        self._inner = ~self.on_face & ~self._at_sides
 
     def transpose(self) -> None:
         """Replace K by its transpose, for adjoint solutions; another call or `linearise` restores K."""
         if not self.model.symmetric:
             self.K = scipy.sparse.csr_matrix(self.K.T)
-            self._reset()
+            self._drop_factors()
 
-    def _reset(self) -> None:
+    def _drop_factors(self) -> None:
         for factor in ("_dirichlet", "_neumann"):
             vars(self).pop(factor, None)
 
-    def rest(self, t: float) -> State:
+    def rest_state(self, t: float) -> State:
         """Return the state of the layers at rest at time `t`."""
-        return self._equations.rest(t)
+        return self._equations.rest_state(t)
 
     def begin(self, old: Configuration, t: float) -> None:
         """Begin a time step of the layers from the configuration `old` to time `t`, and linearise them at `old`."""
         equations = self._equations
         equations.begin(TimeStep(old, t, t - old.t, 1.0))
-        self.forces[: self._n_u], self.values[equations.bc_dofs] = equations.loads.array_r, equations.prescribed
+        self.nodal_loads[: self._n_u], self.values[equations.bc_dofs] = equations.loads.array_r, equations.prescribed
         equations.put_state(old, self._x)
         self.linearise(self._x.array_r.copy())
 
@@ -117,7 +117,7 @@ class DirichletLayers:
         r = self.residual(w)
         self.K = local_csr(self._equations.tangent())
         self.load = self.K @ w - r
-        self._reset()
+        self._drop_factors()
 
     def state(self, w: Array) -> State:
         """Return the state of the layers at unknowns `w` (n,), at the end of the time step."""
@@ -127,9 +127,9 @@ class DirichletLayers:
 
     @cached_property
     def _dirichlet(self) -> _SubmatrixFactor:
-        return _SubmatrixFactor(self.K, self._inside, symmetric=self.model.symmetric)
+        return _SubmatrixFactor(self.K, self._inner, symmetric=self.model.symmetric)
 
-    def dirichlet_displacements(self, v: Array, load: Array, values: Array) -> Array:
+    def dirichlet_displacements(self, v: Array, load: Array, side_displacements: Array) -> Array:
         """Return the n unknowns of the linearised layers in equilibrium, for given displacements of their faces.
 
         A layer's faces are its lower and upper side, where it meets the bodies. Its sides join them at the ends of S.
@@ -137,12 +137,12 @@ class DirichletLayers:
         Args:
             v: (n,) displacements of the faces; all other entries are ignored.
             load: (n,) forces on the layers.
-            values: (n,) prescribed displacements of the sides; all other entries are ignored.
+            side_displacements: (n,) prescribed displacements of the sides; all other entries are ignored.
 
         Returns:
             Unknowns (n,): displacements, then other fields such as pressures.
         """
-        w = np.where(self.on_face, v, np.where(self._at_sides, values, 0.0))
+        w = np.where(self.on_face, v, np.where(self._at_sides, side_displacements, 0.0))
         self._dirichlet.solve(load - self.K @ w, w)
         return w
 
@@ -158,35 +158,35 @@ class DirichletLayers:
         w = self.dirichlet_displacements(v, self.load, self.values)
         return self._solve_newton(w, np.zeros(len(v)), lambda: self._dirichlet)
 
-    def _solve_newton(self, w: Array, forces: Array, factor: Callable[[], _SubmatrixFactor]) -> Array:
+    def _solve_newton(self, w: Array, forces: Array, get_factor: Callable[[], _SubmatrixFactor]) -> Array:
         """Solve by Newton's method for the unknowns (n,) at which the residual equals given forces.
 
         Args:
             w: (n,) initial unknowns. If the laws are linear, they are returned unchanged.
             forces: (n,) forces that the residual must equal.
-            factor: function that returns the factor of a submatrix of the present K. Unknowns outside this submatrix do
+            get_factor: function that returns the factor of a submatrix of the present K. Unknowns outside this submatrix do
                 not change.
         """
         if self.model.linear:
             return w
 
-        def decrease(share: float) -> float:
-            """Return the rate, per unit of `share`, at which the energy falls along `step`, at w + share * step."""
-            return float(step @ (forces - self.residual(w + share * step)))
+        def energy_decrease(fraction: float) -> float:
+            """Return the rate, per unit of `fraction`, at which the energy falls along `step`, at w + share * step."""
+            return float(step @ (forces - self.residual(w + fraction * step)))
 
         for _ in range(MAX_NEWTON_STEPS):
             self.linearise(w)
             step = np.zeros_like(w)
-            gain = factor().solve(forces - self.residual(w), step)
-            rounding = ROUNDING_SHARE * np.abs(w[: self._n_u]).max(initial=0.0)
-            if gain <= max(NEWTON_TOLERANCE**2 * abs(w @ (self.K @ w)), rounding**2 * np.abs(self.K.diagonal()).sum()):
-                if factor().negative_pivots > self._inside[self._n_u :].sum():  # one for each pressure
-                    raise SolveError("the layer by itself softens: stresses fall as strains grow", advice=MESH_REMEDY)
+            work = get_factor().solve(forces - self.residual(w), step)
+            rounding = FORCE_ROUNDING * np.abs(w[: self._n_u]).max(initial=0.0)
+            if work <= max(NEWTON_TOLERANCE**2 * abs(w @ (self.K @ w)), rounding**2 * np.abs(self.K.diagonal()).sum()):
+                if get_factor().negative_pivots > self._inner[self._n_u :].sum():  # one for each pressure
+                    raise SolveError("the layer by itself softens: stresses fall as strains grow", advice=MESH_ADVICE)
                 return w
-            w = w + step * line_search_share(decrease, gain)
-        raise SolveError(f"the layer by itself: no equilibrium after {MAX_NEWTON_STEPS} steps", advice=MESH_REMEDY)
+            w = w + step * line_search_fraction(energy_decrease, work)
+        raise SolveError(f"the layer by itself: no equilibrium after {MAX_NEWTON_STEPS} steps", advice=MESH_ADVICE)
 
-    def motion_of(self, place: Place, direction: Array) -> Array:
+    def support_force_weights(self, place: Place, direction: Array) -> Array:
         """Return the vector g (n,) for which -g . r is the force of a support along a direction.
 
         Here r is the residual of the layers, at n unknowns. Entries of g are nonzero only at supports of the layers'
@@ -197,10 +197,10 @@ class DirichletLayers:
             direction: (d,) vector along which the force's component is taken, in d dimensions.
         """
         out = np.zeros(len(self.load))
-        out[: self._n_u] = -self.model.constraints.dual_to_resultant(self.model.holder_rows(place), direction)
+        out[: self._n_u] = -self.model.constraints.resultant_weights(self.model.held_indices(place), direction)
         return out
 
-    def in_refined_cells(self, w: Array, fine: DirichletLayers) -> Array:
+    def interpolate_to_refined(self, w: Array, fine: DirichletLayers) -> Array:
         """Interpolate displacements of these layers to the same layers with refined cells.
 
         Args:
@@ -215,13 +215,13 @@ class DirichletLayers:
         if refined is None:
             return w
         V, element = fine.model.V, self.model.V.ufl_element().basix_element
-        X = refined.in_parents(interpolation_points(V))
-        shapes = element.tabulate(0, X.reshape(-1, d))[0, :, :, 0].reshape(*X.shape[:2], -1)
+        X = refined.parent_coordinates(interpolation_points(V))
+        shape_values = element.tabulate(0, X.reshape(-1, d))[0, :, :, 0].reshape(*X.shape[:2], -1)
         parent_dofs = self.model.V.dofmap.list[_local_cells(self.model, self.model.domain.joint)[refined.parent]]
-        nodal = w[: self._n_u].reshape(-1, d)[parent_dofs]
-        values = np.einsum("iq,nqk,nkd->nid", element.interpolation_matrix, shapes, nodal)
+        cell_displacements = w[: self._n_u].reshape(-1, d)[parent_dofs]
+        fine_values = np.einsum("iq,nqk,nkd->nid", element.interpolation_matrix, shape_values, cell_displacements)
         out = np.zeros(len(fine.load))
-        out[: fine._n_u].reshape(-1, d)[V.dofmap.list] = values[fine.model.domain.original_cells]
+        out[: fine._n_u].reshape(-1, d)[V.dofmap.list] = fine_values[fine.model.domain.original_cells]
         return out
 
 
@@ -252,16 +252,16 @@ class LayerSubproblem(DirichletLayers):
         self._body_dofs, self._face_dofs = _matching_dofs(interface, self.model)
         counts = self._comm.allreduce(np.bincount(self._face_dofs, minlength=len(self.load)))
         # a face displacement of several bodies, which could not separate there
-        if (counts > 1).any() and (violation := meeting_layers(interface.joint, self.seams)):
+        if (counts > 1).any() and (violation := why_not_alone(interface.joint, self.seams)):
             raise violation.error()
         constrained = np.zeros(interface.V.dofmap.index_map.size_local * interface.V.dofmap.bs)
         constrained[interface.constraints.bc_dofs] = 1.0
-        self.free_faces = self.on_face & ~self._at_sides & ~(self.at_faces(constrained) > 0)
-        self.R, self._pins = self._motions(self.free_faces | self._inside)
+        self.free_faces = self.on_face & ~self._at_sides & ~(self.to_layers(constrained) > 0)
+        self.R, self._pins = self._free_motions(self.free_faces | self._inner)
 
     @cached_property
     def _neumann(self) -> _SubmatrixFactor:
-        return _SubmatrixFactor(self.K, (self.free_faces | self._inside) & ~self._pins, symmetric=self.model.symmetric)
+        return _SubmatrixFactor(self.K, (self.free_faces | self._inner) & ~self._pins, symmetric=self.model.symmetric)
 
     def work(self, w: Array, z: Array) -> Array:
         """Return the work of the stresses in virtual displacements, minus that of the loads, as shares of all nodes.
@@ -278,9 +278,9 @@ class LayerSubproblem(DirichletLayers):
         strained.x.array[:] = z[: self._n_u]
         for part in self._equations.layers:
             part.add_work_in(strained, nodal_work.x.petsc_vec)
-        return np.asarray(nodal_work.x.array - (z * self.forces)[: self._n_u])
+        return np.asarray(nodal_work.x.array - (z * self.nodal_loads)[: self._n_u])
 
-    def _motions(self, free: BoolArray) -> tuple[Array, BoolArray]:
+    def _free_motions(self, free: BoolArray) -> tuple[Array, BoolArray]:
         """Return m orthonormal motions (n, m) that need no energy and that supports allow, and unknowns that stop them.
 
         These are marked in a mask (n,): if the m marked unknowns are zero, none of the motions is possible.
@@ -290,23 +290,23 @@ class LayerSubproblem(DirichletLayers):
         """
         model, pins, null_spaces = self.model, np.zeros(len(free), bool), []
         motions = model_motions(model).values()
-        rigid = np.zeros((len(free), len(motions)))
-        rigid[: self._n_u] = np.column_stack([motion.x.array[: self._n_u] for motion in motions])
-        count, piece = connected_components(self.K, directed=False)
-        for k in range(count):
-            piece_rows = np.flatnonzero(piece == k)
-            modes = rigid[piece_rows]
-            at_supports = np.vstack([modes[~free[piece_rows]], 0 * modes[:1]])
-            modes = modes @ scipy.linalg.null_space(at_supports, rcond=RANK_TOLERANCE)
+        rigid_motions = np.zeros((len(free), len(motions)))
+        rigid_motions[: self._n_u] = np.column_stack([motion.x.array[: self._n_u] for motion in motions])
+        n_pieces, piece_of = connected_components(self.K, directed=False)
+        for k in range(n_pieces):
+            piece_rows = np.flatnonzero(piece_of == k)
+            modes = rigid_motions[piece_rows]
+            supported_rows = np.vstack([modes[~free[piece_rows]], 0 * modes[:1]])
+            modes = modes @ scipy.linalg.null_space(supported_rows, rcond=RANK_TOLERANCE)
             modes = scipy.linalg.orth(modes, rcond=RANK_TOLERANCE) if modes.any() else modes[:, :0]
-            _, _, order = scipy.linalg.qr(modes[free[piece_rows]].T, pivoting=True)
-            pins[piece_rows[free[piece_rows]][order[: modes.shape[1]]]] = True
+            _, _, pivots = scipy.linalg.qr(modes[free[piece_rows]].T, pivoting=True)
+            pins[piece_rows[free[piece_rows]][pivots[: modes.shape[1]]]] = True
             null_spaces.append(np.zeros((len(free), modes.shape[1])))
             null_spaces[-1][piece_rows] = modes
         return np.hstack(null_spaces), pins
 
     # ---------------------------------------------------------------- vectors of the interface model
-    def at_faces(self, x: Array) -> Array:
+    def to_layers(self, x: Array) -> Array:
         """Copy values at the faces from a vector of the interface model to an array (n,) of the layers.
 
         Entries outside the faces are zero. Collective.
@@ -318,7 +318,7 @@ class LayerSubproblem(DirichletLayers):
         out[self._face_dofs] = x[self._body_dofs]
         return np.asarray(self._comm.allreduce(out))
 
-    def face_values(self, w: Array) -> tuple[IntArray, Array]:
+    def to_interface(self, w: Array) -> tuple[IntArray, Array]:
         """Return the values of `w` (n,) at the faces, for the interface model.
 
         Returns:
@@ -328,7 +328,7 @@ class LayerSubproblem(DirichletLayers):
         return self._body_dofs, w[self._face_dofs]
 
     # ---------------------------------------------------------------- E and its inverse
-    def dirichlet_reactions(self, v: Array, load: Array, values: Array) -> Array:
+    def dirichlet_reactions(self, v: Array, load: Array, side_displacements: Array) -> Array:
         """Return the forces (n,) on the faces of the linearised layers at given face displacements.
 
         Forces are zero where supports constrain the faces.
@@ -336,9 +336,9 @@ class LayerSubproblem(DirichletLayers):
         Args:
             v: (n,) displacements of the faces; all other entries are ignored.
             load: (n,) forces on the layers.
-            values: (n,) prescribed displacements of the sides; all other entries are ignored.
+            side_displacements: (n,) prescribed displacements of the sides; all other entries are ignored.
         """
-        return self.free_face_values(self.K @ self.dirichlet_displacements(v, load, values) - load)
+        return self.free_face_values(self.K @ self.dirichlet_displacements(v, load, side_displacements) - load)
 
     def free_face_values(self, r: Array) -> Array:
         """Return a copy of `r` (n,) with zeros except at the face displacements that supports do not constrain."""
@@ -358,8 +358,8 @@ class LayerSubproblem(DirichletLayers):
         """
         w = np.zeros(len(r))
         work = self._neumann.solve(r, w)
-        error = abs(work - float(w @ (self.K @ w)))
-        return np.where(self.on_face, w, 0.0), work if error <= MAX_WORK_DIFFERENCE * work else math.inf
+        work_error = abs(work - float(w @ (self.K @ w)))
+        return np.where(self.on_face, w, 0.0), work if work_error <= MAX_WORK_DIFFERENCE * work else math.inf
 
     def equilibrate_neumann(self, w: Array, F: Array) -> Array:
         """Return the unknowns (n,) of the layers in equilibrium under face forces, by Newton's method.
@@ -389,8 +389,8 @@ class LayerSubproblem(DirichletLayers):
         Raises:
             SolveError: the integrand falls somewhere, so that the energy is not convex.
         """
-        line = w - at
-        work = np.array([line @ self.residual(at + share * line) for share in np.linspace(0.0, 1.0, WORK_SUBSTEPS + 1)])
+        step = w - at
+        work = np.array([step @ self.residual(at + share * step) for share in np.linspace(0.0, 1.0, WORK_SUBSTEPS + 1)])
         work -= work[0]
         if (np.diff(work) < -NEWTON_TOLERANCE * np.abs(work).max()).any():
             raise SolveError("the energy of the layer is not convex")
@@ -398,11 +398,11 @@ class LayerSubproblem(DirichletLayers):
 
 
 class _SubmatrixFactor:
-    """Factor of the submatrix of `K` in the rows and columns that the mask `rows` selects."""
+    """Factor of the submatrix of `K` in the rows and columns that the mask `mask` selects."""
 
-    def __init__(self, K: scipy.sparse.csr_matrix, rows: BoolArray, *, symmetric: bool) -> None:
-        self._mask, self._symmetric = rows, symmetric
-        A = create_aij(K[rows][:, rows].sorted_indices(), MPI.COMM_SELF)
+    def __init__(self, K: scipy.sparse.csr_matrix, mask: BoolArray, *, symmetric: bool) -> None:
+        self._mask, self._symmetric = mask, symmetric
+        A = create_aij(K[mask][:, mask].sorted_indices(), MPI.COMM_SELF)
         A.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
         self._ksp = PETSc.KSP().create(MPI.COMM_SELF)
         self._ksp.setOperators(A)
@@ -430,27 +430,27 @@ class _SubmatrixFactor:
         return float(self._b.dot(self._x))
 
 
-def line_search_share(slope: Callable[[float], float], start: float) -> float:
+def line_search_fraction(decrease: Callable[[float], float], initial: float) -> float:
     """Shorten a Newton step until the energy does not rise steeply at its end; return the fraction of it that remains.
 
     Args:
-        slope: function of a fraction of the step. It returns the decrease of the energy, per unit of the fraction, at
+        decrease: function of a fraction of the step. It returns the decrease of the energy, per unit of the fraction, at
             the end of the shortened step.
-        start: value of `slope` at the fraction 0; it must be positive.
+        initial: value of `decrease` at the fraction 0; it must be positive.
 
     Returns:
-        A fraction of at most 1, at which `slope` is at least -start/2.
+        A fraction of at most 1, at which `decrease` is at least -start/2.
 
     Raises:
         SolveError: there is no such fraction.
     """
-    share = 1.0 if math.isfinite(start) else 0.0
-    while share and not (end := slope(share)) >= -start / 2:  # NaN where a law fails
-        share *= max(start / (start - end), MIN_STEP_RATIO) if end < 0 else MIN_STEP_RATIO
-        share = share if share >= MIN_STEP_RATIO**MAX_SHORTENINGS else 0.0
-    if not share:
-        raise SolveError("the layer by itself: Newton's steps lead nowhere; it fails, or softens", advice=MESH_REMEDY)
-    return share
+    fraction = 1.0 if math.isfinite(initial) else 0.0
+    while fraction and not (now := decrease(fraction)) >= -initial / 2:  # NaN where a law fails
+        fraction *= max(initial / (initial - now), MIN_LENGTH_RATIO) if now < 0 else MIN_LENGTH_RATIO
+        fraction = fraction if fraction >= MIN_LENGTH_RATIO**MAX_SHORTENINGS else 0.0
+    if not fraction:
+        raise SolveError("the layer by itself: Newton's steps lead nowhere; it fails, or softens", advice=MESH_ADVICE)
+    return fraction
 
 
 def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntArray, IntArray]:
@@ -462,41 +462,41 @@ def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntAr
     """
     base, band, d = layers.joint, layers.domain.joint, interface.joint.dim
     body_cells, layer_cells = _local_cells(interface, base), _local_cells(layers, band)
-    face_nodes: dict[tuple[Vertices, int, Vertices], int] = {}
+    face_nodes: dict[tuple[VertexNumbers, int, VertexNumbers], int] = {}
     for number, seam in enumerate(base.seams):
         facets = np.sort(base.surface[base.seam_numbers == number][:, : base.table.vertices.shape[1]], axis=1)
-        names = [str(FacetName(seam, face)) if len(base.seams) > 1 else face for face in (LOWER_FACE, UPPER_FACE)]
-        for side, name in enumerate(names):
+        face_names = [str(FacetName(seam, face)) if len(base.seams) > 1 else face for face in (LOWER_FACE, UPPER_FACE)]
+        for side, name in enumerate(face_names):
             faces = band.facets.get(name, facets[:0])
             for facet, face, row in zip(facets, faces, band.table.index(faces), strict=False):
                 vertex_of = dict(zip(face, facet, strict=True))
-                cell, local = band.table.cells[row, 0], band.table.local[row, 0]
-                for node, vertices in _facet_dofs(layers, layer_cells, band, cell, local):
+                cell, local_facet = band.table.cells[row, 0], band.table.local[row, 0]
+                for node, vertices in _facet_nodes(layers, layer_cells, band, cell, local_facet):
                     face_nodes[tuple(facet), side, tuple(sorted(vertex_of[v] for v in vertices))] = node
-    owned, pairs = interface.V.dofmap.index_map.size_local, {}
+    n_owned, face_node_of = interface.V.dofmap.index_map.size_local, {}
     for row, cells in zip(base.surface_rows, base.surface_cells, strict=True):
         facet = tuple(np.sort(base.table.vertices[row]))
         for side, cell in enumerate(cells):
             if cell >= 0:
-                local = base.table.local[row][list(base.table.cells[row]).index(cell)]
-                for node, vertices in _facet_dofs(interface, body_cells, base, cell, local):
+                local_facet = base.table.local[row][list(base.table.cells[row]).index(cell)]
+                for node, vertices in _facet_nodes(interface, body_cells, base, cell, local_facet):
                     key = facet, side, tuple(sorted(vertices))
-                    if node < owned and key in face_nodes:
-                        pairs[node] = face_nodes[key]
-    nodes = np.array([*pairs.items()], np.int64).reshape(-1, 2)
-    body_dofs, face_dofs = (nodes.T[..., None] * d + np.arange(d)).reshape(2, -1)
+                    if node < n_owned and key in face_nodes:
+                        face_node_of[node] = face_nodes[key]
+    node_pairs = np.array([*face_node_of.items()], np.int64).reshape(-1, 2)
+    body_dofs, face_dofs = (node_pairs.T[..., None] * d + np.arange(d)).reshape(2, -1)
     return body_dofs, face_dofs
 
 
 def _local_cells(model: Model, joint: Joint) -> IntArray:
     """Return the local number in the model's mesh of each cell of the joint; -1 if it is not on this rank."""
     out = np.full(len(joint.corners), -1, np.int64)
-    original = model.domain.original_cells
-    out[original] = np.arange(len(original))
+    original_cells = model.domain.original_cells
+    out[original_cells] = np.arange(len(original_cells))
     return out
 
 
-def _facet_dofs(model: Model, cells: IntArray, joint: Joint, cell: int, facet: int) -> Iterator[tuple[int, IntArray]]:
+def _facet_nodes(model: Model, cells: IntArray, joint: Joint, cell: int, facet: int) -> Iterator[tuple[int, IntArray]]:
     """Yield the nodes on a facet of a cell, as pairs (number of a node, numbers of vertices).
 
     The vertices are those of the vertex, edge or face of the cell to which the node belongs, as numbered in the joint.
@@ -510,9 +510,9 @@ def _facet_dofs(model: Model, cells: IntArray, joint: Joint, cell: int, facet: i
     """
     if cells[cell] < 0:
         return
-    dofs, layout = model.V.dofmap.cell_dofs(cells[cell]), model.V.dofmap.dof_layout
+    cell_nodes, layout = model.V.dofmap.cell_dofs(cells[cell]), model.V.dofmap.dof_layout
     sub_entity = sub_entities(joint.cell_type)
     for dim in range(joint.dim):
         for entity in sub_entity[joint.dim - 1][facet][dim]:
             for node in layout.entity_dofs(dim, int(entity)):
-                yield int(dofs[node]), joint.corners[cell][sub_entity[dim][entity][0]]
+                yield int(cell_nodes[node]), joint.corners[cell][sub_entity[dim][entity][0]]

@@ -21,7 +21,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.parts.part import DISPLACEMENT_KEY, FieldPart, Part
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.part_sum import TangentMatrix, UnknownLayout
-from thinlayer.solving.petsc import PREFIX, OptionDict, convert_to_blocks, lean_products, options_set, set_residual
+from thinlayer.solving.petsc import PREFIX, OptionDict, convert_to_baij, db_options, lean_products, set_residual_matrix
 from thinlayer.system.ranks import destroy
 
 # blocks of low rank, to rounding: less time and memory from 1e5 unknowns on
@@ -33,13 +33,13 @@ DIRECT_OPTIONS = OptionDict(
 # dimension -> ordering of MUMPS: 2D: unknowns, not nodes, by least fill, for fewer entries on grids; 3D: nodes, by PORD
 ORDERING_OPTIONS = {2: OptionDict(mat_mumps_icntl_7=2, mat_mumps_icntl_15=0), 3: OptionDict(mat_mumps_icntl_7=4)}
 # for saddle points at which MUMPS delays many pivots: more memory and smaller pivots
-LENIENT_OPTIONS = OptionDict(mat_mumps_icntl_14=1000, mat_mumps_cntl_1=1e-4)
+SADDLE_POINT_OPTIONS = OptionDict(mat_mumps_icntl_14=1000, mat_mumps_cntl_1=1e-4)
 GAMG_OPTIONS = OptionDict(pc_type="gamg", pc_gamg_aggressive_coarsening=2, pc_gamg_aggressive_square_graph=False)
 HIERARCHY_OPTIONS = OptionDict(  # algebraic multigrid as a preconditioner
     GAMG_OPTIONS, pc_gamg_threshold=0.01, mg_levels_ksp_type="chebyshev", mg_levels_pc_type="jacobi"
 )
 MULTIGRID_OPTIONS = OptionDict(DIRECT_OPTIONS, ksp_max_it=200, **HIERARCHY_OPTIONS)
-MULTIGRID_TYPES = ("gamg", "hypre", "ml")  # PETSc's kinds of algebraic multigrid, for the displacements
+MULTIGRID_PC_TYPES = ("gamg", "hypre", "ml")  # PETSc's kinds of algebraic multigrid, for the displacements
 # for saddle points: multigrid for the displacements after a factorisation for the pressures on S, see above. This
 # preconditioner is not symmetric. It takes half the iterations of a symmetric one for MINRES, at the same cost each.
 FIELD_SPLIT_OPTIONS: OptionDict = {
@@ -61,7 +61,7 @@ FIELD_SPLIT_OPTIONS: OptionDict = {
 MIN_MULTIGRID_UNKNOWNS = {2: 3_000_000, 3: 50_000}
 
 
-def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = None) -> list[OptionDict]:
+def solver_options(model: Model, parts: Sequence[Part], pctype: str | None = None) -> list[OptionDict]:
     """Return the PETSc options of the linear solvers that suit a model, in the order in which they are tried.
 
     The direct solver is MUMPS: Cholesky for symmetric tangents, else LU. Large models first try conjugate gradients
@@ -75,7 +75,7 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
     Args:
         model: the model.
         parts: the parts of its balance of forces.
-        chosen: PETSc's type of preconditioner (pc_type) that the user has chosen; None: the default.
+        pctype: PETSc's type of preconditioner (pc_type) that the user has chosen; None: the default.
 
     Returns:
         For each solver {name of a PETSc option without prefix: value}.
@@ -83,24 +83,24 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
     Raises:
         InputError: the chosen type of preconditioner does not suit the model.
     """
-    direct = direct_solver(model)
+    direct = direct_solver_options(model)
     is_large = model.unknowns >= MIN_MULTIGRID_UNKNOWNS[model.joint.dim]
     if any(isinstance(part, PressurePart) for part in parts):
-        if chosen in MULTIGRID_TYPES:
-            raise InputError(f"pc_type {chosen} cannot solve for the pressures of a layer, too; use pc_type fieldsplit")
-        attempts = [direct, {**direct, **LENIENT_OPTIONS}]
+        if pctype in MULTIGRID_PC_TYPES:
+            raise InputError(f"pc_type {pctype} cannot solve for the pressures of a layer, too; use pc_type fieldsplit")
+        attempts = [direct, {**direct, **SADDLE_POINT_OPTIONS}]
         unsuited = [part.key for part in parts if isinstance(part, FieldPart) and not part.on_S]
-        if chosen == "fieldsplit" and unsuited:
+        if pctype == "fieldsplit" and unsuited:
             reason = f"not for {unsuited[0]!r} (of a meshed layer, a plate or a mean stress); use pc_type cholesky"
             raise InputError(f"pc_type fieldsplit is for displacements and pressures on S, {reason}")
-        return [FIELD_SPLIT_OPTIONS, *attempts] if chosen == "fieldsplit" or (is_large and not unsuited) else attempts
+        return [FIELD_SPLIT_OPTIONS, *attempts] if pctype == "fieldsplit" or (is_large and not unsuited) else attempts
     iterative = {**MULTIGRID_OPTIONS, "ksp_type": "cg" if model.symmetric else "gmres"}
-    if chosen in MULTIGRID_TYPES:
+    if pctype in MULTIGRID_PC_TYPES:
         return [iterative]
     return [iterative, direct] if is_large else [direct]
 
 
-def direct_solver(model: Model) -> OptionDict:
+def direct_solver_options(model: Model) -> OptionDict:
     """Return the PETSc options of the direct solver: Cholesky for a symmetric model, else LU.
 
     MUMPS computes an LDL^T factor in place of Cholesky's, unless the matrix is marked as positive definite.
@@ -114,11 +114,11 @@ def needs_factor_only() -> bool:
     This depends on the options in PETSc's database. It holds for a factorisation by MUMPS, and for algebraic multigrid
     (gamg), which keeps a copy in blocks.
     """
-    options, names = options_set(), ("ksp_type", "pc_factor_mat_solver_type")
+    options, names = db_options(), ("ksp_type", "pc_factor_mat_solver_type")
     return options.get("pc_type") == "gamg" or all(options.get(name) == DIRECT_OPTIONS[name] for name in names)
 
 
-def least_pivot(pc: PETSc.PC) -> float:
+def pivot_ratio(pc: PETSc.PC) -> float:
     """Return the ratio of the smallest to the largest pivot in MUMPS's Cholesky factor; 0 if it is unknown."""
     if pc.getType() != "cholesky" or pc.getFactorSolverType() != "mumps":
         return 0.0
@@ -126,16 +126,16 @@ def least_pivot(pc: PETSc.PC) -> float:
     return smallest / largest if largest else 0.0
 
 
-def mark_symmetry(A: PETSc.Mat, model: Model, *, saddle: bool) -> None:
+def mark_symmetry(A: PETSc.Mat, model: Model, *, is_saddle: bool) -> None:
     """Tell PETSc whether a tangent is symmetric and whether it is positive definite.
 
     Args:
         A: the tangent.
         model: its model.
-        saddle: whether the tangent may have eigenvalues of both signs, so that it is not positive definite.
+        is_saddle: whether the tangent may have eigenvalues of both signs, so that it is not positive definite.
     """
     A.setOption(PETSc.Mat.Option.SYMMETRIC, model.symmetric)
-    A.setOption(PETSc.Mat.Option.SPD, model.symmetric and model.linear and not saddle)
+    A.setOption(PETSc.Mat.Option.SPD, model.symmetric and model.linear and not is_saddle)
 
 
 class Factor:
@@ -150,7 +150,7 @@ class Factor:
         self.ksp: PETSc.KSP = None
         self.matrix_key: Hashable = None
         self._options: dict[str, str] = {}
-        self._blocks: PETSc.Mat | None = None
+        self._baij_copy: PETSc.Mat | None = None
 
     def renew(self, A: PETSc.Mat, key: Hashable, set_data: Callable[[PETSc.KSP, PETSc.Mat], None]) -> bool:
         """Give the linear solver another matrix, which it factorises in the next solve.
@@ -165,7 +165,7 @@ class Factor:
             Whether the same KSP object is used as before. It then orders the unknowns anew only for another nonzero
                 pattern.
         """
-        options = options_set()
+        options = db_options()
         is_kept = self.ksp is not None and options == self._options and self.ksp.getPC().getType() != "fieldsplit"
         if not is_kept:
             self.destroy()
@@ -194,20 +194,20 @@ class Factor:
         pc = self.ksp.getPC()
         with lean_products():
             self.ksp.setUp()
-        destroy(self._blocks)
-        self._blocks, finest = convert_to_blocks(A, PETSc.Mat().create(A.comm)), pc.getMGLevels() - 1
+        destroy(self._baij_copy)
+        self._baij_copy, finest = convert_to_baij(A, PETSc.Mat().create(A.comm)), pc.getMGLevels() - 1
         for level in range(1, finest):  # the coarsest has a factor instead of a smoother
-            convert_to_blocks(pc.getMGSmoother(level).getOperators()[0])
+            convert_to_baij(pc.getMGSmoother(level).getOperators()[0])
         if finest:
-            pc.getMGSmoother(finest).setOperators(self._blocks)
-            set_residual(pc, finest, self._blocks)
+            pc.getMGSmoother(finest).setOperators(self._baij_copy)
+            set_residual_matrix(pc, finest, self._baij_copy)
         pc.setReusePreconditioner(True)
-        self.ksp.setOperators(self._blocks)
+        self.ksp.setOperators(self._baij_copy)
 
     def destroy(self) -> None:
         """Free the linear solver and its factor."""
-        destroy(self.ksp, self._blocks)
-        self.ksp = self.matrix_key = self._blocks = None
+        destroy(self.ksp, self._baij_copy)
+        self.ksp = self.matrix_key = self._baij_copy = None
 
 
 class SharedMatrices:
@@ -224,7 +224,7 @@ class SharedMatrices:
         self.matrix: TangentMatrix | None = None
         self.factor = Factor()
         self._terms: Sequence[Term] = ()
-        self._pattern: object = None
+        self._pattern_key: object = None
 
     @classmethod
     def acquire(cls, model: Model) -> SharedMatrices:
@@ -232,22 +232,22 @@ class SharedMatrices:
 
         A tangent with a nonzero pattern that does not suit this model is freed before.
         """
-        idle = model.family.acquire()
-        shared = idle if isinstance(idle, cls) else cls()
-        layers = [(name, type(s.law), s.thin_layer and s.thin_layer.order) for name, s in model.layers.items()]
-        pattern = layers, [(p.key, type(p.law), p.law.traits, len(p.law.sublayers)) for p in model.layer_terms]
-        if pattern != shared._pattern:
+        idle_matrices = model.family.take_matrices()
+        shared = idle_matrices if isinstance(idle_matrices, cls) else cls()
+        layer_kinds = [(name, type(s.law), s.thin_layer and s.thin_layer.order) for name, s in model.layers.items()]
+        pattern_key = layer_kinds, [(p.key, type(p.law), p.law.traits, len(p.law.sublayers)) for p in model.layer_terms]
+        if pattern_key != shared._pattern_key:
             shared.free()
         if model.layer_terms is not shared._terms:
             shared.factor.matrix_key = None
-        shared._terms, shared._pattern = model.layer_terms, pattern
+        shared._terms, shared._pattern_key = model.layer_terms, pattern_key
         return shared
 
     def release(self, model: Model) -> None:
         """Leave the matrices to the next solver of `model`, or of a similar model in its `ModelFamily`."""
         for part in self.bodies:
             vars(part).pop("interval", None)  # its state refers to a model of the family
-        model.family.release(self)
+        model.family.store_matrices(self)
 
     def free(self) -> None:
         """Free the tangent and its factor."""
@@ -256,7 +256,7 @@ class SharedMatrices:
 
 
 # ---------------------------------------------------------------- blocks with pressures
-def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
+def orthonormalise(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
     """Orthonormalise linearly independent vectors in place, and return them."""
     for k, v in enumerate(vectors):
         for earlier in vectors[:k]:
@@ -279,6 +279,6 @@ def set_field_split(pc: PETSc.PC, A: PETSc.Mat, layout: UnknownLayout, motions: 
     rows_u = PETSc.IS().createStride(n_u, row_start, 1, comm=A.comm)
     rows_u.setBlockSize(bs)
     rows_p = PETSc.IS().createStride(row_end - row_start - n_u, row_start + n_u, 1, comm=A.comm)
-    modes = [PETSc.Vec().createWithArray(v.array_r[:n_u].copy(), (n_u, None), bsize=bs, comm=A.comm) for v in motions]
-    rows_u.compose("nearnullspace", PETSc.NullSpace().create(vectors=orthonormal(modes), comm=A.comm))
+    rigid_u = [PETSc.Vec().createWithArray(v.array_r[:n_u].copy(), (n_u, None), bsize=bs, comm=A.comm) for v in motions]
+    rows_u.compose("nearnullspace", PETSc.NullSpace().create(vectors=orthonormalise(rigid_u), comm=A.comm))
     pc.setFieldSplitIS(("u", rows_u), ("p", rows_p))

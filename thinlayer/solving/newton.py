@@ -12,19 +12,19 @@ from petsc4py import PETSc
 from forms.base import InputError
 from thinlayer.errors import SolveError
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.linear_solvers import least_pivot, mark_symmetry, needs_factor_only
-from thinlayer.solving.part_sum import SOLVER_TOLERANCE, STATE_TOLERANCE
+from thinlayer.solving.linear_solvers import mark_symmetry, needs_factor_only, pivot_ratio
+from thinlayer.solving.part_sum import ACCEPTED_RESIDUAL, SOLVER_RESIDUAL
 from thinlayer.solving.petsc import PREFIX, OptionDict, reason_name, solve_linear, solve_nonlinear
 
 # Relative residuals; keys: True for direct solvers, False for Krylov methods.
-REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # refinement ends at this residual
-REFINE_BELOW = {True: 1e-3, False: 0.5}  # refinement starts below this residual; Krylov methods test another norm
-REFINE_RATIO = {True: 0.1, False: 0.5}  # another refinement follows if one reduces the residual below this ratio
-KRYLOV_REDUCTION = 0.3  # target of a Krylov method that refines, relative to REFINED_RESIDUAL
-MIN_SAFE_PIVOT = 1e-6  # smallest over largest pivot above which rounding of the forces is harmless
+REFINEMENT_TARGET = {True: 1e-15, False: 1e-10}  # refinement ends at this residual
+MAX_REFINABLE_RESIDUAL = {True: 1e-3, False: 0.5}  # refinement starts below this; Krylov methods test another norm
+REFINEMENT_REDUCTION = {True: 0.1, False: 0.5}  # another follows if one reduces the residual below this ratio
+KRYLOV_REDUCTION = 0.3  # target of a Krylov method that refines, relative to REFINEMENT_TARGET
+MIN_PIVOT_RATIO = 1e-6  # smallest over largest pivot above which rounding of the forces is harmless
 # The next two are changes of displacements by a refinement, relative to `_reference_displacement`.
-SINGULAR_REFINEMENT = 1e-3  # change by the first refinement above which the matrix is singular
-SPOILT_REFINEMENT = 1e-5  # change by the last refinement above which rounding has spoilt the solution
+SINGULAR_CHANGE = 1e-3  # change by the first refinement above which the matrix is singular
+MAX_LAST_CHANGE = 1e-5  # change by the last refinement above which rounding has spoilt the solution
 OVERSHOOT_RESIDUAL = 10.0  # residual after the linear step, relative to the forces, above which it is shortened
 # snes_rtol: the first residual is no reference, as it may be arbitrarily large where a dashpot was at rest
 NEWTON_OPTIONS = OptionDict(snes_type="newtonls", snes_linesearch_type="bt", snes_rtol=0, snes_stol=0, snes_max_it=100)
@@ -33,17 +33,17 @@ YIELDING_OPTIONS = OptionDict(snes_max_it=50)
 MAX_STEP_OPTION = "snes_linesearch_maxlambda" if PETSc.Sys.getVersion() >= (3, 24) else "snes_linesearch_maxstep"
 # steps end where the forces do no work along them, though residuals may grow; an absolute tolerance (atol) of this work
 # would depend on the units
-CRITICAL_OPTIONS = OptionDict(snes_linesearch_type="cp", snes_linesearch_max_it=40, snes_linesearch_atol=0)
+CP_LINESEARCH_OPTIONS = OptionDict(snes_linesearch_type="cp", snes_linesearch_max_it=40, snes_linesearch_atol=0)
 # for singular tangents: the line search looks for the least energy
-SINGULAR_OPTIONS = OptionDict(CRITICAL_OPTIONS, snes_max_it=300)
+SINGULAR_TANGENT_OPTIONS = OptionDict(CP_LINESEARCH_OPTIONS, snes_max_it=300)
 # no line search, as residuals grow on good steps
 CONTACT_OPTIONS = OptionDict(snes_linesearch_type="basic", snes_max_it=300)
-CONTACT_HOMOTOPY_OPTIONS = CRITICAL_OPTIONS | {"snes_max_it": 40, "snes_linesearch_rtol": 0.01, MAX_STEP_OPTION: 1}
+CONTACT_HOMOTOPY_OPTIONS = CP_LINESEARCH_OPTIONS | {"snes_max_it": 40, "snes_linesearch_rtol": 0.01, MAX_STEP_OPTION: 1}
 STAGNATION_STEPS = 16  # number of steps in which the residual must fall by a tenth, for laws that yield
-DIVERGED_DISPLACEMENT = 1e6  # largest displacements, relative to the first step's, for laws that yield
+DIVERGED_DISPLACEMENT_RATIO = 1e6  # largest displacements, relative to the first step's, for laws that yield
 Reason = PETSc.SNES.ConvergedReason
 RESISTANCE_QUESTION = "does something resist every motion of the bodies, and every strain of the layer?"
-YIELDING_EVERYWHERE_STEP = 1e4  # linear step over old displacements above which a layer yields everywhere
+YIELDING_STEP_RATIO = 1e4  # linear step over old displacements above which a layer yields everywhere
 
 
 @dataclass(frozen=True)
@@ -69,11 +69,11 @@ class EquilibriumSolver(ABC):
 
     Attributes:
         has_homotopy: whether the solver can be used in a homotopy continuation, which starts with an elastic law.
-        reused: whether the last step used a PETSc solver of an earlier step, and so read no PETSc options.
+        reused_solver: whether the last step used a PETSc solver of an earlier step, and so read no PETSc options.
     """
 
     has_homotopy = True
-    reused = False
+    reused_solver = False
 
     @abstractmethod
     def solve_step(self, start: PETSc.Vec | None = None) -> StepSolution:
@@ -106,7 +106,7 @@ class NewtonSolver(EquilibriumSolver):
     Args:
         equations: the balance of forces.
         nonlinear: whether Newton's method follows the linear solve; otherwise iterative refinement does.
-        own_test: whether the reference forces of `ForceScale` decide on convergence; otherwise tolerances that the user
+        force_test: whether the reference forces of `ForceScale` decide on convergence; otherwise tolerances that the user
             has set in PETSc options do.
         yields: whether a law bounds stresses. Newton's method then stops early if it does not converge.
         advice: what the error message of Newton's method advises after a failure.
@@ -115,16 +115,16 @@ class NewtonSolver(EquilibriumSolver):
         equations, nonlinear: the arguments.
     """
 
-    def __init__(self, equations: Equations, *, nonlinear: bool, own_test: bool, yields: bool, advice: str) -> None:
+    def __init__(self, equations: Equations, *, nonlinear: bool, force_test: bool, yields: bool, advice: str) -> None:
         self.equations, self.nonlinear = equations, nonlinear
-        self._own_test, self._yields, self._advice = own_test, yields, advice
+        self._force_test, self._yields, self._advice = force_test, yields, advice
         self._factor = equations.factor
-        self._vectors = [equations.vector() for _ in range(4)]
+        self._work_vectors = [equations.create_vector() for _ in range(4)]
 
     def reset(self) -> bool:
         """Drop the linear solver and its factor; return whether the last step used the factor of an earlier step."""
         self._factor.destroy()
-        was_reused, self.reused = self.reused, False
+        was_reused, self.reused_solver = self.reused_solver, False
         return was_reused
 
     def solve_step(self, start: PETSc.Vec | None = None) -> StepSolution:
@@ -138,71 +138,71 @@ class NewtonSolver(EquilibriumSolver):
             SolveError: no convergence, or no unique solution.
         """
         equations = self.equations
-        x, r, d, move = self._vectors
+        x, r, d, bc_step = self._work_vectors
         if start is not None:
             start.copy(x)
             equations.residual(x, r)
-            return self._newton(x)
-        for vector in self._vectors:
+            return self._run_newton(x)
+        for vector in self._work_vectors:
             vector.set(0.0)
         equations.put_state(equations.interval.old, x)
-        move.array[equations.bc_dofs] = equations.prescribed - x.array_r[equations.bc_dofs]
+        bc_step.array[equations.bc_dofs] = equations.prescribed - x.array_r[equations.bc_dofs]
         if self.nonlinear:
-            equations.start(x, r)
+            equations.initial_residual(x, r)
         else:
-            x.axpy(1.0, move)
+            x.axpy(1.0, bc_step)
             equations.residual(x, r)
         if equations.failed:
-            raise SolveError(f"at the start of the step {equations.failure()}")
-        return self._from_linear_step(x, r, d, move) if self.nonlinear else self._linear(x, r, d)
+            raise SolveError(f"at the start of the step {equations.failure_text()}")
+        return self._solve_from_linear_step(x, r, d, bc_step) if self.nonlinear else self._solve_linear_model(x, r, d)
 
-    def _linear(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> StepSolution:
+    def _solve_linear_model(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> StepSolution:
         r.scale(-1.0)
         r.array[self.equations.bc_dofs] = 0.0
-        self._prepare()
+        self._prepare_ksp()
         solve_linear(self._factor.ksp, r, d)
         iterations = int(self._factor.ksp.getIterationNumber())
         x.axpy(1.0, d)
-        self.equations.scale.include_displacement(_largest(x))
+        self.equations.scale.include_displacement(_max_norm(x))
         self.equations.residual(x, r)
-        residual, refining = self._refine(x, r, d)
-        return StepSolution(x, iterations + refining, residual)
+        residual, more_iterations = self._refine(x, r, d)
+        return StepSolution(x, iterations + more_iterations, residual)
 
-    def _from_linear_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> StepSolution:
+    def _solve_from_linear_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, bc_step: PETSc.Vec) -> StepSolution:
         """Solve a step by Newton's method that starts after a linear solve, in which the supports move.
 
         Args:
             x: unknowns of the state before the step; overwritten.
             r: residual at `x`; overwritten.
             d: work vector.
-            move: increments of the prescribed displacements, zero at all other unknowns.
+            bc_step: increments of the prescribed displacements, zero at all other unknowns.
         """
-        equations, forces = self.equations, float(self.equations.scale.forces[0])
-        self._require_finite("stress", self._free_norm(r))
+        equations, reference = self.equations, float(self.equations.scale.forces[0])
+        self._require_finite("stress", self._unconstrained_norm(r))
         r.scale(-1.0)
-        self._prepare(move, r)
+        self._prepare_ksp(bc_step, r)
         solve_linear(self._factor.ksp, r, d)
-        if self._yields and x.norm() > 0 and not d.norm() <= YIELDING_EVERYWHERE_STEP * x.norm():
-            self._elastic_step(x, r, d, move)
+        if self._yields and x.norm() > 0 and not d.norm() <= YIELDING_STEP_RATIO * x.norm():
+            self._elastic_step(x, r, d, bc_step)
         if not math.isfinite(d.norm()):
             advice = f"{RESISTANCE_QUESTION[:-1]} at rest? A stress without a linear part, as e^3, needs a small one"
             raise SolveError("the tangent at the start of the step is singular", advice=advice)
-        d.array[equations.bc_dofs] = move.array_r[equations.bc_dofs]
+        d.array[equations.bc_dofs] = bc_step.array_r[equations.bc_dofs]
         x.axpy(1.0, d)
         if not self._yields and equations.interval.old.at_rest:
-            equations.scale.include_displacement(_largest(x))
+            equations.scale.include_displacement(_max_norm(x))
         equations.residual(x, r)
-        self._shorten_step(x, r, d, move, forces)
-        return self._newton(x)
+        self._shorten_step(x, r, d, bc_step, reference)
+        return self._run_newton(x)
 
-    def _elastic_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> None:
+    def _elastic_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, bc_step: PETSc.Vec) -> None:
         """Compute the increment of the unknowns by a linear solve in which the layer is elastic.
 
         Args:
             x: unknowns of the state before the step.
             r: work vector for the right-hand side.
             d: the increment; overwritten.
-            move: increments of the prescribed displacements, zero at all other unknowns.
+            bc_step: increments of the prescribed displacements, zero at all other unknowns.
         """
         equations, homotopy_parameter = self.equations, self.equations.homotopy_parameter
         equations.residual(x, r)
@@ -212,10 +212,10 @@ class NewtonSolver(EquilibriumSolver):
             equations.residual(x, d)
         finally:
             equations.set_homotopy(homotopy_parameter)
-        self._prepare(move, r)
+        self._prepare_ksp(bc_step, r)
         solve_linear(self._factor.ksp, r, d)
 
-    def _shorten_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec, forces: float) -> None:
+    def _shorten_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, bc_step: PETSc.Vec, reference: float) -> None:
         """Shorten the increment of the linear solve while the residual after it is too large.
 
         Laws that stiffen with the rate lead to such increments. Prescribed displacements keep their full increments.
@@ -224,51 +224,51 @@ class NewtonSolver(EquilibriumSolver):
             x: unknowns after the increment; overwritten.
             r: residual at `x`; overwritten.
             d: the increment; overwritten.
-            move: increments of the prescribed displacements, zero at all other unknowns.
-            forces: reference force. The residual must be at most `OVERSHOOT_RESIDUAL` times as large.
+            bc_step: increments of the prescribed displacements, zero at all other unknowns.
+            reference: reference force. The residual must be at most `OVERSHOOT_RESIDUAL` times as large.
         """
-        d.axpy(-1.0, move)
+        d.axpy(-1.0, bc_step)
         for _ in range(40):
-            if not forces or self._free_norm(r) <= OVERSHOOT_RESIDUAL * forces:
+            if not reference or self._unconstrained_norm(r) <= OVERSHOOT_RESIDUAL * reference:
                 return
             x.axpy(-0.75, d)
             d.scale(0.25)
             self.equations.residual(x, r)
 
-    def _prepare(self, move: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
+    def _prepare_ksp(self, bc_step: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
         """Give the linear solver the tangent with Dirichlet conditions, for the next solve.
 
         Args:
-            move: increments of the prescribed displacements. None: they are zero, so that a factor of the same matrix
+            bc_step: increments of the prescribed displacements. None: they are zero, so that a factor of the same matrix
                 can be used again.
-            b: right-hand side, to which the forces due to `move` are added; None if `move` is None.
+            b: right-hand side, to which the forces due to `bc_step` are added; None if `bc_step` is None.
         """
         equations = self.equations
         dt = equations.interval.dt if equations.depends_on_dt else 0.0
         key = float(f"{dt:.12g}"), equations.interval.theta  # lengths of equal steps differ by rounding
-        if move is None and self._factor.matrix_key == key:
-            self.reused = True
+        if bc_step is None and self._factor.matrix_key == key:
+            self.reused_solver = True
             return
         in_place = not self.nonlinear and needs_factor_only()
-        with equations.with_supports(move, b, lend=in_place) as A:
+        with equations.constrained_tangent(bc_step, b, in_place=in_place) as A:
             if self.nonlinear:
                 self._require_finite("tangent (the slope of the stress)", A.norm())
             else:
                 equations.require_unique()
-            mark_symmetry(A, equations.model, saddle=equations.traits.saddle)
-            self.reused = self._factor.renew(A, key, equations.set_preconditioner_data) and not self.nonlinear
+            mark_symmetry(A, equations.model, is_saddle=equations.traits.saddle)
+            self.reused_solver = self._factor.renew(A, key, equations.set_preconditioner_data) and not self.nonlinear
             if in_place:
                 self._factor.set_up()
 
-    def _require_finite(self, quantity: str, size: float) -> None:
-        """Raise SolveError if `size`, the norm of a quantity at the start of the step, is NaN or infinite.
+    def _require_finite(self, quantity: str, norm: float) -> None:
+        """Raise SolveError if `norm`, the norm of a quantity at the start of the step, is NaN or infinite.
 
         Args:
             quantity: name of the quantity, for the message.
-            size: its norm.
+            norm: its norm.
         """
-        if not math.isfinite(size):
-            names = " or ".join(sorted({*self.equations.names_with_trait("unchecked")}))
+        if not math.isfinite(norm):
+            names = " or ".join(sorted({*self.equations.names_with_trait("unchecked_stresses")}))
             advice = "at rest the strain e is zero: write ufl.sqrt(ufl.inner(e, e) + small), or a ufl.conditional"
             raise SolveError(f"the {quantity} of {names} is not finite at the start of the step", advice=advice)
 
@@ -288,47 +288,47 @@ class NewtonSolver(EquilibriumSolver):
             SolveError: the solution is not unique, or its residual is too large.
         """
         equations, ksp = self.equations, self._factor.ksp
-        reason, direct = ksp.getConvergedReason(), ksp.getType() == "preonly"
-        residual, is_first, moved, iterations, rtol = self._relative(r), True, 0.0, 0, ksp.getTolerances()[0]
-        if residual < SOLVER_TOLERANCE and not equations.traits.saddle and least_pivot(ksp.getPC()) > MIN_SAFE_PIVOT:
+        reason, is_direct = ksp.getConvergedReason(), ksp.getType() == "preonly"
+        residual, is_first, ratio, iterations, rtol = self._relative_norm(r), True, 0.0, 0, ksp.getTolerances()[0]
+        if residual < SOLVER_RESIDUAL and not equations.traits.saddle and pivot_ratio(ksp.getPC()) > MIN_PIVOT_RATIO:
             return residual, 0
-        while REFINED_RESIDUAL[direct] < residual < REFINE_BELOW[direct]:
+        while REFINEMENT_TARGET[is_direct] < residual < MAX_REFINABLE_RESIDUAL[is_direct]:
             r.scale(-1.0)
-            if not direct:  # no further than needed
-                ksp.setTolerances(rtol=max(rtol, KRYLOV_REDUCTION * REFINED_RESIDUAL[direct] / residual))
+            if not is_direct:  # no further than needed
+                ksp.setTolerances(rtol=max(rtol, KRYLOV_REDUCTION * REFINEMENT_TARGET[is_direct] / residual))
             try:
                 solve_linear(ksp, r, d)
             finally:
                 ksp.setTolerances(rtol=rtol)
             iterations += ksp.getIterationNumber()
-            size, change = self._reference_displacement(x), _largest(d)
-            if is_first and direct and change > SINGULAR_REFINEMENT * size:
-                text = f"rounding of the forces changes the displacements {size:.1e} by {change:.1e}"
+            reference, change = self._reference_displacement(x), _max_norm(d)
+            if is_first and is_direct and change > SINGULAR_CHANGE * reference:
+                text = f"rounding of the forces changes the displacements {reference:.1e} by {change:.1e}"
                 raise SolveError(f"no unique solution: {text}", advice=RESISTANCE_QUESTION)
-            is_first, moved = False, change / size if size else 0.0
+            is_first, ratio = False, change / reference if reference else 0.0
             x.axpy(1.0, d)
             equations.residual(x, r)
-            refined = self._relative(r)
-            if refined > residual:
+            new_residual = self._relative_norm(r)
+            if new_residual > residual:
                 x.axpy(-1.0, d)
-            if refined >= REFINE_RATIO[direct] * residual:
+            if new_residual >= REFINEMENT_REDUCTION[is_direct] * residual:
                 break
-            residual = refined
-        if direct and moved > SPOILT_REFINEMENT:
-            spoilt = f"by {moved:.1e} of them, allowed: {SPOILT_REFINEMENT:g}; bodies are too stiff for what holds them"
-            advice = f"take their moduli {10 * moved / SPOILT_REFINEMENT:.0e} times smaller, or larger cells"
-            raise SolveError(f"linear solve failed: rounding changes the displacements {spoilt}", advice=advice)
-        if not residual < STATE_TOLERANCE:
+            residual = new_residual
+        if is_direct and ratio > MAX_LAST_CHANGE:
+            details = f"by {ratio:.1e} of them, allowed: {MAX_LAST_CHANGE:g}; bodies are too stiff for what holds them"
+            advice = f"take their moduli {10 * ratio / MAX_LAST_CHANGE:.0e} times smaller, or larger cells"
+            raise SolveError(f"linear solve failed: rounding changes the displacements {details}", advice=advice)
+        if not residual < ACCEPTED_RESIDUAL:
             equations.put_state(equations.interval.old, d)
-            equations.start(d, r)
+            equations.initial_residual(d, r)
             equations.residual(x, r)
-            residual = self._relative(r)
-        if not residual < STATE_TOLERANCE:
+            residual = self._relative_norm(r)
+        if not residual < ACCEPTED_RESIDUAL:
             text = f"{reason_name(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}"
-            hints = "".join(f", or {part.hint}" for part in equations.with_own if part.hint)
+            hints = "".join(f", or {part.hint}" for part in equations.field_parts if part.hint)
             advice = f"with an iterative solver try -{PREFIX}ksp_max_it or -{PREFIX}pc_type cholesky"
             raise SolveError(f"linear solve failed: {text}; a body is free, or a law not linear{hints}", advice=advice)
-        return residual, 0 if direct else iterations
+        return residual, 0 if is_direct else iterations
 
     def _reference_displacement(self, x: PETSc.Vec) -> float:
         """Return the displacement to which rounding errors of the unknowns `x` are compared.
@@ -339,22 +339,22 @@ class NewtonSolver(EquilibriumSolver):
         """
         scale, stiffness = self.equations.scale, self.equations.mean_stiffness
         elastic = float(scale.forces[0]) / (stiffness * math.sqrt(x.getSize())) if stiffness else 0.0
-        return max(_largest(x), scale.displacement, elastic)
+        return max(_max_norm(x), scale.max_displacement, elastic)
 
-    def _relative(self, r: PETSc.Vec) -> float:
+    def _relative_norm(self, r: PETSc.Vec) -> float:
         """Return the largest ratio of the norm of the residual `r` to the reference force, over all blocks of unknowns.
 
         The blocks are those of `ForceScale`. Entries of `r` at constrained unknowns become zero.
         """
         r.array[self.equations.bc_dofs] = 0.0
-        return self.equations.relative(r)
+        return self.equations.relative_norm(r)
 
-    def _free_norm(self, r: PETSc.Vec) -> float:
+    def _unconstrained_norm(self, r: PETSc.Vec) -> float:
         r.array[self.equations.bc_dofs] = 0.0
         return float(r.norm())
 
     # ---------------------------------------------------------------- Newton's method
-    def _newton(self, x: PETSc.Vec) -> StepSolution:
+    def _run_newton(self, x: PETSc.Vec) -> StepSolution:
         """Solve by Newton's method (PETSc SNES) from unknowns `x`, which become the solution.
 
         The last residual that was evaluated must be that at `x`. The reference forces decide on convergence, unless the
@@ -368,46 +368,46 @@ class NewtonSolver(EquilibriumSolver):
             InputError: the user has chosen an SNES type that does not call the convergence test.
             PETSc.Error: PETSc itself has failed. Errors of the equations, such as an InputError, pass unchanged.
         """
-        equations, limit = self.equations, DIVERGED_DISPLACEMENT * _largest(x)
-        residuals, divergence = list[float](), ""
+        equations, max_displacement = self.equations, DIVERGED_DISPLACEMENT_RATIO * _max_norm(x)
+        residuals, why_diverged = list[float](), ""
 
         def converged(snes: PETSc.SNES, steps: int, norms: tuple[float, float, float]) -> PETSc.SNES.ConvergedReason:
-            nonlocal divergence
+            nonlocal why_diverged
             x, r = snes.getSolution(), snes.getFunction()[0]
-            residuals.append(equations.relative(r))
+            residuals.append(equations.relative_norm(r))
             if math.isnan(norms[2]):
                 return Reason.DIVERGED_FNORM_NAN
             if self._yields and _stagnates(residuals):
-                divergence = f"the residual has not fallen for {STAGNATION_STEPS} steps"
-            elif self._yields and not _largest(x) <= limit:
-                divergence = "displacements grow without bound"
-            if divergence:
+                why_diverged = f"the residual has not fallen for {STAGNATION_STEPS} steps"
+            elif self._yields and not _max_norm(x) <= max_displacement:
+                why_diverged = "displacements grow without bound"
+            if why_diverged:
                 return Reason.DIVERGED_DTOL
             return Reason.CONVERGED_FNORM_ABS if equations.is_balanced(x, r) else False
 
         snes = self._create_snes(x, converged)
         solve_nonlinear(snes, x)
         reason, steps = snes.getConvergedReason(), snes.getIterationNumber()
-        if self._own_test and not residuals and reason >= 0:  # PETSc itself refuses a first residual that is NaN
+        if self._force_test and not residuals and reason >= 0:  # PETSc itself refuses a first residual that is NaN
             raise InputError(f"-{PREFIX}snes_type {snes.getType()} does not look at the residual; use another one")
-        last, ksp_reason = equations.relative(snes.getFunction()[0]), snes.getKSP().getConvergedReason()
-        stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < STATE_TOLERANCE
-        if stalled:  # by rounding, unless no equilibrium is near: then another step would be long
-            solve_linear(snes.getKSP(), snes.getFunction()[0], d := self._vectors[2])
-            stalled = _largest(d) <= SPOILT_REFINEMENT * self._reference_displacement(x)
-            divergence = "" if stalled else "no step reduces the residual"
+        residual, ksp_reason = equations.relative_norm(snes.getFunction()[0]), snes.getKSP().getConvergedReason()
+        is_stalled = reason == Reason.DIVERGED_LINE_SEARCH and residual < ACCEPTED_RESIDUAL
+        if is_stalled:  # by rounding, unless no equilibrium is near: then another step would be long
+            solve_linear(snes.getKSP(), snes.getFunction()[0], d := self._work_vectors[2])
+            is_stalled = _max_norm(d) <= MAX_LAST_CHANGE * self._reference_displacement(x)
+            why_diverged = "" if is_stalled else "no step reduces the residual"
         snes.destroy()
         # for reasons >= 0 a test other than ours may have ended the solve
-        has_failed = not stalled if reason < 0 else self._own_test and not last < STATE_TOLERANCE
+        has_failed = not is_stalled if reason < 0 else self._force_test and not residual < ACCEPTED_RESIDUAL
         if has_failed:
-            text = f"{divergence or reason_name(Reason, reason)}, residual {last:.1e} of the forces"
+            text = f"{why_diverged or reason_name(Reason, reason)}, residual {residual:.1e} of the forces"
             text += f", linear solver: {reason_name(PETSc.KSP.ConvergedReason, ksp_reason)}" if ksp_reason < 0 else ""
-            text += f"; {equations.failure()}" if equations.failed else ""
+            text += f"; {equations.failure_text()}" if equations.failed else ""
             advice = f"try {self._advice}, or -{PREFIX}snes_monitor to watch it"
             raise SolveError(f"Newton's method failed after {steps} steps: {text}", None, tuple(residuals), advice)
         if not equations.traits.releases:
             equations.require_unique()
-        return StepSolution(x, steps + 1, last)
+        return StepSolution(x, steps + 1, residual)
 
     def _create_snes(self, x: PETSc.Vec, converged: Callable[..., PETSc.SNES.ConvergedReason]) -> PETSc.SNES:
         """Create the SNES that solves the balance of forces, with the convergence test `converged`.
@@ -418,7 +418,7 @@ class NewtonSolver(EquilibriumSolver):
         """
         equations = self.equations
 
-        def function(_: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
+        def residual(_: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
             equations.residual(x, b)
             b.array[equations.bc_dofs] = 0.0
 
@@ -430,16 +430,16 @@ class NewtonSolver(EquilibriumSolver):
         equations.apply_bcs(A)
         snes = PETSc.SNES().create(equations.comm)
         snes.setOptionsPrefix(PREFIX)
-        snes.setFunction(function, x.duplicate())
+        snes.setFunction(residual, x.duplicate())
         snes.setJacobian(jacobian, A)
-        if self._own_test:
+        if self._force_test:
             snes.setConvergenceTest(converged)
         snes.setFromOptions()
         equations.set_preconditioner_data(snes.getKSP(), A)
         return snes
 
 
-def _largest(x: PETSc.Vec) -> float:
+def _max_norm(x: PETSc.Vec) -> float:
     return float(x.norm(PETSc.NormType.INFINITY))
 
 

@@ -35,10 +35,10 @@ from thinlayer.parts.part import (
 from thinlayer.pointwise.quadrature import set_owned_values
 from thinlayer.system.ranks import destroy, send
 
-SOLVER_TOLERANCE = 1e-10  # residual at which solvers stop, relative to the forces
-STATE_TOLERANCE = 1e-6  # largest residual of an accepted state, relative to the forces
+SOLVER_RESIDUAL = 1e-10  # residual at which solvers stop, relative to the forces
+ACCEPTED_RESIDUAL = 1e-6  # largest residual of an accepted state, relative to the forces
 MACHINE_EPSILON = float(np.finfo(float).eps)
-ROUNDING_SHARE = 1e-14  # rounding of summed forces, relative to stiffness times displacement
+FORCE_ROUNDING = 1e-14  # rounding of summed forces, relative to stiffness times displacement
 MIN_DIVISOR = 1e-300  # divisor instead of zero if there are no forces
 PartType = TypeVar("PartType", bound=Part)
 PetscIndices = npt.NDArray[PETSc.IntType]  # global numbers of unknowns
@@ -73,45 +73,45 @@ class ForceScale:
 
     Args:
         stiffness: (k,) norms of the diagonal of the bodies' stiffness.
-        cancelling: norm of the diagonal of the stiffness of springs that resist differences of displacements.
-        within: (k, k) sparse matrix, with the entry (i, j) = 1 if block j lies within block i. Rounding errors in block
+        spring_norm: norm of the diagonal of the stiffness of springs that resist differences of displacements.
+        nesting: (k, k) sparse matrix, with the entry (i, j) = 1 if block j lies within block i. Rounding errors in block
             j are then those of the forces on block i. None: no block lies within another.
 
     Attributes:
         stiffness: the argument.
         forces: (k,) reference forces by rules 1 and 2, for the last residual.
-        displacement: largest displacement that is known: of those prescribed, of the previous state, and of the
+        max_displacement: largest displacement that is known: of those prescribed, of the previous state, and of the
             response of an elastic layer.
     """
 
-    def __init__(self, stiffness: Array | float, cancelling: float = 0.0, within: csr_matrix | None = None) -> None:
+    def __init__(self, stiffness: Array | float, spring_norm: float = 0.0, nesting: csr_matrix | None = None) -> None:
         self.stiffness: Array = np.atleast_1d(stiffness)
-        self._within = within
-        self._largest_stiffness = np.maximum(self.stiffness, cancelling)
+        self._nesting = nesting
+        self._largest_stiffness = np.maximum(self.stiffness, spring_norm)
         self.begin(0.0, 0.0, 0.0)
 
-    def begin(self, loads: Array | float, prescribed: float, moved: float) -> None:
+    def begin(self, load_norms: Array | float, max_prescribed: float, old_displacement: float) -> None:
         """Start the reference forces of a new time step, in k blocks of unknowns.
 
         Args:
-            loads: (k,) norms of the nodal forces of the loads.
-            prescribed: largest displacement that supports prescribe.
-            moved: largest displacement of the previous state.
+            load_norms: (k,) norms of the nodal forces of the loads.
+            max_prescribed: largest displacement that supports prescribe.
+            old_displacement: largest displacement of the previous state.
         """
-        self._loads, self._unbalanced = np.atleast_1d(loads), 0.0 * self.stiffness
-        self.displacement = max(prescribed, moved)
-        self._support_rounding: Array = MACHINE_EPSILON * self.stiffness * prescribed
+        self._loads, self._initial_residual = np.atleast_1d(load_norms), 0.0 * self.stiffness
+        self.max_displacement = max(max_prescribed, old_displacement)
+        self._support_rounding: Array = MACHINE_EPSILON * self.stiffness * max_prescribed
         self.update_stresses(0.0)
 
-    def start(self, unbalanced: Array) -> None:
+    def include_initial_residual(self, residual_norms: Array) -> None:
         """Count the residual at the start of the step among the reference forces.
 
         It may be the only force of the step.
 
         Args:
-            unbalanced: (k,) norms of this residual in k blocks of unknowns.
+            residual_norms: (k,) norms of this residual in k blocks of unknowns.
         """
-        self._unbalanced = np.where(np.isfinite(unbalanced), unbalanced, 0.0)
+        self._initial_residual = np.where(np.isfinite(residual_norms), residual_norms, 0.0)
 
     def include_displacement(self, elastic: float) -> None:
         """Count the displacement `elastic` as known, which bounds rounding errors of the forces.
@@ -119,21 +119,21 @@ class ForceScale:
         It is the largest displacement in the response of an elastic layer. Displacements of other iterates may be far
         too large, and are not counted.
         """
-        self.displacement = max(self.displacement, elastic)
+        self.max_displacement = max(self.max_displacement, elastic)
 
-    def update_stresses(self, stresses: Array | float) -> None:
+    def update_stresses(self, stress_norms: Array | float) -> None:
         """Update the reference forces for a new residual.
 
         Args:
-            stresses: (k,) norms of the nodal forces of its stresses, in k blocks of unknowns.
+            stress_norms: (k,) norms of the nodal forces of its stresses, in k blocks of unknowns.
         """
-        rounding = ROUNDING_SHARE * self.stiffness * self.displacement
-        self.least_forces = np.maximum(np.maximum(self._loads, self._unbalanced), rounding / STATE_TOLERANCE)
-        self.forces: Array = np.fmax(self.least_forces, stresses)
-        if self._within is not None:
-            self.forces = np.maximum(self.forces, ROUNDING_SHARE / STATE_TOLERANCE * (self._within.T @ self.forces))
+        rounding = FORCE_ROUNDING * self.stiffness * self.max_displacement
+        self.least_forces = np.maximum(np.maximum(self._loads, self._initial_residual), rounding / ACCEPTED_RESIDUAL)
+        self.forces: Array = np.fmax(self.least_forces, stress_norms)
+        if self._nesting is not None:
+            self.forces = np.maximum(self.forces, FORCE_ROUNDING / ACCEPTED_RESIDUAL * (self._nesting.T @ self.forces))
 
-    def rounding(self, largest_displacement: float) -> Array:
+    def force_rounding(self, largest_displacement: float) -> Array:
         """Return the norms (k,) of the rounding errors of the forces in k blocks of unknowns.
 
         Args:
@@ -141,21 +141,21 @@ class ForceScale:
         """
         return np.asarray(MACHINE_EPSILON * self._largest_stiffness * largest_displacement)
 
-    def target(self, largest_displacement: float) -> Array:
+    def max_norms(self, largest_displacement: float) -> Array:
         """Return the norms (k,) of the residual, in k blocks of unknowns, at which solvers stop.
 
         Args:
             largest_displacement: largest displacement among the unknowns.
         """
-        rounding = np.minimum(self.rounding(largest_displacement), self.allowed_residual)
-        return np.asarray(np.maximum(np.maximum(SOLVER_TOLERANCE * self.forces, self._support_rounding), rounding))
+        rounding = np.minimum(self.force_rounding(largest_displacement), self.allowed_residual)
+        return np.asarray(np.maximum(np.maximum(SOLVER_RESIDUAL * self.forces, self._support_rounding), rounding))
 
     @property
     def allowed_residual(self) -> Array:
         """Norms (k,), in k blocks of unknowns, that the residual of an accepted state must not exceed."""
-        return np.asarray(np.maximum(STATE_TOLERANCE * self.forces, self._support_rounding))
+        return np.asarray(np.maximum(ACCEPTED_RESIDUAL * self.forces, self._support_rounding))
 
-    def relative(self, norms: Array) -> float:
+    def relative_norm(self, norms: Array) -> float:
         """Return the largest ratio of a residual's norm to the reference force, over k blocks of unknowns.
 
         Args:
@@ -170,7 +170,7 @@ class PartSum:
     Attributes:
         parts: the parts.
         traits: properties of all parts together: a flag is set if one part has it.
-        with_own: the parts with unknowns of their own, such as pressures.
+        field_parts: the parts with unknowns of their own, such as pressures.
         depends_on_dt: whether the tangent depends on the length of the step.
         failed: number of points where laws failed in the last evaluation.
         comm: communicator; subclasses set it.
@@ -198,12 +198,12 @@ class PartSum:
     def __init__(self, parts: Iterable[Part]) -> None:
         self.parts = list(parts)
         self.traits = reduce(or_, (part.traits for part in self.parts), PartTraits())
-        self.with_own = [part for part in self.parts if isinstance(part, FieldPart)]
+        self.field_parts = [part for part in self.parts if isinstance(part, FieldPart)]
         for part in self.parts:
             if part.field is not None and not isinstance(part, FieldPart):
                 raise InputError(f"the part {part.key!r} has a field of its own; derive it from FieldPart")
-        timed = (part.traits.rate or (part.traits.remembers and not part.traits.switches) for part in self.parts)
-        self.depends_on_dt, self.failed = any(timed), 0
+        dt_flags = (part.traits.rate or (part.traits.remembers and not part.traits.switches) for part in self.parts)
+        self.depends_on_dt, self.failed = any(dt_flags), 0
 
     def of_kind(self, kind: type[PartType]) -> list[PartType]:
         """Return the parts that are instances of the class `kind`."""
@@ -211,9 +211,9 @@ class PartSum:
 
     def names_with_trait(self, trait: str) -> list[str]:
         """Return the names of the laws, or of parts without a law, whose flag `trait` of `PartTraits` is set."""
-        return [name for part in self.parts for name, traits in part.named().items() if getattr(traits, trait)]
+        return [name for part in self.parts for name, traits in part.law_traits().items() if getattr(traits, trait)]
 
-    def refuse(self, reasons: Mapping[str, str]) -> None:
+    def refuse_traits(self, reasons: Mapping[str, str]) -> None:
         """Raise InputError if a law or part has one of the given properties.
 
         Args:
@@ -233,7 +233,7 @@ class PartSum:
     @property
     def stresses_at_rest(self) -> dict[str, Array]:
         """Zero stresses (points, components), by the parts' keys, of parts whose stresses are stored in states."""
-        memory, widths = self.memory_at_rest, {part.key: part.stress_width for part in self.parts if part.stress_width}
+        memory, widths = self.memory_at_rest, {part.key: part.stress_size for part in self.parts if part.stress_size}
         return {key: np.zeros((len(memory[key]), width)) for key, width in widths.items() if key in memory}
 
     def begin_parts(self, interval: TimeStep) -> None:
@@ -241,35 +241,35 @@ class PartSum:
         for part in self.parts:
             part.begin(interval)
 
-    def forces(self, u: fem.Function, mid: fem.Function, out: PETSc.Vec, each: PETSc.Vec | None = None) -> list[float]:
+    def forces(self, u: fem.Function, mid: fem.Function, out: PETSc.Vec, temp: PETSc.Vec | None = None) -> list[float]:
         """Evaluate all parts at given displacements, and write the sum of their nodal forces into `out`.
 
         Args:
             u: displacements at the end of the step.
             mid: displacements at the time of the step at which forces balance.
             out: vector of the nodal forces; overwritten.
-            each: work vector of the same layout, for the norms of each part's forces; None: parts choose their norms.
+            temp: work vector of the same layout, for the norms of each part's forces; None: parts choose their norms.
 
         Returns:
-            A norm for each part: that of its nodal forces if `each` is given, else the result of `Part.add_forces`.
+            A norm for each part: that of its nodal forces if `temp` is given, else the result of `Part.add_forces`.
         """
         out.set(0.0)
-        sizes = []
+        part_norms = []
         for part in self.parts:
             part.evaluate(u, mid)
-            if each is None:
-                sizes.append(part.add_forces(out))
+            if temp is None:
+                part_norms.append(part.add_forces(out))
             else:
-                each.set(0.0)
-                part.add_forces(each)
-                sizes.append(float(each.norm()))
-                out.axpy(1.0, each)
+                temp.set(0.0)
+                part.add_forces(temp)
+                part_norms.append(float(temp.norm()))
+                out.axpy(1.0, temp)
             if part is self.last_body:
                 self.body_norms = self.norms(out.array_r)
         self.failed = sum(part.failed for part in self.parts)
-        return sizes
+        return part_norms
 
-    def failure(self) -> str:
+    def failure_text(self) -> str:
         """Say which part failed in the last call of `forces`, and where; "" if none failed."""
         return next(filter(None, [part.failure() for part in self.parts]), "")
 
@@ -282,25 +282,25 @@ class PartSum:
         """
         return [block for part in self.parts for block in part.tangents(relative_residual)]
 
-    def resisting(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
+    def resisting_blocks(self, relative_residual: float, least_forces: PETSc.Vec) -> list[Block]:
         """Return the matrices of those parts that can resist rigid motions of the bodies, at the last evaluation.
 
         Args:
             relative_residual: norm of the last residual relative to the reference forces. Parts use it to regularise
                 singular tangents. It may be 0 if there are none.
-            rounding: vector of nodal forces. Forces that do not exceed them do not count as resistance.
+            least_forces: vector of nodal forces. Forces that do not exceed them do not count as resistance.
         """
-        parts = [part for part in self.parts if not part.traits.inner]
-        return [block for part in parts for block in part.resisting(relative_residual, rounding)]
+        parts = [part for part in self.parts if not part.traits.within_bodies]
+        return [block for part in parts for block in part.reliable_tangents(relative_residual, least_forces)]
 
     @property
-    def excess(self) -> float:
+    def max_phase_gain(self) -> float:
         """Largest energy that a column of a layer would gain by changing its phase; <= 0 if none would gain energy.
 
         A phase is a branch of a law whose stress is not monotone. A column is a facet of S, or in a meshed layer the
         cells above the facet. The value is -inf without phases.
         """
-        return max((part.excess() for part in self.parts if isinstance(part, SwitchesPhases)), default=-math.inf)
+        return max((part.phase_gain() for part in self.parts if isinstance(part, SwitchesPhases)), default=-math.inf)
 
     def switch(self) -> bool:
         """Change the phase of each column to that of lowest energy in the last evaluation; return whether any changes.
@@ -308,7 +308,7 @@ class PartSum:
         A phase is a branch of a law whose stress is not monotone. A column is a facet of S, or in a meshed layer the
         cells above the facet.
         """
-        return any([part.switch() for part in self.parts if isinstance(part, SwitchesPhases)])
+        return any([part.switch_phases() for part in self.parts if isinstance(part, SwitchesPhases)])
 
     def end_parts(self, u: fem.Function, t: float) -> tuple[dict[str, StepOutcome], Configuration]:
         """End the time step in all parts, at the displacements `u` of their last evaluation and time `t`.
@@ -320,8 +320,8 @@ class PartSum:
         memory = {key: outcome.memory for key, outcome in outcomes.items() if outcome.memory is not None}
         if unsaved := [part.key for part in self.parts if part.traits.remembers and part.key not in memory]:
             raise InputError(f"the part {unsaved[0]!r} remembers; let its commit return StepOutcome(..., memory=...)")
-        fields = {part.key: part.own_result() for part in self.with_own}
-        stored = {key: outcome.after for key, outcome in outcomes.items() if outcome.kept}
+        fields = {part.key: part.own_result() for part in self.field_parts}
+        stored = {key: outcome.new_energy for key, outcome in outcomes.items() if outcome.is_stored}
         stresses = {key: outcome.stress for key, outcome in outcomes.items() if outcome.stress is not None}
         return outcomes, Configuration(u.copy(), t, memory, fields, stored, stresses=stresses)
 
@@ -346,25 +346,25 @@ class PartSum:
         values[self.bc_dofs] = 0.0
         return self.norms(values)
 
-    def relative(self, r: PETSc.Vec) -> float:
+    def relative_norm(self, r: PETSc.Vec) -> float:
         """Return the largest ratio of the residual's norm to the reference force, over all blocks of unknowns.
 
         Args:
             r: the residual.
         """
-        return self.scale.relative(self.residual_norms(r))
+        return self.scale.relative_norm(self.residual_norms(r))
 
-    def target(self, x: PETSc.Vec) -> Array:
+    def max_norms(self, x: PETSc.Vec) -> Array:
         """Return the norms (k,) of the residual, in k blocks of unknowns, at which solvers stop.
 
         Args:
             x: the unknowns, whose largest entry decides on the size of rounding errors.
         """
-        return self.scale.target(float(x.norm(PETSc.NormType.INFINITY)))
+        return self.scale.max_norms(float(x.norm(PETSc.NormType.INFINITY)))
 
     def is_balanced(self, x: PETSc.Vec, r: PETSc.Vec) -> bool:
         """Whether the residual `r` at unknowns `x` is so small that solvers stop."""
-        return bool((self.residual_norms(r) <= self.target(x)).all())
+        return bool((self.residual_norms(r) <= self.max_norms(x)).all())
 
     def require_equilibrium(self, r: PETSc.Vec) -> None:
         """Raise SolveError unless the residual `r` is small enough for an accepted state in each block of unknowns.
@@ -375,8 +375,8 @@ class PartSum:
         norms, scale = self.residual_norms(r), self.scale
         if (norms <= scale.allowed_residual).all():
             return
-        details = f", allowed: {STATE_TOLERANCE:g}" + (f"; {self.failure()}" if self.failed else "")
-        text = f"{scale.relative(norms):.1e} of the forces of loads and stresses is out of balance"
+        details = f", allowed: {ACCEPTED_RESIDUAL:g}" + (f"; {self.failure_text()}" if self.failed else "")
+        text = f"{scale.relative_norm(norms):.1e} of the forces of loads and stresses is out of balance"
         advice = "do PETSc options (of a script, a command line, PETSC_OPTIONS or a file petscrc) end the solve early?"
         raise SolveError(f"what the solver returned is not an equilibrium: {text}{details}", advice=advice)
 
@@ -396,7 +396,7 @@ class UnknownLayout:
         self.sizes = {key: int(dofmap.index_map.size_local * dofmap.index_map_bs) for key, dofmap in dofmaps.items()}
         self._ends = np.cumsum([*self.sizes.values()])
 
-    def vector(self) -> PETSc.Vec:
+    def create_vector(self) -> PETSc.Vec:
         """Return a new vector of unknowns, filled with zeros."""
         return PETSc.Vec().createMPI((int(self._ends[-1]), None), comm=self.comm)
 
@@ -407,25 +407,25 @@ class UnknownLayout:
         """
         return dict(zip(self.sizes, np.split(values, self._ends[:-1]), strict=True))
 
-    def put(self, x: PETSc.Vec) -> None:
+    def copy_to_fields(self, x: PETSc.Vec) -> None:
         """Copy a vector `x` of unknowns into the functions of their fields, and update ghosts."""
         for key, values in self.split(x.array_r).items():
             set_owned_values(self.fields[key], values)
 
-    def widened(self, T: PETSc.Mat | None) -> PETSc.Mat | None:
+    def extended_to_all_fields(self, T: PETSc.Mat | None) -> PETSc.Mat | None:
         """Extend the matrix `T` of constraints u = T y on displacements by the identity for all other unknowns.
 
         If `T` is None, there are no constraints, and the result is None.
         """
         if T is None or len(self.sizes) == 1:
             return T
-        others = _diagonal_matrix(self.comm, int(self._ends[-1]) - self.sizes[DISPLACEMENT_KEY], 1.0)
-        return block_matrix([[T, None], [None, others]], self.comm)
+        identity = _diagonal_matrix(self.comm, int(self._ends[-1]) - self.sizes[DISPLACEMENT_KEY], 1.0)
+        return block_matrix([[T, None], [None, identity]], self.comm)
 
-    def rows(self, local: Indices) -> PetscIndices:
-        """Return the global numbers (n,) of the unknowns that have the numbers `local` (n,) on this rank."""
+    def global_rows(self, local_dofs: Indices) -> PetscIndices:
+        """Return the global numbers (n,) of the unknowns that have the numbers `local_dofs` (n,) on this rank."""
         n = int(self._ends[-1])
-        return np.asarray(self.comm.scan(n) - n + local, PETSc.IntType)
+        return np.asarray(self.comm.scan(n) - n + local_dofs, PETSc.IntType)
 
 
 class TangentMatrix:
@@ -449,20 +449,20 @@ class TangentMatrix:
     def fill(self, blocks: Sequence[Block]) -> PETSc.Mat:
         """Add up matrices of parts, each in the rows and columns of its fields, and return the sum as one matrix.
 
-        The first call fixes the nonzero pattern. Matrices that their parts do not use again (`Block.kept`) are
+        The first call fixes the nonzero pattern. Matrices that their parts do not use again (`Block.is_stored`) are
         destroyed.
 
         Args:
             blocks: the matrices, with the keys of the fields of their rows and columns.
         """
-        for place in dict.fromkeys((block.row, block.column) for block in blocks):
-            self._add(place, [block for block in blocks if (block.row, block.column) == place])
+        for field_pair in dict.fromkeys((block.row, block.column) for block in blocks):
+            self._sum_blocks(field_pair, [block for block in blocks if (block.row, block.column) == field_pair])
         destroy(*(block.matrix for block in blocks if not block.kept))
-        return self._side_by_side() if len(self.sizes) > 1 else next(iter(self._block_sums.values()))
+        return self._join_blocks() if len(self.sizes) > 1 else next(iter(self._block_sums.values()))
 
-    def _add(self, place: tuple[str, str], blocks: Sequence[Block]) -> None:
-        if place in self._block_sums:
-            A = self._block_sums[place]
+    def _sum_blocks(self, field_pair: tuple[str, str], blocks: Sequence[Block]) -> None:
+        if field_pair in self._block_sums:
+            A = self._block_sums[field_pair]
             A.zeroEntries()
             for block in blocks:
                 A.axpy(block.factor, block.matrix, SUBSET_PATTERN)
@@ -474,13 +474,13 @@ class TangentMatrix:
         if len(blocks) > 1:  # PETSc's own LU finds zero pivots in a matrix merged by axpy, but not in its copy
             A = A.copy()
         A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        self._block_sums[place] = A
+        self._block_sums[field_pair] = A
 
-    def _side_by_side(self) -> PETSc.Mat:
-        rows = [[self._block_sums.get((row, column)) for column in self.sizes] for row in self.sizes]
+    def _join_blocks(self) -> PETSc.Mat:
+        block_rows = [[self._block_sums.get((row, column)) for column in self.sizes] for row in self.sizes]
         for k, n in enumerate(self.sizes.values()):
-            rows[k][k] = rows[k][k] or _diagonal_matrix(self.comm, n, 0.0)
-        matrix = block_matrix(rows, self.comm)
+            block_rows[k][k] = block_rows[k][k] or _diagonal_matrix(self.comm, n, 0.0)
+        matrix = block_matrix(block_rows, self.comm)
         if self._block_matrix is None:
             matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
             self._block_matrix = matrix
@@ -496,7 +496,7 @@ class TangentMatrix:
 
 @contextmanager
 def augmented_in_place(
-    comm: MPI.Intracomm, K: PETSc.Mat, others: Sequence[Block], bc_rows: PetscIndices, value: float
+    comm: MPI.Intracomm, K: PETSc.Mat, added: Sequence[Block], bc_rows: PetscIndices, diagonal: float
 ) -> Iterator[PETSc.Mat]:
     """Within a `with` block, add matrices to `K` and apply Dirichlet conditions, then restore `K`. Collective.
 
@@ -505,25 +505,25 @@ def augmented_in_place(
     Args:
         comm: communicator.
         K: a matrix with a symmetric nonzero pattern.
-        others: the matrices to add. Those that their parts do not use again (`Block.kept`) are destroyed.
-        bc_rows: global numbers of the constrained rows and columns, which become `value` times those of the identity.
-        value: diagonal entry of constrained rows.
+        added: the matrices to add. Those that their parts do not use again (`Block.is_stored`) are destroyed.
+        bc_rows: global numbers of the constrained rows and columns, which become `diagonal` times those of the identity.
+        diagonal: diagonal entry of constrained rows.
     """
     # as the pattern is symmetric, the columns of these rows are the rows with entries in constrained columns
-    submatrix = K.createSubMatrix(PETSc.IS().createGeneral(bc_rows, comm=K.comm))
-    columns = np.unique(submatrix.getValuesCSR()[1])
-    submatrix.destroy()
+    bc_submatrix = K.createSubMatrix(PETSc.IS().createGeneral(bc_rows, comm=K.comm))
+    columns = np.unique(bc_submatrix.getValuesCSR()[1])
+    bc_submatrix.destroy()
     rows = [bc_rows, send(comm, np.searchsorted(K.getOwnershipRanges(), columns, "right") - 1, columns)]
-    rows += [K.getOwnershipRange()[0] + np.flatnonzero(np.diff(block.matrix.getRowIJ()[0])) for block in others]
+    rows += [K.getOwnershipRange()[0] + np.flatnonzero(np.diff(block.matrix.getRowIJ()[0])) for block in added]
     changed = np.unique(np.concatenate(rows)).astype(PETSc.IntType)
     saved_rows = K.createSubMatrix(PETSc.IS().createGeneral(changed, comm=K.comm))
     try:
-        for block in others:
+        for block in added:
             pattern = SUBSET_PATTERN if _fits_pattern(comm, block.matrix, saved_rows, changed) else DIFFERENT_PATTERN
             K.axpy(block.factor, block.matrix, pattern)
-        destroy(*(block.matrix for block in others if not block.kept))
+        destroy(*(block.matrix for block in added if not block.kept))
         K.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        K.zeroRowsColumns(bc_rows, value)
+        K.zeroRowsColumns(bc_rows, diagonal)
         yield K
     finally:
         K.zeroRows(changed, 0.0)
@@ -533,16 +533,16 @@ def augmented_in_place(
         saved_rows.destroy()
 
 
-def _fits_pattern(comm: MPI.Intracomm, part: PETSc.Mat, rows: PETSc.Mat, numbers: PetscIndices) -> bool:
-    """Whether all nonzeros of `part` in certain rows have places in the nonzero pattern of `rows`. Collective.
+def _fits_pattern(comm: MPI.Intracomm, matrix: PETSc.Mat, rows: PETSc.Mat, row_numbers: PetscIndices) -> bool:
+    """Whether all nonzeros of `matrix` in certain rows have places in the nonzero pattern of `global_rows`. Collective.
 
     Args:
         comm: communicator.
-        part: a matrix.
-        rows: matrix that consists of the same rows of another matrix, which has the size of `part`.
-        numbers: global numbers of these rows.
+        matrix: a matrix.
+        rows: matrix that consists of the same rows of another matrix, which has the size of `matrix`.
+        row_numbers: global numbers of these rows.
     """
-    pattern, allowed = local_csr(part)[numbers - part.getOwnershipRange()[0]], local_csr(rows)
+    pattern, allowed = local_csr(matrix)[row_numbers - matrix.getOwnershipRange()[0]], local_csr(rows)
     pattern.data[:], allowed.data[:] = 1.0, 1.0  # stored entries may be zero
     return bool(comm.allreduce(pattern.multiply(allowed).nnz == pattern.nnz, MPI.LAND))
 
@@ -565,6 +565,6 @@ def _diagonal_matrix(comm: MPI.Intracomm, n: int, value: float) -> PETSc.Mat:
 
     Entries are stored even if they are zero, as `zeroRowsColumns` needs them.
     """
-    positions = np.arange(n + 1, dtype=PETSc.IntType)
-    csr = positions, (comm.scan(n) - n + positions[:-1]).astype(PETSc.IntType), np.full(n, value)
+    indptr = np.arange(n + 1, dtype=PETSc.IntType)
+    csr = indptr, (comm.scan(n) - n + indptr[:-1]).astype(PETSc.IntType), np.full(n, value)
     return PETSc.Mat().createAIJ(((n, None), (n, None)), csr=csr, comm=comm)

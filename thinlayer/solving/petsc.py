@@ -2,7 +2,7 @@
 
 Functions that petsc4py lacks are called in PETSc's C library, for example:
 
-- `keep_unknowns` and `schur_complement`: Schur complements by MUMPS. Without them the condensation of a bar of 256
+- `set_schur_unknowns` and `schur_complement`: Schur complements by MUMPS. Without them the condensation of a bar of 256
   square cells needs 514 more solves.
 - `was_read`: whether PETSc has read an option. Without it misspelt options would be ignored silently.
 """
@@ -29,7 +29,7 @@ OPTION_ERROR_CODES = (56, 62, 63, 73, 83, 86, 92)
 OptionValue = str | int | float | bool | None
 Options = Mapping[str, OptionValue]  # names without the prefix -> values
 OptionDict = dict[str, OptionValue]  # the same, as a dictionary
-_DEFAULT_NAMES: set[str] = set()  # names, with their prefix, of the options that `default_options` has set
+_DEFAULT_NAMES: set[str] = set()  # names, with their prefix, of the options that `set_defaults` has set
 C_POINTER = ctypes.c_void_p
 C_ARGUMENTS = {  # name of a function -> types of its arguments; all functions return PETSc's error code
     "PetscOptionsUsed": (C_POINTER, ctypes.c_char_p, C_POINTER),
@@ -42,7 +42,7 @@ C_ARGUMENTS = {  # name of a function -> types of its arguments; all functions r
 
 
 @contextmanager
-def default_options(options: Options, prefix: str = PREFIX) -> Iterator[None]:
+def set_defaults(options: Options, prefix: str = PREFIX) -> Iterator[None]:
     """Within a `with` block, set options in PETSc's database, except those that the user has set there.
 
     Args:
@@ -63,23 +63,23 @@ def default_options(options: Options, prefix: str = PREFIX) -> Iterator[None]:
         _DEFAULT_NAMES.difference_update(settings)
 
 
-def options_set() -> dict[str, str]:
+def db_options() -> dict[str, str]:
     """Return the options in PETSc's database with the prefix "thinlayer_", as {name without the prefix: value}."""
     options = PETSc.Options().getAll().items()
     return {name.removeprefix(PREFIX): value for name, value in options if name.startswith(PREFIX)}
 
 
-def is_set(name: str, user_options: Options) -> bool:
+def user_has_set(name: str, user_options: Options) -> bool:
     """Whether the user has set an option, in a script or in PETSc's database.
 
     Args:
         name: name of the option without the prefix "thinlayer_".
         user_options: options that a script has passed, {name without prefix: value}.
     """
-    return name in user_options or name in options_set()
+    return name in user_options or name in db_options()
 
 
-def value_of(name: str, user_options: Options) -> str | None:
+def user_value(name: str, user_options: Options) -> str | None:
     """Return the value that the user has given to an option; None: the user has not set it.
 
     A value in PETSc's database, as from a command line, overrides that of a script.
@@ -88,44 +88,44 @@ def value_of(name: str, user_options: Options) -> str | None:
         name: name of the option without the prefix "thinlayer_".
         user_options: options that a script has passed, {name without prefix: value}.
     """
-    value = options_set().get(name, user_options.get(name))
+    value = db_options().get(name, user_options.get(name))
     return None if value is None else str(value)
 
 
-def database_options() -> str:
+def command_line_text() -> str:
     """Return the options in PETSc's database with the prefix "thinlayer_", as text of a command line."""
-    return " ".join(f"-{PREFIX}{name} {value}".rstrip() for name, value in sorted(options_set().items()))
+    return " ".join(f"-{PREFIX}{name} {value}".rstrip() for name, value in sorted(db_options().items()))
 
 
-def _user_option_names(ours: Collection[str]) -> list[str]:
+def _user_option_names(defaults: Collection[str]) -> list[str]:
     """Return the names, without prefix, of the options in PETSc's database that the user has set.
 
     Args:
-        ours: names, without prefix, of this package's defaults. They count as the user's only if the user set them.
+        defaults: names, without prefix, of this package's defaults. They count as the user's only if the user set them.
     """
-    return sorted(name for name in options_set() if name not in ours or PREFIX + name not in _DEFAULT_NAMES)
+    return sorted(name for name in db_options() if name not in defaults or PREFIX + name not in _DEFAULT_NAMES)
 
 
-def require_all_read(solver: str, ours: Collection[str]) -> None:
+def require_options_read(solver: str, defaults: Collection[str]) -> None:
     """Raise InputError unless PETSc has read all options that the user has set.
 
     Args:
         solver: name of the solver, for the message.
-        ours: names, without prefix, of this package's defaults, which need not be read.
+        defaults: names, without prefix, of this package's defaults, which need not be read.
     """
-    if unread := ", ".join(f"-{PREFIX}{name}" for name in _user_option_names(ours) if not was_read(PREFIX + name)):
+    if unread := ", ".join(f"-{PREFIX}{name}" for name in _user_option_names(defaults) if not was_read(PREFIX + name)):
         remedy = f"a direct solver has no tolerances, -{PREFIX}ksp_view and -{PREFIX}snes_view show what is at work"
         raise InputError(f"PETSc options not read by the {solver} solver: {unread}; {remedy}")
 
 
 @contextmanager
-def chosen_options(ours: Options, user_options: Options | None = None) -> Iterator[None]:
+def set_options(defaults: Options, user_options: Options | None = None) -> Iterator[None]:
     """Within a `with` block, set options in PETSc's database, and translate PETSc's errors.
 
     If an option has several values, that in the database counts first, then that of a script, then the default.
 
     Args:
-        ours: defaults of this package, {name without prefix: value}.
+        defaults: defaults of this package, {name without prefix: value}.
         user_options: options that a script has passed, {name without prefix: value}; None: none.
 
     Raises:
@@ -133,16 +133,16 @@ def chosen_options(ours: Options, user_options: Options | None = None) -> Iterat
         SolveError: PETSc, or a library that it calls, has failed. A march can then try a shorter step.
     """
     user_options = user_options or {}
-    with default_options({**ours, **user_options}):
+    with set_defaults({**defaults, **user_options}):
         try:
             yield
         except PETSc.Error as error:
-            options, user_names = options_set(), _user_option_names(ours.keys() - user_options.keys())
+            options, user_names = db_options(), _user_option_names(defaults.keys() - user_options.keys())
             if error.ierr in OPTION_ERROR_CODES and user_names:
-                listed = ", ".join(f"-{PREFIX}{name} {options[name]}" for name in user_names)
-                raise InputError(f"PETSc does not take the value of one of these options: {listed}") from error
-            lines = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines()]
-            raise SolveError(f"PETSc: {lines[-1] if lines else ''} (error {error.ierr})") from error
+                options_text = ", ".join(f"-{PREFIX}{name} {options[name]}" for name in user_names)
+                raise InputError(f"PETSc does not take the value of one of these options: {options_text}") from error
+            message_lines = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines()]
+            raise SolveError(f"PETSc: {message_lines[-1] if message_lines else ''} (error {error.ierr})") from error
 
 
 @cache
@@ -176,15 +176,15 @@ def was_read(option: str) -> bool:
     return bool(was_used.value)
 
 
-def keep_unknowns(factor: PETSc.Mat, unknowns: Indices) -> None:
+def set_schur_unknowns(factor: PETSc.Mat, unknowns: Indices) -> None:
     """Set the unknowns for which a factorisation will compute the Schur complement.
 
     Args:
         factor: matrix of the factor, before the factorisation.
         unknowns: (c,) numbers of the unknowns.
     """
-    rows = PETSc.IS().createGeneral(unknowns.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
-    _checked_call("MatFactorSetSchurIS", factor.handle, rows.handle)
+    index_set = PETSc.IS().createGeneral(unknowns.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
+    _checked_call("MatFactorSetSchurIS", factor.handle, index_set.handle)
 
 
 def schur_complement(factor: PETSc.Mat, c: int) -> Array:
@@ -192,7 +192,7 @@ def schur_complement(factor: PETSc.Mat, c: int) -> Array:
 
     Args:
         factor: matrix of the factor, after the factorisation.
-        c: number of the unknowns that `keep_unknowns` has set.
+        c: number of the unknowns that `set_schur_unknowns` has set.
     """
     out = np.empty((c, c))
     dense = PETSc.Mat().createDense((c, c), array=out.T, comm=PETSc.COMM_SELF)  # PETSc stores columns
@@ -209,7 +209,7 @@ def faster_products(*, serial: bool) -> AbstractContextManager[None]:
     Args:
         serial: whether there is one rank. Otherwise nothing changes.
     """
-    return default_options({"matptap_via": "rap"} if serial else {}, prefix="")
+    return set_defaults({"matptap_via": "rap"} if serial else {}, prefix="")
 
 
 def lean_products() -> AbstractContextManager[None]:
@@ -217,10 +217,10 @@ def lean_products() -> AbstractContextManager[None]:
 
     It frees the data with which it could compute the same product again for other values.
     """
-    return default_options({"mat_product_clear": True}, prefix="")
+    return set_defaults({"mat_product_clear": True}, prefix="")
 
 
-def convert_to_blocks(A: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
+def convert_to_baij(A: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
     """Convert a matrix to PETSc's block format BAIJ, which multiplies faster, and return the result.
 
     This is faster than PETSc's own conversion.
@@ -241,7 +241,7 @@ def convert_to_blocks(A: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
     return target
 
 
-def set_residual(pc: PETSc.PC, level: int, A: PETSc.Mat) -> None:
+def set_residual_matrix(pc: PETSc.PC, level: int, A: PETSc.Mat) -> None:
     """Set the matrix `A` with which level number `level` of a multigrid preconditioner (PCMG) computes residuals."""
     _checked_call("PCMGSetResidual", pc.handle, level, None, A.handle)
 
@@ -292,5 +292,5 @@ def reason_name(reasons: type, value: int) -> str:
         reasons: the class `ConvergedReason` of the solver's type.
         value: number of the reason.
     """
-    names = {v: name for name, v in vars(reasons).items() if isinstance(v, int) and not name.startswith("_")}
-    return names.get(value, str(value))
+    name_of = {v: name for name, v in vars(reasons).items() if isinstance(v, int) and not name.startswith("_")}
+    return name_of.get(value, str(value))

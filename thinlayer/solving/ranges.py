@@ -22,26 +22,26 @@ from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.surface.pressure_excess import (
-    MIN_STIFFNESS_ERROR,
+    STIFFNESS_ERROR_LIMIT,
     FaceDisplacements,
     Remark,
-    RestingSublayer,
+    SublayerModuli,
     acts_as_springs,
     free_end_remark,
     jump_stiffness,
-    resting_sublayers,
     stiffness_remark,
+    sublayer_moduli,
 )
 from thinlayer.surface.surface_mesh import surface_of
 
 LOCKING_NU = 0.45  # Poisson's ratio above which a warning says that elements of degree 1 lock
-MIN_OVERLAP = 2.0  # least closing, relative to the thickness, that leads to a warning; the bodies overlap from 1 on
+OVERLAP_CLOSING = 2.0  # least closing, relative to the thickness, that leads to a warning; the bodies overlap from 1 on
 CORNER_ANGLE = 0.25  # angle, in rad, between a facet and the mean of its neighbours above which S has a corner
 MAX_SMALL_STRAIN = 0.1  # largest root mean square strain of a body that counts as small
 MAX_STEP_ERROR = 0.05  # largest error of steps over one time constant of a law, relative to the creep or relaxation
-MIN_SPRING_SHARE = 0.05  # share of the load in parallel springs above which they change results visibly
-SLENDERNESS = 10.0  # length of S over the height of both bodies above which these are plates that may bend
-MIN_STEP_RATIO = 1e-9  # step over a time constant of a law below which its error is lost in rounding
+MIN_SPRING_LOAD_FRACTION = 0.05  # share of the load in parallel springs above which they change results visibly
+PLATE_SLENDERNESS = 10.0  # length of S over the height of both bodies above which these are plates that may bend
+MIN_STEP_TO_TIME_CONSTANT = 1e-9  # step over a time constant of a law below which its error is lost in rounding
 # mean stress over the shear modulus at which small holes in rubber grow (Gent and Lindley 1959)
 CAVITATION_STRESS_RATIO = 2.5
 
@@ -56,12 +56,12 @@ def warn_of_model(model: Model, durations: Sequence[float] = ()) -> None:
         durations: times since the loads began, > 0, at which results are wanted. (): the loads are sudden.
     """
     setup = model.structure
-    for law, C in zip(setup.bodies_with_numbers, setup.bodies_at_rest, strict=True):
+    for law, C in zip(setup.body_laws_at_extremes, setup.body_tangents, strict=True):
         lmbda, mu = average_lame(C) if C is not None else (0.0, 1.0)
         nu = lmbda / (2 * (lmbda + mu))
-        if setup.degree == 1 and nu > LOCKING_NU and model.volume_degree(law) is None:
-            solid = model.contact is not None and setup.joint.cell_type == "tetrahedron"
-            remedy = "hexahedra with element='Q2'" if solid else f"element='{setup.element[0]}2'"
+        if setup.degree == 1 and nu > LOCKING_NU and model.volume_strain_degree(law) is None:
+            needs_hexahedra = model.contact is not None and setup.joint.cell_type == "tetrahedron"
+            remedy = "hexahedra with element='Q2'" if needs_hexahedra else f"element='{setup.element[0]}2'"
             text = f"a body of {type(law).__name__} has Poisson's ratio {nu:.4g}, and {setup.element} locks near 0.5"
             why = "a block of 10 by 5 cells is 4 % too stiff at 0.45, 18 % at 0.49, and three times at 0.4995"
             model.warn("locking", f"{text}: {why}; use {remedy}", law)
@@ -69,8 +69,8 @@ def warn_of_model(model: Model, durations: Sequence[float] = ()) -> None:
         for key, remark in _model_remarks(model, layer, durations):
             model.warn(key, remark, layer.name)
     for name, applicability in model.applicability.items() if model.broken else ():
-        if applicability.layer.has_pressure_flow and (coarse := applicability.is_coarse).any():
-            delta, largest = applicability.pressure_lengths[coarse].min(), applicability.open_rim[coarse].depth.max()
+        if applicability.layer.has_pressure_flow and (coarse := applicability.coarse_rim).any():
+            delta, largest = applicability.decay_lengths[coarse].min(), applicability.loose_rim[coarse].depth.max()
             text = f"the pressure of {applicability.layer} falls to zero at free ends over delta = {delta:.3g}"
             effect = f"cells there are up to {largest:.3g} long, and it is not set to zero; make them shorter"
             model.warn("coarse ends", f"{text}: {effect}", name)
@@ -86,14 +86,14 @@ def _model_remarks(model: Model, layer: SeamLayer, durations: Sequence[float]) -
         layer: the layer.
         durations: times since the loads began, > 0, at which results are wanted. (): the loads are sudden.
     """
-    sublayers = resting_sublayers(layer)
+    sublayers = sublayer_moduli(layer)
     yield from _facet_remarks(model, layer)
     if not acts_as_springs(sublayers):
         yield from _thickness_remarks(model, layer, sublayers)
-    if layer.has_pressure_flow or _jumps_tell_more(layer, sublayers):
+    if layer.has_pressure_flow or _judged_by_jumps(layer, sublayers):
         return
     immediate = [] if durations and layer.law.traits.rate else [sublayers]
-    yield from free_end_remark(model, layer, [*immediate, *(resting_sublayers(layer, dt) for dt in durations)])
+    yield from free_end_remark(model, layer, [*immediate, *(sublayer_moduli(layer, dt) for dt in durations)])
 
 
 def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
@@ -108,13 +108,13 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
     model = states[0].model
     warn_of_strains(states)
     for applicability in model.applicability.values() if model.broken else ():
-        layer, tensions = applicability.layer, [_largest_tension(applicability, state) for state in states]
+        layer, tensions = applicability.layer, [_tension_ratio(applicability, state) for state in states]
         if (ratio := max(tensions)) > CAVITATION_STRESS_RATIO:
             t, why = states[int(np.argmax(tensions))].t, f"rubber cavitates from {CAVITATION_STRESS_RATIO:g} times on"
             text = f"at t = {t:.4g} the pressure of {layer} is a tension, {ratio:.3g} times its shear modulus: {why}"
             model.warn("cavitation", f"{text}, unlike its law; do not use such results", layer.name, states[-1].t)
     worst = max(states, key=lambda state: state.elastic_share)
-    if worst.elastic_share > MIN_SPRING_SHARE:
+    if worst.elastic_share > MIN_SPRING_LOAD_FRACTION:
         text = f"at t = {worst.t:.4g} springs parallel to what yields carry {worst.elastic_share:.2g} of its load"
         remedy = "take a smaller elastic_fraction, 0 if Newton's method then converges"
         model.warn("elastic share", f"{text}, and hide its limit load; {remedy}", "", states[-1].t)
@@ -137,18 +137,18 @@ def warn_of_strains(states: Sequence[State]) -> None:
     model = states[0].model
     for term in (term for term in model.bodies if not term.law.traits.linear):
         u = fem.Function(model.V)
-        e, unit = term.strain(u), fem.Constant(model.domain.mesh, 1.0)
-        squares = compiled(ufl.inner(e, e) * term.weight * term.measure)
-        volume = model.comm.allreduce(fem.assemble_scalar(compiled(unit * term.weight * term.measure)))
+        e, one = term.strain(u), fem.Constant(model.domain.mesh, 1.0)
+        squared_strain = compiled(ufl.inner(e, e) * term.weight * term.measure)
+        volume = model.comm.allreduce(fem.assemble_scalar(compiled(one * term.weight * term.measure)))
         strains = {}
         for state in states:
             u.x.array[:] = state.u.x.array
-            strains[state.t] = math.sqrt(model.comm.allreduce(fem.assemble_scalar(squares)) / volume)
+            strains[state.t] = math.sqrt(model.comm.allreduce(fem.assemble_scalar(squared_strain)) / volume)
         if not (times := [t for t, strain in strains.items() if strain > MAX_SMALL_STRAIN]):
             continue
-        worst, name = max(times, key=strains.__getitem__), Key.parse(term.key).name
+        worst_t, name = max(times, key=strains.__getitem__), Key.parse(term.key).name
         body = f"the body {name!r}" if name else "the bodies"
-        text = f"at t = {worst:.4g} strains of {body} are {strains[worst]:.3g} (root mean square over its volume)"
+        text = f"at t = {worst_t:.4g} strains of {body} are {strains[worst_t]:.3g} (root mean square over its volume)"
         since = f"beyond {MAX_SMALL_STRAIN:g} from t = {times[0]:.4g} on: the theory is for small strains"
         model.warn("strains", f"{text}, {since}; take smaller loads, or check the moduli's units", name, states[-1].t)
 
@@ -161,25 +161,25 @@ def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | Non
         layer: the layer.
         start: time at which the loads began; None: they are sudden in every state.
     """
-    model, sublayers = states[0].model, resting_sublayers(layer)
+    model, sublayers = states[0].model, sublayer_moduli(layer)
     if not (model.linear or acts_as_springs(sublayers)):
         # The mean over S is tested, as jumps are large at single places in any case. The limit is above 1, because
         # under the same load jumps do not vanish with the thickness. Linear models are not tested: their results are
         # proportional to loads of any size.
-        closings = [FaceDisplacements.of(state, layer).mean_closing for state in states]
-        if (mean := max(closings)) > MIN_OVERLAP:
-            faces = FaceDisplacements.of(states[int(np.argmax(closings))], layer)
+        mean_closings = [FaceDisplacements.of(state, layer).mean_closing for state in states]
+        if (max_mean := max(mean_closings)) > OVERLAP_CLOSING:
+            faces = FaceDisplacements.of(states[int(np.argmax(mean_closings))], layer)
             facet, corner = np.unravel_index(faces.closing.argmax(), faces.closing.shape)
             x = place_text(faces.surface.corner_points.x[:, facet, corner])
-            text = f"at t = {faces.state.t:.4g} {layer} closes by {mean:.3g} times its thickness, on average over S"
-            most = f"most near {x}, by {faces.closing.max():.3g} times"
-            yield "overlap", f"{text} ({most}): bodies overlap; check loads, thickness and parameters"
+            text = f"at t = {faces.state.t:.4g} {layer} closes by {max_mean:.3g} times its thickness, on average over S"
+            most_text = f"most near {x}, by {faces.closing.max():.3g} times"
+            yield "overlap", f"{text} ({most_text}): bodies overlap; check loads, thickness and parameters"
     if layer.law.traits.linear and not layer.has_pressure_flow:
         remarks = [*stiffness_remark(layer, states, start)]
-        yield from remarks or (free_end_remark(model, layer, [sublayers]) if _jumps_tell_more(layer, sublayers) else ())
+        yield from remarks or (free_end_remark(model, layer, [sublayers]) if _judged_by_jumps(layer, sublayers) else ())
 
 
-def _jumps_tell_more(layer: SeamLayer, sublayers: list[RestingSublayer]) -> bool:
+def _judged_by_jumps(layer: SeamLayer, sublayers: list[SublayerModuli]) -> bool:
     """Whether a layer's pressure is judged by the jumps in solved states, rather than by the model alone.
 
     This holds for layers of one sublayer, with a linear law without memory and with a shear stiffness. Only if their
@@ -190,7 +190,7 @@ def _jumps_tell_more(layer: SeamLayer, sublayers: list[RestingSublayer]) -> bool
         sublayers: the moduli of its sublayers.
     """
     is_single = layer.law.traits.linear and not layer.remembers and len(sublayers) == 1
-    return is_single and sublayers[0].length < math.inf
+    return is_single and sublayers[0].decay_length < math.inf
 
 
 def _strain_layers(model: Model) -> list[SeamLayer]:
@@ -215,21 +215,21 @@ def _facet_remarks(model: Model, layer: SeamLayer) -> Iterator[Remark]:
     if model.joint.degree > 1 or model.joint.planar:
         return
     surface = surface_of(model, layer.name)
-    sums = surface.sums(surface.moments(surface.n))
-    mean = sums / np.linalg.norm(sums, axis=1, keepdims=True)
-    tilt = mean[surface.nodes] - surface.n[:, :, 0].T[:, None]
+    normal_sums = surface.nodal_sums(surface.moments(surface.n))
+    nodal_normals = normal_sums / np.linalg.norm(normal_sums, axis=1, keepdims=True)
+    tilt = nodal_normals[surface.nodes] - surface.n[:, :, 0].T[:, None]
     tilt[np.linalg.norm(tilt, axis=2) > CORNER_ANGLE] = 0.0
-    angle = surface.norm(surface.between(np.moveaxis(tilt, -1, 0))) / math.sqrt(surface.integral(1.0))
-    normal, tangential = jump_stiffness(layer)
-    if normal * angle**2 > MIN_STIFFNESS_ERROR * tangential:
-        ratio = 1 + normal * angle**2 / tangential if tangential else math.inf
-        effect = f"is about {ratio:.3g} times too stiff against it," if tangential else "resists"
+    angle = surface.norm(surface.from_corners(np.moveaxis(tilt, -1, 0))) / math.sqrt(surface.integral(1.0))
+    normal_stiffness, shear_stiffness = jump_stiffness(layer)
+    if normal_stiffness * angle**2 > STIFFNESS_ERROR_LIMIT * shear_stiffness:
+        ratio = 1 + normal_stiffness * angle**2 / shear_stiffness if shear_stiffness else math.inf
+        effect = f"is about {ratio:.3g} times too stiff against it," if shear_stiffness else "resists"
         text = f"S is curved and its facets are straight, {math.degrees(angle):.2g} degrees off its normal on average"
         remedy = "use curved cells (degree 2) or a finer mesh"
         yield "facets", f"{text}: a slip along S opens the layer there, which {effect} by the mesh alone; {remedy}"
 
 
-def _thickness_remarks(model: Model, layer: SeamLayer, sublayers: list[RestingSublayer]) -> Iterator[Remark]:
+def _thickness_remarks(model: Model, layer: SeamLayer, sublayers: list[SublayerModuli]) -> Iterator[Remark]:
     """Yield warnings (key, text) if a layer is thicker or harder than a body, or joins plates that bend.
 
     The law of order 0 is the first term of a series in eps over the length on which stresses vary. It neglects the term
@@ -241,32 +241,32 @@ def _thickness_remarks(model: Model, layer: SeamLayer, sublayers: list[RestingSu
         sublayers: the moduli of its sublayers.
     """
     # on one rank, as heights need memory for all cells
-    height, thin_layer = on_root(model.comm, lambda: min(layer.sheet.heights)), layer.thin_layer
+    height, thin_layer = on_root(model.comm, lambda: min(layer.sheet.body_heights)), layer.thin_layer
     assert thin_layer
     if thin_layer.eps > height:
         text = f"{layer} is {thin_layer.eps:.4g} thick, the thinner body {height:.4g} high: its law is for thin layers"
         yield "thick", f"{text}; mesh the layer (structure.full), or check eps"
-    if thin_layer.order == 1 or not sublayers or any(C is None for C in model.structure.bodies_at_rest):
+    if thin_layer.order == 1 or not sublayers or any(C is None for C in model.structure.body_tangents):
         return
-    softer = min(in_plane_modulus(C, layer.initial_tangents.n) for C in model.structure.bodies_at_rest if C is not None)
-    hardest = max(sublayer.E_plane for sublayer in sublayers)
-    if hardest > softer > 0:
-        text = f"{layer} is {hardest / softer:.3g} times as hard as the softer body (moduli in the plane of S)"
+    softer = min(in_plane_modulus(C, layer.initial_tangents.n) for C in model.structure.body_tangents if C is not None)
+    layer_modulus = max(sublayer.E_plane for sublayer in sublayers)
+    if layer_modulus > softer > 0:
+        text = f"{layer} is {layer_modulus / softer:.3g} times as hard as the softer body (moduli in the plane of S)"
         remedy = "use order=1, mesh the layer (structure.full), or check its parameters"
         yield "hard", f"{text}: its jump is less than what order 0 leaves out; {remedy}"
     sheet = layer.sheet
-    length, mean = float(np.ptp(sheet.joint.points[sheet.vertices], axis=(0, 1)).max()), np.mean(sheet.heights)
-    if len(sheet.heights) == 2 and sheet.planar and length > SLENDERNESS * 2 * mean and softer > 0:
+    length, mean_h = float(np.ptp(sheet.joint.points[sheet.vertices], axis=(0, 1)).max()), np.mean(sheet.body_heights)
+    if len(sheet.body_heights) == 2 and sheet.planar and length > PLATE_SLENDERNESS * 2 * mean_h and softer > 0:
         # two beams of equal height under a half-wave of load; without the thickness the lever of their forces is mean,
         # not mean + eps
-        slip = 2 * jump_stiffness(layer)[1] * (length / math.pi) ** 2 / (softer * mean)
-        error = 6 * slip / (1 + 4 * slip) * thin_layer.eps / mean
-        if error > MIN_STIFFNESS_ERROR / 2:
-            text = f"{layer} joins plates {mean:.4g} high, which meet on S in order 0, without its thickness between"
+        slip_ratio = 2 * jump_stiffness(layer)[1] * (length / math.pi) ** 2 / (softer * mean_h)
+        error = 6 * slip_ratio / (1 + 4 * slip_ratio) * thin_layer.eps / mean_h
+        if error > STIFFNESS_ERROR_LIMIT / 2:
+            text = f"{layer} joins plates {mean_h:.4g} high, which meet on S in order 0, without its thickness between"
             yield "plates", f"{text}: if they bend, they do so about {error:.2g} too much; use order=1"
 
 
-def _largest_tension(applicability: Applicability, state: State) -> float:
+def _tension_ratio(applicability: Applicability, state: State) -> float:
     """Return the largest ratio of a layer's pressure, positive in tension, to its shear modulus. Collective.
 
     The pressure is taken at the vertices of S. The ratio is 0 without tension, and for a layer whose pressure is not an
@@ -277,7 +277,7 @@ def _largest_tension(applicability: Applicability, state: State) -> float:
         state: the state.
     """
     layer = applicability.layer
-    p = state.fields.get(str(Key.parse(layer.key).pressure)) if layer.has_pressure_flow else None
+    p = state.fields.get(str(Key.parse(layer.key).pressure_key)) if layer.has_pressure_flow else None
     if p is None:
         return 0.0
     n_owned = p.function_space.dofmap.index_map.size_local
@@ -300,13 +300,13 @@ def warn_of_steps(model: Model, start: float, times: Sequence[float], theta: flo
         theta: fraction of each time step after which forces balance.
     """
     change_times = [start, *(t for t in model.break_times if t > start)]
-    steps = (
+    step_errors = (
         (_step_error((end - t) / tau, theta), end - t, t, tau, name)
-        for name, tau in _law_times(model)
+        for name, tau in _law_time_constants(model)
         for t, end in pairwise([start, *times])
         if any(0 <= t - change < tau for change in change_times)
     )
-    if (worst := max(steps, default=None)) and worst[0] > MAX_STEP_ERROR:
+    if (worst := max(step_errors, default=None)) and worst[0] > MAX_STEP_ERROR:
         error, step, t, tau, name = worst
         text = f"the step of {step:.3g} at t = {t:.3g} is not well below a time of {name}, {tau:.3g}: an error of about"
         remedy = f"take steps below {tau / 4:.2g} while this lasts, or Adaptive(end=..., first=..., tolerance=...)"
@@ -315,15 +315,15 @@ def warn_of_steps(model: Model, start: float, times: Sequence[float], theta: flo
 
 def warn_of_no_time(model: Model) -> None:
     """Warn that `solve` computes the response just after sudden loads, if a law of the model relaxes. Collective."""
-    for name, tau in _law_times(model)[:1]:
+    for name, tau in _law_time_constants(model)[:1]:
         text = f"{name} relaxes with the time {tau:.3g}, and a solve knows no time: this is the response just after"
         model.warn("no time", f"{text} sudden loads; for a later one march(model, times), or give times")
 
 
-def _law_times(model: Model) -> list[tuple[str, float]]:
+def _law_time_constants(model: Model) -> list[tuple[str, float]]:
     """Return pairs of a law's name and one of its time constants, for all laws whose parameters are numbers."""
     laws = [*model.body_laws.values(), *(law for layer in model.layers.values() for _, law in layer.law.sublayers)]
-    return [(type(law.in_space).__name__, float(tau)) for law in laws if not law.fields for tau in law.own_times]
+    return [(type(law.law_3d).__name__, float(tau)) for law in laws if not law.fields for tau in law.relaxation_times]
 
 
 def _step_error(x: float, theta: float) -> float:
@@ -333,7 +333,7 @@ def _step_error(x: float, theta: float) -> float:
         x: length of the time steps over the time constant tau.
         theta: fraction of each time step after which forces balance.
     """
-    if x < MIN_STEP_RATIO:
+    if x < MIN_STEP_TO_TIME_CONSTANT:
         return 0.0
     n = max(1, round(1 / x))
     return abs(((1 - (1 - theta) * x) / (1 + theta * x)) ** n - math.exp(-n * x))

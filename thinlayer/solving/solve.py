@@ -21,12 +21,12 @@ from thinlayer.errors import LooseBody, SolveError
 from thinlayer.parts.part import TimeStep
 from thinlayer.solving.contact.methods import SOLVER_OF_METHOD, default_method, why_unsuited
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.linear_solvers import linear_solvers
+from thinlayer.solving.linear_solvers import solver_options
 from thinlayer.solving.newton import (
     CONTACT_HOMOTOPY_OPTIONS,
     CONTACT_OPTIONS,
     NEWTON_OPTIONS,
-    SINGULAR_OPTIONS,
+    SINGULAR_TANGENT_OPTIONS,
     YIELDING_OPTIONS,
     EquilibriumSolver,
     NewtonSolver,
@@ -36,24 +36,24 @@ from thinlayer.solving.petsc import (
     PREFIX,
     OptionDict,
     Options,
-    chosen_options,
+    db_options,
     faster_products,
-    is_set,
-    options_set,
-    require_all_read,
-    value_of,
+    require_options_read,
+    set_options,
+    user_has_set,
+    user_value,
 )
 from thinlayer.solving.ranges import warn_of_model, warn_of_no_time, warn_of_states
 from thinlayer.solving.weak_springs import WeakSprings
 from thinlayer.system.progress import logger
-from thinlayer.system.ranks import collect, errors_on_all, require_same
+from thinlayer.system.ranks import errors_on_all, free_petsc_objects, require_same
 
-# a reason, see `PartSum.refuse`
-SOFTENING_ADVICE = "the stress of {} falls as jumps grow, with several equilibria; follow them by march(model, times)"
+# a reason, see `PartSum.refuse_traits`
+SOFTENING_MESSAGE = "the stress of {} falls as jumps grow, with several equilibria; follow them by march(model, times)"
 FIRST_DECREMENT, MIN_DECREMENT = 0.5, 1 / 64  # decrements of the continuation parameter
 MAX_HOMOTOPY_SOLVES = 30  # number of solves after which a homotopy is given up
 FAIL_FAST_OPTIONS = OptionDict(snes_max_it=30, snes_max_linear_solve_fail=1)  # if another method follows
-DISPLACEMENT_RATIO = 1e5  # displacements, relative to an elastic layer's, above which no equilibrium is expected
+DIVERGENCE_RATIO = 1e5  # displacements, relative to an elastic layer's, above which no equilibrium is expected
 
 
 def solve(
@@ -118,10 +118,10 @@ def solve(
             require(is_finite(t), "t", t, "it must be a finite number")
         require_same(model.comm, t=t)
         reason = "{} depends on rates: no equilibrium without time; use march(model, times)"
-        solver.equations.refuse({"softens": f"solve: {SOFTENING_ADVICE}", "rate": reason})
+        solver.equations.refuse_traits({"softens": f"solve: {SOFTENING_MESSAGE}", "rate": reason})
         warn_of_model(model)
         warn_of_no_time(model)
-        state = solver.sudden(float(t))
+        state = solver.solve_sudden(float(t))
     warn_of_states([state])
     return state
 
@@ -146,7 +146,7 @@ def _check_like(model: Model, like: State) -> None:
         raise InputError("like must be a state of an interface model with the same element and bonds as this model")
 
 
-SolveWay = tuple[str, OptionDict]  # a method, and PETSc options of its linear solver
+SolverConfig = tuple[str, OptionDict]  # a method, and PETSc options of its linear solver
 
 
 @dataclass(frozen=True)
@@ -155,14 +155,14 @@ class SolveAttempt:
 
     Attributes:
         name: name of the attempt in the log.
-        way: pair of the method's name and the PETSc options of its linear solver, {name without prefix: value}.
+        config: pair of the method's name and the PETSc options of its linear solver, {name without prefix: value}.
         options: PETSc options of Newton's method, {name without prefix: value}.
         uses_homotopy: whether the step is solved by continuation: first with an elastic law, at last with the given
             law.
     """
 
     name: str
-    way: SolveWay
+    config: SolverConfig
     options: Options = field(default_factory=dict)
     uses_homotopy: bool = False
 
@@ -181,7 +181,7 @@ class Solver(AbstractContextManager["Solver"]):
 
     Attributes:
         yields: whether a law bounds stresses, so that loads may have a limit.
-        bounded: whether loads may have a limit: a law bounds stresses, or seams in contact slide or open.
+        limited: whether loads may have a limit: a law bounds stresses, or seams in contact slide or open.
 
     Raises:
         InputError: an unknown or unsuitable method; options that are not a dictionary; `like` of another joint.
@@ -192,9 +192,9 @@ class Solver(AbstractContextManager["Solver"]):
     ) -> None:
         with errors_on_all(comm_of(model)):
             require(isinstance(model, Model), "model", model, "give what Structure.full or Structure.interface returns")
-            default = default_method(model) if model.contact else "linear" if model.linear else "newton"
-            self.model, self.method = model, default if method is None else method
-            self._check()
+            default_name = default_method(model) if model.contact else "linear" if model.linear else "newton"
+            self.model, self.method = model, default_name if method is None else method
+            self._check_method()
             if like is not None:
                 _check_like(model, like)
             is_mapping = isinstance(options or {}, Mapping) and all(isinstance(name, str) for name in options or {})
@@ -207,15 +207,15 @@ class Solver(AbstractContextManager["Solver"]):
             self._log.info(line)
         self.equations = Equations(model)
         traits = self.equations.traits
-        self.yields, self.bounded = traits.bounded, traits.bounded or traits.releases
-        self._warned = False  # whether the user was warned of a law that softens
-        self._solve_ways = self._ways_of(self.method)  # later without the ways that failed before one succeeded
-        if method is None and self.method == "multigrid" and not (self._user_options or options_set()):
-            self._solve_ways += self._ways_of("newton")
+        self.yields, self.limited = traits.bounded, traits.bounded or traits.releases
+        self._warned_of_softening = False  # whether the user was warned of a law that softens
+        self._configs = self._configs_of(self.method)  # later without the ways that failed before one succeeded
+        if method is None and self.method == "multigrid" and not (self._user_options or db_options()):
+            self._configs += self._configs_of("newton")
         self._solvers = dict[str, EquilibriumSolver]()
         self._solver = self._solver_of(self.method)
 
-    def _check(self) -> None:
+    def _check_method(self) -> None:
         """Raise InputError unless the method suits the model."""
         if self.method not in tuple(SOLVER_OF_METHOD):  # it may be anything, also not hashable
             allowed = ("newton", *SOLVER_OF_METHOD) if self.model.contact else ("linear", "newton")
@@ -226,11 +226,11 @@ class Solver(AbstractContextManager["Solver"]):
             raise InputError("method='linear' cannot solve a non-linear law; use method='newton'")
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:  # an error may have occurred on one rank only, and `collect` is collective
-            collect(self.equations.comm)
+        if kind is None:  # an error may have occurred on one rank only, and `free_petsc_objects` is collective
+            free_petsc_objects(self.equations.comm)
         self.close()
 
-    def _ways_of(self, method: str) -> list[SolveWay]:
+    def _configs_of(self, method: str) -> list[SolverConfig]:
         """Return the linear solvers of a method, in the order in which they are tried.
 
         Args:
@@ -242,24 +242,24 @@ class Solver(AbstractContextManager["Solver"]):
         """
         if method in SOLVER_OF_METHOD:
             return [(method, {})]
-        linear_options = linear_solvers(self.model, self.equations.parts, value_of("pc_type", self._user_options))
-        user_chooses = is_set("ksp_type", self._user_options) or is_set("pc_type", self._user_options)
+        linear_options = solver_options(self.model, self.equations.parts, user_value("pc_type", self._user_options))
+        user_chooses = user_has_set("ksp_type", self._user_options) or user_has_set("pc_type", self._user_options)
         return [(method, options) for options in (linear_options[:1] if user_chooses else linear_options)]
 
     def _solver_of(self, method: str) -> EquilibriumSolver:
         """Return the solver object of the method with the name `method`; it is created at its first use."""
         if method not in self._solvers:
-            contact = SOLVER_OF_METHOD.get(method)
-            self._solvers[method] = contact(self.equations, self._like) if contact else self._newton(method)
+            cls = SOLVER_OF_METHOD.get(method)
+            self._solvers[method] = cls(self.equations, self._like) if cls else self._newton_solver(method)
         return self._solvers[method]
 
-    def _newton(self, method: str) -> NewtonSolver:
-        own_test = not (is_set("snes_atol", self._user_options) or is_set("snes_rtol", self._user_options))
+    def _newton_solver(self, method: str) -> NewtonSolver:
+        own_test = not (user_has_set("snes_atol", self._user_options) or user_has_set("snes_rtol", self._user_options))
         advice = "a march from less (loads may have a limit)" if self.yields else f"-{PREFIX}snes_linesearch_type basic"
         if self.model.contact:
             advice = "another method, supports (is a body pulled off, or pushed harder than friction holds?)"
         nonlinear, advice = method == "newton", f"a smaller step or load, {advice}"
-        return NewtonSolver(self.equations, nonlinear=nonlinear, own_test=own_test, yields=self.yields, advice=advice)
+        return NewtonSolver(self.equations, nonlinear=nonlinear, force_test=own_test, yields=self.yields, advice=advice)
 
     def close(self) -> None:
         """Free matrices and factors."""
@@ -267,19 +267,19 @@ class Solver(AbstractContextManager["Solver"]):
             solver.close()
         self.equations.destroy()
 
-    def rest(self, t: float) -> State:
+    def rest_state(self, t: float) -> State:
         """Return the state at rest at time `t`, before the first step: displacements are zero, and stresses too."""
-        return self.equations.rest(t)
+        return self.equations.rest_state(t)
 
-    def sudden(self, t: float) -> State:
+    def solve_sudden(self, t: float) -> State:
         """Return the state at time `t` if the loads at this time act suddenly on the model at rest. Collective.
 
         Raises:
             SolveError: no convergence, or no unique solution.
         """
-        return self.step(self.rest(t), t)
+        return self.step(self.rest_state(t), t)
 
-    def step(self, old: State, t: float, theta: float = 1.0, thorough: bool = True, keep_phases: bool = False) -> State:
+    def step(self, old: State, t: float, theta: float = 1.0, homotopy: bool = True, keep_phases: bool = False) -> State:
         """Solve a time step, and return the state at its end. Collective.
 
         A step of length 0 is the response to a sudden change of the loads.
@@ -288,7 +288,7 @@ class Solver(AbstractContextManager["Solver"]):
             old: the state before the step.
             t: time at the end of the step, >= old.t.
             theta: fraction of the step after which forces balance, at old.t + theta (t - old.t); 1: backward Euler.
-            thorough: whether, if Newton's method fails, a continuation is tried that starts from an elastic law.
+            homotopy: whether, if Newton's method fails, a continuation is tried that starts from an elastic law.
             keep_phases: whether laws with phases keep the phases of `old`. Otherwise the step is solved again until
                 each column has the phase of lowest energy. A column is a facet of S, or the cells above it in a meshed
                 layer.
@@ -299,13 +299,13 @@ class Solver(AbstractContextManager["Solver"]):
         """
         start_time = time.perf_counter()
         self.equations.begin(TimeStep(old, t, t - old.t, theta))
-        attempts = [attempt for attempt in self._attempts() if thorough or not attempt.uses_homotopy]
-        solves = [self._from_like(attempts[0], old) or self._try_in_turn(attempts)]
+        attempts = [attempt for attempt in self._attempts() if homotopy or not attempt.uses_homotopy]
+        solutions = [self._solve_from_like(attempts[0], old) or self._try_in_turn(attempts)]
         while not keep_phases and self.equations.switch():
             self._log.info("t = %g: columns change their phase; the equilibrium is found again", t)
-            solves.append(self._try_in_turn(attempts))
-        last, iterations = solves[-1][0], sum(solution.iterations for solution, _ in solves)
-        seconds, homotopy_steps = time.perf_counter() - start_time, sum(steps for _, steps in solves)
+            solutions.append(self._try_in_turn(attempts))
+        last, iterations = solutions[-1][0], sum(solution.iterations for solution, _ in solutions)
+        seconds, homotopy_steps = time.perf_counter() - start_time, sum(steps for _, steps in solutions)
         return self._accept(last.x, Report(self.method, iterations, last.residual, seconds, homotopy_steps))
 
     def solve_regularised(self, old: State, t: float, theta: float = 1.0) -> State:
@@ -326,12 +326,12 @@ class Solver(AbstractContextManager["Solver"]):
         attempts = [attempt for attempt in self._attempts() if not attempt.uses_homotopy]
         self._log.info("t = %g: weak springs at all nodes are tried", t)
         # methods for contact have no options of a linear solver
-        linear = self._solve_ways[0][1] or linear_solvers(self.model, self.equations.parts)[0]
-        springs = WeakSprings(self.equations, {**linear, **self._user_options})
+        linear_options = self._configs[0][1] or solver_options(self.model, self.equations.parts)[0]
+        springs = WeakSprings(self.equations, {**linear_options, **self._user_options})
 
         def follow(end: float) -> StepSolution:
             step = TimeStep(old, end, end - old.t, theta)
-            return springs.follow(self.rest(end), step, lambda begin: self._try_in_turn(attempts, begin))[0]
+            return springs.soften(self.rest_state(end), step, lambda begin: self._try_in_turn(attempts, begin))[0]
 
         solution = follow(t)
         report = Report(self.method, solution.iterations, solution.residual, time.perf_counter() - start_time)
@@ -342,7 +342,7 @@ class Solver(AbstractContextManager["Solver"]):
                 follow(2 * t - old.t)
             raise
 
-    def _from_like(self, attempt: SolveAttempt, old: State) -> tuple[StepSolution, int] | None:
+    def _solve_from_like(self, attempt: SolveAttempt, old: State) -> tuple[StepSolution, int] | None:
         """Solve the step by Newton's method from the displacements of the state `like` that the constructor was given.
 
         Args:
@@ -355,7 +355,7 @@ class Solver(AbstractContextManager["Solver"]):
         """
         if self._like is None or self.method != "newton" or self.model.contact:
             return None
-        equations, start = self.equations, self.equations.vector()
+        equations, start = self.equations, self.equations.create_vector()
         equations.put_state(replace(old, u=displacements_of(self._like, self.model)), start)
         start.array[equations.bc_dofs] = equations.prescribed
         try:
@@ -370,9 +370,9 @@ class Solver(AbstractContextManager["Solver"]):
         A warning follows, once, if the stress of a law falls although the law does not declare `softens`.
         """
         state = self.equations.accept(x, report)
-        softenings = [] if self._warned else [part.undeclared_softening() for part in self.equations.parts]
+        softenings = [] if self._warned_of_softening else [part.undeclared_softening() for part in self.equations.parts]
         for name, where in [*filter(None, softenings)][:1]:
-            self._warned = True
+            self._warned_of_softening = True
             text = f"at t = {state.t:g} the stress of {name} falls {where} as jumps or strains grow: there may be other"
             remedy = "write softens = True in the class, and follow them by march(model, ArcLength(...))"
             self.model.warn("softens", f"{text} equilibria, over which steps may pass; {remedy}", state.t)
@@ -385,18 +385,18 @@ class Solver(AbstractContextManager["Solver"]):
         Each method is tried with each of its linear solvers. A continuation from an elastic law comes last, if laws
         have one.
         """
-        traits, out = self.equations.traits, list[SolveAttempt]()
-        contact = CONTACT_OPTIONS if self.model.contact else {}
-        law_options = YIELDING_OPTIONS if self.yields else SINGULAR_OPTIONS if traits.singular else {}
-        newton = {**NEWTON_OPTIONS, **law_options, **contact}
-        for method, linear in self._solve_ways:
-            name = ", ".join(filter(None, (method, str(linear.get("pc_type", "")))))
-            options = newton if method == "newton" else FAIL_FAST_OPTIONS if len(self._solve_ways) > 1 else {}
-            out.append(SolveAttempt(name, (method, linear), options))
+        traits, attempts = self.equations.traits, list[SolveAttempt]()
+        contact_options = CONTACT_OPTIONS if self.model.contact else {}
+        law_options = YIELDING_OPTIONS if self.yields else SINGULAR_TANGENT_OPTIONS if traits.singular else {}
+        newton_options = {**NEWTON_OPTIONS, **law_options, **contact_options}
+        for method, linear_options in self._configs:
+            name = ", ".join(filter(None, (method, str(linear_options.get("pc_type", "")))))
+            options = newton_options if method == "newton" else FAIL_FAST_OPTIONS if len(self._configs) > 1 else {}
+            attempts.append(SolveAttempt(name, (method, linear_options), options))
         if traits.has_homotopy and self._solver.has_homotopy:
-            options = {**out[-1].options, **(CONTACT_HOMOTOPY_OPTIONS if contact else {})}
-            out.append(replace(out[-1], name="homotopy", options=options, uses_homotopy=True))
-        return out
+            options = {**attempts[-1].options, **(CONTACT_HOMOTOPY_OPTIONS if contact_options else {})}
+            attempts.append(replace(attempts[-1], name="homotopy", options=options, uses_homotopy=True))
+        return attempts
 
     def _try_in_turn(self, attempts: list[SolveAttempt], start: PETSc.Vec | None = None) -> tuple[StepSolution, int]:
         """Solve the step by the first of several attempts that succeeds.
@@ -417,7 +417,7 @@ class Solver(AbstractContextManager["Solver"]):
         """
         why, errors = "", list[SolveError]()
         for attempt in attempts:
-            if attempt.way not in self._solve_ways:
+            if attempt.config not in self._configs:
                 continue
             if why:
                 self._log.info("t = %g: %s is tried, as %s", self.equations.interval.t, attempt.name, why)
@@ -425,10 +425,10 @@ class Solver(AbstractContextManager["Solver"]):
                 solution, solves = self._homotopy(attempt) if attempt.uses_homotopy else (self._try(attempt, start), 0)
             except SolveError as error:
                 why = f"{attempt.name} failed: {error.reason}"
-                if attempt.way == self._solve_ways[-1]:
+                if attempt.config == self._configs[-1]:
                     errors.append(error.with_traceback(None))  # else a reference cycle: error, traceback, frame, errors
             else:
-                self.method, self._solve_ways = attempt.way[0], self._solve_ways[self._solve_ways.index(attempt.way) :]
+                self.method, self._configs = attempt.config[0], self._configs[self._configs.index(attempt.config) :]
                 return replace(solution, iterations=solution.iterations + sum(len(e.residuals) for e in errors)), solves
         if isinstance(errors[-1], LooseBody) and len(errors) > 1:
             errors[-1].residuals = (*errors[0].residuals, *errors[-1].residuals)
@@ -445,14 +445,14 @@ class Solver(AbstractContextManager["Solver"]):
             attempt: method and options of the solve.
             start: initial unknowns; None: those of the state before the step.
         """
-        start_time, ours = time.perf_counter(), {**attempt.way[1], **attempt.options}
-        self._solver = self._solver_of(attempt.way[0])
+        start_time, defaults = time.perf_counter(), {**attempt.config[1], **attempt.options}
+        self._solver = self._solver_of(attempt.config[0])
         while True:
             try:
-                with chosen_options(ours, self._user_options), faster_products(serial=self.equations.comm.size == 1):
+                with set_options(defaults, self._user_options), faster_products(serial=self.equations.comm.size == 1):
                     solution = self._solver.solve_step(start)
-                    if not self._solver.reused:
-                        require_all_read(attempt.way[0], ours.keys() - self._user_options.keys())
+                    if not self._solver.reused_solver:
+                        require_options_read(attempt.config[0], defaults.keys() - self._user_options.keys())
             except SolveError as error:
                 self._log.debug("%s: failed after %d iterations: %s", attempt.name, len(error.residuals), error.reason)
                 if not self._solver.reset():
@@ -479,36 +479,36 @@ class Solver(AbstractContextManager["Solver"]):
             SolveError: the solve with a law of the continuation fails, or displacements grow without bound.
             LooseBody: a body has been released.
         """
-        last_x, limit = self.equations.vector(), math.inf
-        converged, parameter, decrement, solves, iterations = 1.0, 1.0, FIRST_DECREMENT, 0, 0
-        begin: PETSc.Vec | None = None
+        last_x, limit_u = self.equations.create_vector(), math.inf
+        last_parameter, parameter, decrement, n_solves, iterations = 1.0, 1.0, FIRST_DECREMENT, 0, 0
+        initial_x: PETSc.Vec | None = None
         try:
             while True:
-                solves += 1
+                n_solves += 1
                 self.equations.set_homotopy(parameter)
                 try:
-                    solution = self._try(replace(attempt, name=f"{attempt.name} at {parameter:g}"), begin)
+                    solution = self._try(replace(attempt, name=f"{attempt.name} at {parameter:g}"), initial_x)
                 except SolveError as error:
-                    iterations, decrement = iterations + len(error.residuals), (converged - parameter) / 2
-                    if begin is None or decrement < MIN_DECREMENT or solves >= MAX_HOMOTOPY_SOLVES:
+                    iterations, decrement = iterations + len(error.residuals), (last_parameter - parameter) / 2
+                    if initial_x is None or decrement < MIN_DECREMENT or n_solves >= MAX_HOMOTOPY_SOLVES:
                         raise
                 else:
-                    iterations, size = iterations + solution.iterations, float(solution.x.norm(PETSc.NormType.INFINITY))
+                    iterations, peak = iterations + solution.iterations, float(solution.x.norm(PETSc.NormType.INFINITY))
                     solution.x.copy(last_x)
-                    if size > limit:
-                        raise SolveError(f"displacements are {DISPLACEMENT_RATIO:g} times those of an elastic layer")
+                    if peak > limit_u:
+                        raise SolveError(f"displacements are {DIVERGENCE_RATIO:g} times those of an elastic layer")
                     if not parameter:
-                        return replace(solution, iterations=iterations), solves
-                    if begin is None:
-                        begin, limit = last_x, DISPLACEMENT_RATIO * size
+                        return replace(solution, iterations=iterations), n_solves
+                    if initial_x is None:
+                        initial_x, limit_u = last_x, DIVERGENCE_RATIO * peak
                     else:
-                        converged, decrement = parameter, 2 * decrement
-                parameter = max(converged - decrement, 0.0)
+                        last_parameter, decrement = parameter, 2 * decrement
+                parameter = max(last_parameter - decrement, 0.0)
         except SolveError as error:
             if not self.equations.traits.releases:
                 raise
             self.equations.set_homotopy(0.0)
-            self.equations.residual(last_x, self.equations.vector())
+            self.equations.residual(last_x, self.equations.create_vector())
             try:
                 self.equations.require_unique()
             except LooseBody as loose:

@@ -20,7 +20,7 @@ from thinlayer.errors import SolveError
 from thinlayer.parts.compiled_part import CompiledPart
 from thinlayer.parts.form_part import FormPart
 from thinlayer.parts.part import DISPLACEMENT_KEY, FieldPart, Part, TimeStep
-from thinlayer.parts.ufl_part import has_arity
+from thinlayer.parts.ufl_part import multilinear
 from thinlayer.pointwise.columns import EXCESS_TOLERANCE
 from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.solving.part_sum import ForceScale, PartSum, TangentMatrix, UnknownLayout
@@ -81,7 +81,7 @@ class StepProblem(PartSum):
         parts: Iterable[Part] = (),
     ) -> None:
         V, terms, parts = u.function_space, list(terms), list(parts)
-        if not isinstance(form, ufl.Form) or not has_arity(form) or len(form.arguments()) != bool(form.integrals()):
+        if not isinstance(form, ufl.Form) or not multilinear(form) or len(form.arguments()) != bool(form.integrals()):
             raise InputError(f"the form is {str(form)[:80]}; it must be linear in one test function")
         if not all(belongs_to(bc, V) for bc in bcs):
             raise InputError("a condition of bcs is of another space than u; make it on u.function_space or its sub(i)")
@@ -89,9 +89,9 @@ class StepProblem(PartSum):
             if term.law.traits.constrained:
                 raise InputError(f"{type(term.law).__name__} needs a pressure of its own; use it in a Model")
             _require_jumps(V, term)
-        terms = [replace(term, law=term.law.for_points()) if term.law.fields else term for term in terms]
+        terms = [replace(term, law=term.law.compiled_copy()) if term.law.fields else term for term in terms]
         compiled = compiled_terms(terms)
-        _check_arguments(parts, {"forms", *compiled})
+        _check_parts(parts, {"forms", *compiled})
         form_terms = [term for term in terms if not term.law.traits.compiled]
         form_part = FormPart("forms", u, F=form + work(form_terms, u, ufl.TestFunction(V)) if form_terms else form)
         super().__init__([form_part, *(CompiledPart(key, V, term) for key, term in compiled.items()), *parts])
@@ -104,12 +104,12 @@ class StepProblem(PartSum):
         layout = UnknownLayout(self.comm, {DISPLACEMENT_KEY: u})
         dofs = np.unique(np.concatenate([np.empty(0, np.int32), *(bc.dof_indices()[0] for bc in self._bcs)]))
         self._constrained_dofs = dofs[dofs < layout.sizes[DISPLACEMENT_KEY]]
-        self._constrained_rows = layout.rows(self._constrained_dofs)
-        self._forces, self._part_forces = layout.vector(), layout.vector()
+        self._constrained_rows = layout.global_rows(self._constrained_dofs)
+        self._forces, self._part_forces = layout.create_vector(), layout.create_vector()
         self._matrix = TangentMatrix(self.comm, layout.sizes)
         self.begin(0.0)
         self.forces(u, u, self._forces)
-        self._tangent, self.scale, self._stiffness = self._first_tangent()
+        self._tangent, self.scale, self._bc_stiffness = self._first_tangent()
         self._interval: TimeStep | None = None
 
     def _first_tangent(self) -> tuple[PETSc.Mat, ForceScale, float]:
@@ -173,7 +173,7 @@ class StepProblem(PartSum):
         self._u.x.scatter_forward()
         self._evaluate(out)
         dofs = self._constrained_dofs
-        out.array[dofs] = self._stiffness * (self._u.x.array[dofs] - self._prescribed())
+        out.array[dofs] = self._bc_stiffness * (self._u.x.array[dofs] - self._bc_values())
         if self.failed:
             out.set(np.nan)
 
@@ -189,7 +189,7 @@ class StepProblem(PartSum):
             A: PETSc's Jacobian, which is usually the same matrix as `P`.
             P: matrix from which the preconditioner is built; overwritten.
         """
-        self._matrix.fill(self.blocks()).zeroRows(self._constrained_rows, self._stiffness)
+        self._matrix.fill(self.blocks()).zeroRows(self._constrained_rows, self._bc_stiffness)
         if P.handle != self._tangent.handle:
             self._tangent.copy(P)
         if A.handle != P.handle:
@@ -202,20 +202,20 @@ class StepProblem(PartSum):
             SolveError: more than 1e-6 of the forces is out of balance, a law fails at u, or phases of a layer must
                 change, see `switch`.
         """
-        x, moved = self._u.x.petsc_vec, float(self.state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
+        x, max_u = self._u.x.petsc_vec, float(self.state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
         self.residual(None, x, self._forces)
         assert self._interval is not None
-        self.scale.begin(0.0, self.comm.allreduce(float(np.abs(self._prescribed()).max(initial=0.0)), max), moved)
+        self.scale.begin(0.0, self.comm.allreduce(float(np.abs(self._bc_values()).max(initial=0.0)), max), max_u)
         self.scale.update_stresses(max(self._force_norms))
         if self.residual_norms(self._forces) > self.scale.allowed_residual:
             self.scale.update_stresses(max(*self._force_norms, self._form_force_norm()))
         self.require_equilibrium(self._forces)
-        if self.excess > EXCESS_TOLERANCE:
+        if self.max_phase_gain > EXCESS_TOLERANCE:
             raise SolveError("columns of the layer must change phase: call switch() and solve until it returns False")
         outcomes, self.state = self.end_parts(self._u, self._interval.t)
         for key, old in self.energies.items():
             outcome = outcomes[key]
-            self.energies[key] = np.array([outcome.after, old[1] + outcome.dissipated, old[2] + outcome.remainder])
+            self.energies[key] = np.array([outcome.new_energy, old[1] + outcome.dissipated, old[2] + outcome.remainder])
         self._interval = None
 
     def _form_force_norm(self) -> float:
@@ -251,7 +251,7 @@ class StepProblem(PartSum):
         self._force_norms = self.forces(self._u, self._u, out, self._part_forces)
         self._force_norms.append(float(out.norm()))
 
-    def _prescribed(self) -> Array:
+    def _bc_values(self) -> Array:
         """Return the prescribed values (n,) of the n constrained displacements of this rank."""
         prescribed = np.zeros(len(self._u.x.array))
         for bc in self._bcs:
@@ -267,23 +267,23 @@ def _require_jumps(V: fem.FunctionSpace, term: Term) -> None:
     if term.measure.integral_type() != "interior_facet":
         return
     sides = np.concatenate([np.empty(0, np.int64), *(rows for _, rows in term.measure.subdomain_data())]).reshape(-1, 4)
-    counts = [len(np.intersect1d(V.dofmap.cell_dofs(lower), V.dofmap.cell_dofs(upper))) for lower, _, upper, _ in sides]
-    facet_count = len(V.dofmap.dof_layout.entity_closure_dofs(V.mesh.topology.dim - 1, 0))
-    if communicator(V.mesh).allreduce(max(counts, default=0), max) >= facet_count:
+    shared = [len(np.intersect1d(V.dofmap.cell_dofs(lower), V.dofmap.cell_dofs(upper))) for lower, _, upper, _ in sides]
+    n_facet_nodes = len(V.dofmap.dof_layout.entity_closure_dofs(V.mesh.topology.dim - 1, 0))
+    if communicator(V.mesh).allreduce(max(shared, default=0), max) >= n_facet_nodes:
         raise InputError("displacements do not jump across S in the space of u; make it by `BrokenMesh.space`")
 
 
-def _check_arguments(parts: Sequence[Part], keys: set[str]) -> None:
+def _check_parts(parts: Sequence[Part], used_keys: set[str]) -> None:
     """Raise InputError unless all `parts` are of the class `Part`, have no own unknowns, and have different keys.
 
     Args:
         parts: what the user has passed as parts.
-        keys: keys that are already taken; the keys of the parts are added.
+        used_keys: keys that are already taken; the keys of the parts are added.
     """
     for part in parts:
         require(isinstance(part, Part), "one of parts", part, "allowed: what derives from thinlayer.parts.part.Part")
         if isinstance(part, FieldPart):
             raise InputError(f"the part {part.key!r} has unknowns of its own; use it in a Model")
-        if part.key in keys:
+        if part.key in used_keys:
             raise InputError(f"two parts are called {part.key!r}; give one of them another key")
-        keys.add(part.key)
+        used_keys.add(part.key)

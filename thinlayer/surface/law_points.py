@@ -22,7 +22,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.pointwise.quadrature import Quadrature
 
-UNNAMED_MEMORY = "memory"  # name of the internal values of a law that does not name them
+UNNAMED_MEMORY_KEY = "memory"  # name of the internal values of a law that does not name them
 _QUADRATURES: WeakKeyDictionary[Model, list[Quadrature]] = WeakKeyDictionary()
 
 
@@ -44,7 +44,7 @@ class LawPoints:
     key: str
 
     @cached_property
-    def entities(self) -> IntArray:
+    def joint_entities(self) -> IntArray:
         """Numbers of this rank's cells or facets that contain the points, in the joint (the undistributed mesh).
 
         The number of a facet is its row in `Joint.table`.
@@ -55,20 +55,20 @@ class LawPoints:
         """Return the stresses (points, 3, 3), with the pressure of an incompressible law. Collective."""
         term, points = self.term, self.quadrature
         if term.law.traits.compiled:
-            vectors = self.state.stresses.get(self.key, np.zeros((points.count, len(MANDEL_PAIRS))))
+            mandel_stresses = self.state.stresses.get(self.key, np.zeros((points.count, len(MANDEL_PAIRS))))
         else:
-            vectors = points.values(mandel_vector(stress(term, self.state.u)))
-        return mandel_tensors(vectors) + self._pressure()[:, None, None] * np.eye(3)
+            mandel_stresses = points.values(mandel_vector(stress(term, self.state.u)))
+        return mandel_tensors(mandel_stresses) + self._pressure()[:, None, None] * np.eye(3)
 
     def _pressure(self) -> Array:
         """Return the pressure (points,) of an incompressible law, positive in tension; zeros for other laws."""
         if not self.term.law.traits.constrained:
             return np.zeros(self.quadrature.count)
         region = self.quadrature.region
-        p = self.state.fields[str(Key.parse(self.term.key).pressure)]
+        p = self.state.fields[str(Key.parse(self.term.key).pressure_key)]
         region_p = fem.Function(fem.functionspace(region.mesh, ("Lagrange", 1)))
         region_p.x.array[region_p.function_space.dofmap.list] = p.x.array[p.function_space.dofmap.list]
-        return self.quadrature.values(ufl.as_vector([region.side(region_p)]))[:, 0]
+        return self.quadrature.values(ufl.as_vector([region.plus_side(region_p)]))[:, 0]
 
     def internal(self) -> list[dict[str, Array]]:
         """Return the internal variables of each sublayer: name -> values (points, *shape), with the variable's shape.
@@ -80,8 +80,8 @@ class LawPoints:
         if not self.key:
             return [{} for _ in sublayers]
         memory = self.state.memory.get(self.key, np.zeros((self.quadrature.count, self.term.law.memory)))
-        sizes = [law.memory for law in sublayers]
-        slices = np.split(memory[:, self.term.law.memory - sum(sizes) :], np.cumsum(sizes)[:-1], axis=1)
+        memory_sizes = [law.memory for law in sublayers]
+        slices = np.split(memory[:, self.term.law.memory - sum(memory_sizes) :], np.cumsum(memory_sizes)[:-1], axis=1)
         return [unpack_memory(law, values) for law, values in zip(sublayers, slices, strict=True)]
 
 
@@ -119,18 +119,18 @@ def layer_shares(state: State, seam: str) -> dict[str, float]:
     model, layer, shares = state.model, state.model.layers[seam], dict[str, float]()
     eps = float(layer.thin_layer.eps) if layer.thin_layer else 0.0
     layer_points = [LawPoints(state, q.term, q, key) for key, q in model.quadratures.items() if q.term.key == layer.key]
-    for columns in dict.fromkeys(law.share_columns for _, law in layer.law.sublayers if law.share_columns):
-        sums: dict[str, float] = {}
+    for names in dict.fromkeys(law.share_columns for _, law in layer.law.sublayers if law.share_columns):
+        share_sums: dict[str, float] = {}
         for points in layer_points:
             for (a, law), internal in zip(points.term.law.sublayers, points.internal(), strict=True):
-                if law.share_columns == columns:
+                if law.share_columns == names:
                     weights = a * points.quadrature.weights
                     integrals = {name: weights @ values for name, values in law.shares(internal).items()}
                     for name, value in (integrals | {"": weights.sum()}).items():
-                        sums[name] = sums.get(name, 0.0) + value
-        totals = dict(zip(sums, map(float, model.comm.allreduce(np.array([*sums.values()]))), strict=True))
-        fraction = sum(a for a, law in layer.law.sublayers if law.share_columns == columns)
-        law = next(law for _, law in layer.law.sublayers if law.share_columns == columns)
+                        share_sums[name] = share_sums.get(name, 0.0) + value
+        totals = dict(zip(share_sums, map(float, model.comm.allreduce(np.array([*share_sums.values()]))), strict=True))
+        fraction = sum(a for a, law in layer.law.sublayers if law.share_columns == names)
+        law = next(law for _, law in layer.law.sublayers if law.share_columns == names)
         shares |= law.mean_shares(totals, totals.pop(""), eps, fraction)
     return shares
 
@@ -141,12 +141,12 @@ def law_points(state: State) -> Iterator[LawPoints]:
     Contact laws, which have no quadrature points, are left out.
     """
     model = state.model
-    keys = {id(q.term): key for key, q in model.quadratures.items()}
+    key_of_term = {id(q.term): key for key, q in model.quadratures.items()}
     if model not in _QUADRATURES:
-        of_term = {id(q.term): q for q in model.quadratures.values()}
-        _QUADRATURES[model] = [of_term.get(id(term)) or Quadrature(model.V, term, model.origin) for term in model.terms]
-    for base, term, quadrature in zip(model.terms, state.bodies + state.layers, _QUADRATURES[model], strict=True):
-        yield LawPoints(state, term, quadrature, keys.get(id(base), ""))
+        by_term = {id(q.term): q for q in model.quadratures.values()}
+        _QUADRATURES[model] = [by_term.get(id(term)) or Quadrature(model.V, term, model.origin) for term in model.terms]
+    for model_term, term, quadrature in zip(model.terms, state.bodies + state.layers, _QUADRATURES[model], strict=True):
+        yield LawPoints(state, term, quadrature, key_of_term.get(id(model_term), ""))
 
 
 def unpack_memory(law: BulkLaw, memory: Array) -> dict[str, Array]:
@@ -154,8 +154,8 @@ def unpack_memory(law: BulkLaw, memory: Array) -> dict[str, Array]:
 
     A law that does not name its internal variables gets one entry with all values.
     """
-    stops = np.cumsum([VARIABLE_SIZES[shape] for shape in law.internal.values()], dtype=int)
-    if stops.max(initial=0) != memory.shape[1]:
-        return {UNNAMED_MEMORY: memory}
-    parts = zip(law.internal.items(), np.split(memory, stops, axis=1), strict=False)  # the last part is empty
-    return {name: mandel_tensors(q) if shape == (3, 3) else q if shape else q[:, 0] for (name, shape), q in parts}
+    ends = np.cumsum([VARIABLE_SIZES[shape] for shape in law.internal.values()], dtype=int)
+    if ends.max(initial=0) != memory.shape[1]:
+        return {UNNAMED_MEMORY_KEY: memory}
+    variables = zip(law.internal.items(), np.split(memory, ends, axis=1), strict=False)  # the last part is empty
+    return {name: mandel_tensors(q) if shape == (3, 3) else q if shape else q[:, 0] for (name, shape), q in variables}

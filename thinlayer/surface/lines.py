@@ -11,7 +11,7 @@ import numpy as np
 from forms.base import Array, InputError, require
 from forms.temperature import finite_values
 from geometry.joint import Joint
-from geometry.topology import BoolArray, IntArray, along, by_place, connected, is_tensor, lagrange
+from geometry.topology import BoolArray, IntArray, components, curve_order, is_tensor, lagrange, place_order
 from thinlayer.system.table import Table
 
 Plane = tuple[Sequence[float], Sequence[float]]
@@ -52,8 +52,8 @@ class Line:
         """
         difference = self.values - level
         k = np.flatnonzero(difference[:-1] * difference[1:] < 0)
-        share = difference[k] / (difference[k] - difference[k + 1])
-        return np.asarray(self.x[k] + share[:, None] * (self.x[k + 1] - self.x[k]))
+        fraction = difference[k] / (difference[k] - difference[k + 1])
+        return np.asarray(self.x[k] + fraction[:, None] * (self.x[k + 1] - self.x[k]))
 
     def table(self, name: str = "value") -> Table:
         """Return a table with a row for each point, for `Table.write` to a csv file.
@@ -71,18 +71,18 @@ class Segments:
     """Line segments, m of them, with values at both ends of each; d: number of dimensions.
 
     Attributes:
-        keys: (m, 2) numbers of the ends; segments with the same number at an end are joined there.
+        end_numbers: (m, 2) numbers of the ends; segments with the same number at an end are joined there.
         x: (m, 2, d) coordinates of the ends.
         values: (m, 2, components) values at the ends.
         lengths: (m,) lengths of the segments.
     """
 
-    keys: IntArray
+    end_numbers: IntArray
     x: Array
     values: Array
     lengths: Array
 
-    def lines(self, seam: str, size: float) -> list[Line]:
+    def join_to_lines(self, seam: str, size: float) -> list[Line]:
         """Join the segments to lines, ordered by the coordinates of their start points, then of their end points.
 
         A line starts at its lower end: the one with the smaller first coordinate or, if these are equal, the smaller
@@ -93,17 +93,17 @@ class Segments:
             seam: name of the seam.
             size: size of the structure, for rounding errors of coordinates.
         """
-        keys = np.unique(self.keys, return_inverse=True)[1].reshape(-1, 2)
-        is_end = np.bincount(keys.ravel())[keys] != 2  # lines end where not exactly two segments meet
-        keys[is_end] = keys.max(initial=-1) + 1 + np.arange(is_end.sum())
-        _, first_rows, ends = np.unique(keys, return_index=True, return_inverse=True)
+        end_numbers = np.unique(self.end_numbers, return_inverse=True)[1].reshape(-1, 2)
+        is_end = np.bincount(end_numbers.ravel())[end_numbers] != 2  # lines end where not exactly two segments meet
+        end_numbers[is_end] = end_numbers.max(initial=-1) + 1 + np.arange(is_end.sum())
+        _, first_rows, ends = np.unique(end_numbers, return_index=True, return_inverse=True)
         ends, x = ends.reshape(-1, 2), self.x.reshape(-1, self.x.shape[2])[first_rows]
-        line = connected(ends[:, 0], ends[:, 1], len(x))
-        lines = [self._line(seam, np.flatnonzero(line[ends[:, 0]] == k), ends, x, size) for k in np.unique(line)]
+        line_of = components(ends[:, 0], ends[:, 1], len(x))
+        lines = [self._join(seam, np.flatnonzero(line_of[ends[:, 0]] == k), ends, x, size) for k in np.unique(line_of)]
         end_places = np.array([polyline.x[[0, -1]].ravel() for polyline in lines]).reshape(len(lines), 2 * x.shape[1])
-        return [lines[k] for k in by_place(end_places, size)]
+        return [lines[k] for k in place_order(end_places, size)]
 
-    def _line(self, seam: str, segments: IntArray, ends: IntArray, x: Array, size: float) -> Line:
+    def _join(self, seam: str, segments: IntArray, ends: IntArray, x: Array, size: float) -> Line:
         """Join some segments, which form one line without branches, in their order along it.
 
         Args:
@@ -115,29 +115,29 @@ class Segments:
         """
         points, ends = np.unique(ends[segments], return_inverse=True)
         ends, closed = ends.reshape(-1, 2), len(points) == len(segments)
-        position = np.argsort(along(x[points], ends, size))[ends]
-        closes = closed & (np.abs(position[:, 0] - position[:, 1]) > 1)  # leads back to the start
-        is_reversed = (position[:, 0] > position[:, 1]) != closes
-        order = np.argsort(np.where(closes, len(points), position.min(axis=1)))
+        position = np.argsort(curve_order(x[points], ends, size))[ends]
+        closes_line = closed & (np.abs(position[:, 0] - position[:, 1]) > 1)  # leads back to the start
+        is_reversed = (position[:, 0] > position[:, 1]) != closes_line
+        order = np.argsort(np.where(closes_line, len(points), position.min(axis=1)))
         segments, is_reversed = segments[order], is_reversed[order]
         s = np.cumsum([0.0, *self.lengths[segments]])
         s = np.stack([s[:-1], s[1:]], axis=1).ravel()
         end_order = np.stack([is_reversed, ~is_reversed], axis=1).astype(int)[..., None]
         arrays = self.x[segments], self.values[segments]
         x, values = (np.take_along_axis(array, end_order, axis=1).reshape(len(s), -1) for array in arrays)
-        largest = np.abs(self.values).max(initial=0.0)
-        jumps = np.abs(np.diff(values, axis=0, prepend=np.nan)).max(axis=1) > LINE_TOLERANCE * largest
-        kept = jumps | (np.diff(s, prepend=-np.inf) > LINE_TOLERANCE * size)
-        return Line(seam, s[kept], x[kept], values[kept], closed)
+        largest_value = np.abs(self.values).max(initial=0.0)
+        is_jump = np.abs(np.diff(values, axis=0, prepend=np.nan)).max(axis=1) > LINE_TOLERANCE * largest_value
+        is_kept = is_jump | (np.diff(s, prepend=-np.inf) > LINE_TOLERANCE * size)
+        return Line(seam, s[is_kept], x[is_kept], values[is_kept], closed)
 
 
-def lines_on(joint: Joint, seam: str, rows: IntArray, values: Array, plane: Plane | None) -> list[Line]:
+def lines_on(joint: Joint, seam: str, facet_rows: IntArray, values: Array, plane: Plane | None) -> list[Line]:
     """Return the values along the pieces of a seam in 2D, or along the lines in which a plane cuts it in 3D.
 
     Args:
         joint: the joint, the undistributed mesh of the bodies.
         seam: name of the seam.
-        rows: (n,) positions of the seam's facets in `joint.surface`.
+        facet_rows: (n,) positions of the seam's facets in `joint.surface`.
         values: values (n, k), or (n, k, components) of a vector, at the k corners of each facet.
         plane: in 3D the plane that cuts S, as a point and a normal, ((x, y, z), (n_x, n_y, n_z)); None in 2D.
 
@@ -146,15 +146,15 @@ def lines_on(joint: Joint, seam: str, rows: IntArray, values: Array, plane: Plan
     """
     hint = "in 2D S is a line" if joint.dim == 2 else "in 3D lines on S are cuts by a plane: plane=(point, normal)"
     require((plane is None) == (joint.dim == 2), "plane", plane, hint)
-    corner_values, nodes = values.reshape(*values.shape[:2], -1), joint.surface[rows]
+    corner_values, nodes = values.reshape(*values.shape[:2], -1), joint.surface[facet_rows]
     if plane is None:
         points, weights = basix.make_quadrature(basix.CellType.interval, ARC_DEGREE)
-        slopes = lagrange("interval", joint.degree).tabulate(1, points)[1, :, :, 0]
-        lengths = np.linalg.norm(np.einsum("qn,fnd->fqd", slopes, joint.points[nodes]), axis=2) @ weights
+        derivatives = lagrange("interval", joint.degree).tabulate(1, points)[1, :, :, 0]
+        lengths = np.linalg.norm(np.einsum("qn,fnd->fqd", derivatives, joint.points[nodes]), axis=2) @ weights
         segments = Segments(nodes[:, :2], joint.points[nodes[:, :2]], corner_values, lengths)
     else:
         segments = cut_segments(joint, nodes, corner_values, plane)
-    lines = segments.lines(seam, joint.size)
+    lines = segments.join_to_lines(seam, joint.size)
     return lines if values.ndim == 3 else [replace(line, values=line.values[:, 0]) for line in lines]
 
 
@@ -174,23 +174,23 @@ def cut_segments(joint: Joint, nodes: IntArray, values: Array, plane: Plane) -> 
     if (plane_data := finite_values(plane, (2, 3))) is None or not plane_data[1].any():
         raise InputError(f"plane is {plane!r}; it must be (point, normal), three finite numbers each, not all zero")
     ring_order = [0, 1, 3, 2] if is_tensor(joint.cell_type) else [0, 1, 2]
-    ring, values = nodes[:, ring_order], values[:, ring_order]
-    x = joint.points[ring]
-    height = (x - plane_data[0]) @ plane_data[1] / np.linalg.norm(plane_data[1])
-    height[np.abs(height) <= LINE_TOLERANCE * joint.size] = 0.0
-    segments = _cut_polygon(ring, x, values, height, height >= 0)
+    ring_nodes, values = nodes[:, ring_order], values[:, ring_order]
+    x = joint.points[ring_nodes]
+    heights = (x - plane_data[0]) @ plane_data[1] / np.linalg.norm(plane_data[1])
+    heights[np.abs(heights) <= LINE_TOLERANCE * joint.size] = 0.0
+    segments = _cut_facets(ring_nodes, x, values, heights, heights >= 0)
     # if facets lie in the plane, facets on one side are cut at their edges
-    return segments if len(segments.keys) else _cut_polygon(ring, x, values, height, height > 0)
+    return segments if len(segments.end_numbers) else _cut_facets(ring_nodes, x, values, heights, heights > 0)
 
 
-def _cut_polygon(ring: IntArray, x: Array, values: Array, height: Array, above: BoolArray) -> Segments:
-    next_corner = np.roll(np.arange(ring.shape[1]), -1)
-    crossed = above != above[:, next_corner]
-    facets = np.flatnonzero(crossed.sum(axis=1) == 2)
-    edge = np.argsort(~crossed[facets], axis=1, kind="stable")[:, :2]
-    row, ends = facets[:, None], np.stack([edge, next_corner[edge]])
-    share = height[row, ends[0]] / (height[row, ends[0]] - height[row, ends[1]])
-    first, last = (np.concatenate([x, values], axis=2)[row, end] for end in ends)
-    places, cut_values = np.split(first + share[..., None] * (last - first), [x.shape[2]], axis=2)
-    _, keys = np.unique(np.sort(ring[row, ends], axis=0).reshape(2, -1), axis=1, return_inverse=True)
-    return Segments(keys.reshape(-1, 2), places, cut_values, np.linalg.norm(places[:, 1] - places[:, 0], axis=1))
+def _cut_facets(ring_nodes: IntArray, x: Array, values: Array, heights: Array, is_above: BoolArray) -> Segments:
+    next_corner = np.roll(np.arange(ring_nodes.shape[1]), -1)
+    is_cut = is_above != is_above[:, next_corner]
+    facets = np.flatnonzero(is_cut.sum(axis=1) == 2)
+    cut_edges = np.argsort(~is_cut[facets], axis=1, kind="stable")[:, :2]
+    row, edge_ends = facets[:, None], np.stack([cut_edges, next_corner[cut_edges]])
+    fraction = heights[row, edge_ends[0]] / (heights[row, edge_ends[0]] - heights[row, edge_ends[1]])
+    first, last = (np.concatenate([x, values], axis=2)[row, end] for end in edge_ends)
+    places, cut_values = np.split(first + fraction[..., None] * (last - first), [x.shape[2]], axis=2)
+    _, end_numbers = np.unique(np.sort(ring_nodes[row, edge_ends], axis=0).reshape(2, -1), axis=1, return_inverse=True)
+    return Segments(end_numbers.reshape(-1, 2), places, cut_values, np.linalg.norm(places[:, 1] - places[:, 0], axis=1))

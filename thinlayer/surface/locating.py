@@ -40,18 +40,18 @@ class LocatedPoints:
     X: Array
 
     @classmethod
-    def locate(cls, kind: str, nodes: Array, x: npt.ArrayLike) -> LocatedPoints:
+    def locate(cls, cell_type: str, nodes: Array, x: npt.ArrayLike) -> LocatedPoints:
         """Find all cells or facets that contain points; a point outside all of them is in no pair.
 
         Args:
-            kind: type of the cells or facets, such as "triangle".
+            cell_type: type of the cells or facets, such as "triangle".
             nodes: (entities, a, d) coordinates of the a nodes of each cell or facet, in d dimensions.
             x: coordinates (n, d) of points, or (d,) of one point.
 
         Raises:
             InputError: x is no array of finite numbers with such a shape.
         """
-        d, degree = nodes.shape[2], geometry_degree(kind, nodes.shape[1])
+        d, degree = nodes.shape[2], geometry_degree(cell_type, nodes.shape[1])
         if (query := finite_values(x, (d,), (-1, d))) is None or not query.size:
             raise InputError(f"places are {x!r:.80}; they must have {d} finite coordinates each, (n, {d})")
         query = np.atleast_2d(query)
@@ -59,13 +59,13 @@ class LocatedPoints:
         margin = (high - low).max(axis=1, keepdims=True) * (MAX_BULGE if degree > 1 else REFERENCE_TOLERANCE)
         low, high = low - margin, high + margin
         radius = float(np.linalg.norm(high - low, axis=1).max()) / 2
-        near = cKDTree((low + high) / 2).query_ball_point(query, radius * (1 + REFERENCE_TOLERANCE))
-        point = np.repeat(np.arange(len(query)), [len(candidates) for candidates in near])
-        entity = np.array([k for candidates in near for k in sorted(candidates)], np.int64)
-        boxed = ((query[point] >= low[entity]) & (query[point] <= high[entity])).all(axis=1)
-        point, entity = point[boxed], entity[boxed]
-        X = _reference_points(kind, degree, nodes[entity], query[point])
-        last = X.max(axis=1, initial=-np.inf) if is_tensor(kind) else X.sum(axis=1)
+        candidate_lists = cKDTree((low + high) / 2).query_ball_point(query, radius * (1 + REFERENCE_TOLERANCE))
+        point = np.repeat(np.arange(len(query)), [len(candidates) for candidates in candidate_lists])
+        entity = np.array([k for candidates in candidate_lists for k in sorted(candidates)], np.int64)
+        in_box = ((query[point] >= low[entity]) & (query[point] <= high[entity])).all(axis=1)
+        point, entity = point[in_box], entity[in_box]
+        X = _reference_coordinates(cell_type, degree, nodes[entity], query[point])
+        last = X.max(axis=1, initial=-np.inf) if is_tensor(cell_type) else X.sum(axis=1)
         return cls(query, point, entity, X)[(X >= -REFERENCE_TOLERANCE).all(axis=1) & (last <= 1 + REFERENCE_TOLERANCE)]
 
     @classmethod
@@ -81,18 +81,18 @@ class LocatedPoints:
         """
         located = cls.locate(joint.cell_type, joint.cell_points, x)
         text = "{bad} of {all} places are in no cell of the mesh, the first at {at}"
-        refuse(located.missing, located.x, text if joint.parted is None else f"{text}; {EXTENDED_BODIES_HINT}")
+        refuse(located.is_missing, located.x, text if joint.parted is None else f"{text}; {EXTENDED_BODIES_HINT}")
         return located
 
     def __getitem__(self, rows: IntArray | BoolArray) -> LocatedPoints:
         return LocatedPoints(self.x, self.point[rows], self.entity[rows], self.X[rows])
 
     @property
-    def missing(self) -> BoolArray:
+    def is_missing(self) -> BoolArray:
         """Mask (n,), True for the points that are in no cell or facet."""
         return ~np.isin(np.arange(len(self.x)), self.point)
 
-    def mean(self, values: Array) -> Array:
+    def point_means(self, values: Array) -> Array:
         """Return, for each point, the mean (n, ...) of `values` (m, ...) over the m pairs in which the point is.
 
         The values belong to the cells or facets of the pairs.
@@ -101,25 +101,25 @@ class LocatedPoints:
         return np.asarray(sum_by_number(self.point, values, len(self.x)) / counts.reshape(-1, *[1] * (values.ndim - 1)))
 
 
-def _reference_points(kind: str, degree: int, nodes: Array, x: Array) -> Array:
+def _reference_coordinates(cell_type: str, degree: int, nodes: Array, x: Array) -> Array:
     """Return the reference coordinates (n, k) of n points, each in its cell or facet of dimension k.
 
     A point outside its cell or facet gets coordinates outside the reference cell or facet.
 
     Args:
-        kind: type of the cells or facets, such as "triangle".
+        cell_type: type of the cells or facets, such as "triangle".
         degree: polynomial degree of their geometry.
         nodes: (n, a, d) coordinates of the a nodes of the cell or facet of each point, in d dimensions.
         x: (n, d) coordinates of the points.
     """
-    element = lagrange(kind, degree)
-    X = np.tile(basix.geometry(basix.CellType[kind]).mean(axis=0), (len(x), 1))
+    element = lagrange(cell_type, degree)
+    X = np.tile(basix.geometry(basix.CellType[cell_type]).mean(axis=0), (len(x), 1))
     if not len(x):  # basix takes no empty arrays
         return X
     for _ in range(MAX_NEWTON_STEPS):
-        table = element.tabulate(1, X)[..., 0]
-        x_now = np.einsum("pn,pnd->pd", table[0], nodes)
-        jacobians = np.einsum("tpn,pnd->pdt", table[1:], nodes)
+        basis_values = element.tabulate(1, X)[..., 0]
+        x_now = np.einsum("pn,pnd->pd", basis_values[0], nodes)
+        jacobians = np.einsum("tpn,pnd->pdt", basis_values[1:], nodes)
         step = np.einsum("pij,pj->pi", np.linalg.pinv(jacobians), x - x_now)
         X = np.clip(X + step, -1.0, 2.0)
         if np.abs(step).max(initial=0.0) < REFERENCE_TOLERANCE**2:

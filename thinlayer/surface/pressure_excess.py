@@ -28,7 +28,7 @@ MODULUS_TOLERANCE = 1e-3  # relative change of lmbda/mu in time that counts as z
 
 
 @dataclass(frozen=True)
-class RestingSublayer:
+class SublayerModuli:
     """Moduli of a layer, or of one sublayer of a `Stack`, before loading or after loads of some duration.
 
     Attributes:
@@ -36,7 +36,7 @@ class RestingSublayer:
         lmbda, mu: Lame moduli, stresses. They are effective moduli after the duration if the law's response depends on
             it, otherwise those before loading.
         E_plane: modulus, a stress, of the sublayer as a sheet along S with free faces; for isotropic laws E/(1 - nu^2).
-        when: words with the duration for a warning, such as " under loads that last 5"; "" if lmbda/mu is as before
+        duration_text: words with the duration, such as " under loads that last 5"; "" if lmbda/mu is as before
             loading.
     """
 
@@ -44,15 +44,15 @@ class RestingSublayer:
     lmbda: float
     mu: float
     E_plane: float
-    when: str = ""
+    duration_text: str = ""
 
     @property
     def rubbery(self) -> bool:
-        """Whether the sublayer is nearly incompressible: its `length` is more than half of its `fraction`."""
-        return self.length > NEARLY_INCOMPRESSIBLE_LENGTH * self.fraction
+        """Whether the sublayer is nearly incompressible: its `decay_length` is more than half of its `fraction`."""
+        return self.decay_length > NEARLY_INCOMPRESSIBLE_LENGTH * self.fraction
 
     @property
-    def length(self) -> float:
+    def decay_length(self) -> float:
         """Length over which the sublayer's pressure decays at a free end, divided by the whole layer's thickness.
 
         It is infinite if the sublayer is incompressible.
@@ -69,7 +69,7 @@ class RestingSublayer:
         return self.fraction / (self.lmbda + 2 * self.mu)
 
     @classmethod
-    def of(cls, fraction: float, law: BulkLaw, C: FloatArray, n: FloatArray) -> RestingSublayer | None:
+    def of(cls, fraction: float, law: BulkLaw, C: FloatArray, n: FloatArray) -> SublayerModuli | None:
         """Return the moduli of a sublayer from the tangent of its law; None if the law does not resist shear.
 
         Args:
@@ -85,7 +85,7 @@ class RestingSublayer:
         return None if mu <= 0 else cls(fraction, lmbda, mu, in_plane_modulus(C, n))
 
 
-def resting_sublayers(layer: SeamLayer, dt: float = 0.0) -> list[RestingSublayer]:
+def sublayer_moduli(layer: SeamLayer, dt: float = 0.0) -> list[SublayerModuli]:
     """Return the moduli of each sublayer of a layer, after loads of some duration; [] if a tangent is unknown.
 
     Sublayers that do not resist shear are left out.
@@ -95,19 +95,19 @@ def resting_sublayers(layer: SeamLayer, dt: float = 0.0) -> list[RestingSublayer
         dt: duration of the loads; 0: the moduli before loading.
     """
     n, sublayers = layer.initial_tangents.n, layer.initial_tangents.sublayers
-    later = layer.initial_tangents.tangents_after(dt) if dt > 0 else [None] * len(sublayers)
-    resting: list[RestingSublayer] = []
-    for (a, law, C), C_later in zip(sublayers, later, strict=True):
+    later_tangents = layer.initial_tangents.tangents_after(dt) if dt > 0 else [None] * len(sublayers)
+    moduli: list[SublayerModuli] = []
+    for (a, law, C), C_later in zip(sublayers, later_tangents, strict=True):
         if C is None and C_later is None:
             return []
-        old, new = (None if tangent is None else RestingSublayer.of(a, law, tangent, n) for tangent in (C, C_later))
+        old, new = (None if tangent is None else SublayerModuli.of(a, law, tangent, n) for tangent in (C, C_later))
         if new and not (old and math.isclose(new.lmbda * old.mu, old.lmbda * new.mu, rel_tol=MODULUS_TOLERANCE)):
-            new = replace(new, when=f" under loads that last {dt:.4g}")
-        resting += [sublayer for sublayer in (new or old,) if sublayer]
-    return resting
+            new = replace(new, duration_text=f" under loads that last {dt:.4g}")
+        moduli += [sublayer for sublayer in (new or old,) if sublayer]
+    return moduli
 
 
-def acts_as_springs(sublayers: list[RestingSublayer]) -> bool:
+def acts_as_springs(sublayers: list[SublayerModuli]) -> bool:
     """Tell whether a layer acts as separate springs between its faces: strains along S cause no stress in it.
 
     `sublayers` are the moduli of the layer's sublayers; the result is False for an empty list.
@@ -126,11 +126,11 @@ def jump_stiffness(layer: SeamLayer) -> tuple[float, float]:
         if C is None:
             return 0.0, 0.0
         A = acoustic_tensor(C, n)
-        size, opening = float(np.abs(A).max()), float(n @ A @ n)
-        shear = float(np.linalg.eigvalsh((A + A.T) / 2 + 2 * size * np.outer(n, n))[0])
-        if min(shear, opening) <= NEGLIGIBLE_MODULUS_RATIO * size:
-            return opening, 0.0
-        compliances += [fraction / opening, fraction / shear]
+        tensor_size, normal_stiffness = float(np.abs(A).max()), float(n @ A @ n)
+        shear_stiffness = float(np.linalg.eigvalsh((A + A.T) / 2 + 2 * tensor_size * np.outer(n, n))[0])
+        if min(shear_stiffness, normal_stiffness) <= NEGLIGIBLE_MODULUS_RATIO * tensor_size:
+            return normal_stiffness, 0.0
+        compliances += [fraction / normal_stiffness, fraction / shear_stiffness]
     normal, tangential = 1 / (compliances * layer.as_thin_layer.eps)
     return float(normal), float(tangential)
 
@@ -139,9 +139,9 @@ JUMP_ROUNDING = 1e-9  # rounding error of jumps, relative to the displacements
 Remark = tuple[str, str]  # key of a RangeWarning, and its message
 SHEAR_MATRIX = np.array([[7.0, -8.0, 1.0], [-8.0, 16.0, -8.0], [1.0, -8.0, 7.0]])  # int u' v' times 3 h, degree 2
 STRETCH_MATRIX = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]])  # int u v times 30/h, degree 2
-MIN_LAST_OPENING = 0.5  # least opening of the last tested state, relative to the largest opening
+MIN_OPENING_RATIO = 0.5  # least opening of the last tested state, relative to the largest opening
 SUPPORT_HINT = "or support its sides if they are held"
-MIN_STIFFNESS_ERROR = 0.1  # relative error of a layer's stiffness above which there is a warning
+STIFFNESS_ERROR_LIMIT = 0.1  # relative error of a layer's stiffness above which there is a warning
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ class FaceDisplacements:
     @cached_property
     def sides(self) -> FloatArray:
         """Displacements (2, d, n, k) of the lower, then of the upper face at the k corners of n facets."""
-        return self.surface.sides(self.state.u, self.state.model, self.surface.corner_points)
+        return self.surface.side_values(self.state.u, self.state.model, self.surface.corner_points)
 
     @property
     def jump_rounding(self) -> float:
@@ -177,37 +177,37 @@ class FaceDisplacements:
         return JUMP_ROUNDING * float(np.abs(self.sides).max())
 
     @property
-    def opening(self) -> FloatArray:
+    def normal_jump(self) -> FloatArray:
         """Normal jumps [u_N], (n, k), at the k corners of n facets; positive if the faces move apart."""
         return np.asarray(((self.sides[1] - self.sides[0]) * self.surface.corner_points.n).sum(axis=0))
 
     @property
     def slip_squared(self) -> FloatArray:
         """Squares of the tangential jumps, (n, k), at the k corners of n facets, plus the square of `jump_rounding`."""
-        slip = self.sides[1] - self.sides[0] - self.opening * self.surface.corner_points.n
+        slip = self.sides[1] - self.sides[0] - self.normal_jump * self.surface.corner_points.n
         return np.asarray((slip**2).sum(axis=0) + self.jump_rounding**2)
 
     @property
     def closing(self) -> FloatArray:
         """Approach -[u_N] of the faces, divided by the layer's thickness, (n, k), at the k corners of n facets."""
-        return -self.opening / self.surface.thickness(self.layer, self.surface.corners)
+        return -self.normal_jump / self.surface.thickness(self.layer, self.surface.corners)
 
     @property
     def mean_closing(self) -> float:
         """Mean of `closing` over the seam, where openings count as zero."""
         surface = self.surface
-        return float(surface.integral(surface.between(np.maximum(self.closing, 0))) / surface.integral(1.0))
+        return float(surface.integral(surface.from_corners(np.maximum(self.closing, 0))) / surface.integral(1.0))
 
     @property
-    def stretching(self) -> FloatArray:
+    def surface_divergence(self) -> FloatArray:
         """Surface divergence, (n, q), of the mean displacement of both faces, at the q quadrature points of n facets.
 
         The displacements are taken as linear between the corners.
         """
         surface, mean = self.surface, self.sides.mean(axis=0)
-        radius = self.state.model.kinematics.radius(surface.x.reshape(len(surface.x), -1).T)
-        hoops = surface.between(mean[0]) / radius.reshape(surface.weights.shape)
-        return np.asarray(np.einsum("dfk,fqkd->fq", mean, surface.quadrature.slopes) + hoops)
+        radius = self.state.model.kinematics.axis_distances(surface.x.reshape(len(surface.x), -1).T)
+        hoop_strains = surface.from_corners(mean[0]) / radius.reshape(surface.weights.shape)
+        return np.asarray(np.einsum("dfk,fqkd->fq", mean, surface.quadrature.shape_gradients) + hoop_strains)
 
 
 @dataclass(frozen=True)
@@ -218,19 +218,19 @@ class PressureExcess:
     area of S is wb = [u_N] + eps div_S <u>, with the mean displacement <u> of the faces.
 
     Attributes:
-        opening: int (p_0 - p) wb/int p wb: the law is 1 + opening times too stiff against openings.
-        work: int (p_0 - p) wb over the work of the layer including shear, int p wb + int mu/eps |w_T|^2.
-        traction: L2 norm of p_0 - p over S, divided by that of the law's traction.
+        opening_error: int (p_0 - p) wb/int p wb: the law is 1 + opening_error times too stiff against openings.
+        work_error: int (p_0 - p) wb over the work of the layer including shear, int p wb + int mu/eps |w_T|^2.
+        traction_error: L2 norm of p_0 - p over S, divided by that of the law's traction.
     """
 
-    opening: float = 0.0
-    work: float = 0.0
-    traction: float = 0.0
+    opening_error: float = 0.0
+    work_error: float = 0.0
+    traction_error: float = 0.0
 
     @property
     def reported(self) -> float:
-        """Error that warnings report: `opening` if `traction` exceeds 0.1, otherwise `work`."""
-        return self.opening if self.traction > MIN_STIFFNESS_ERROR else self.work
+        """Error that warnings report: `opening_error` if `traction_error` exceeds 0.1, otherwise `work_error`."""
+        return self.opening_error if self.traction_error > STIFFNESS_ERROR_LIMIT else self.work_error
 
 
 def times_too_stiff(state: State, layer: SeamLayer) -> float | None:
@@ -249,10 +249,10 @@ def times_too_stiff(state: State, layer: SeamLayer) -> float | None:
         return None
     if layer.has_pressure_flow:
         return 1.0
-    return 1 + pressure_excess(FaceDisplacements.of(state, layer), resting_sublayers(layer)[0]).opening
+    return 1 + pressure_excess(FaceDisplacements.of(state, layer), sublayer_moduli(layer)[0]).opening_error
 
 
-def pressure_excess(faces: FaceDisplacements, layer: RestingSublayer) -> PressureExcess:
+def pressure_excess(faces: FaceDisplacements, layer: SublayerModuli) -> PressureExcess:
     """Return the relative errors of an interface law, from its pressure and that of the layer itself. Collective.
 
     The displacements of the faces are the same in both, with the mean <u>. The layer's change of volume per area of S
@@ -268,8 +268,8 @@ def pressure_excess(faces: FaceDisplacements, layer: RestingSublayer) -> Pressur
     this, so that the errors do not depend on h.
 
     On straight facets of a curved S, slip opens the layer at one end of a facet and closes it at the other. The law
-    resists this too. `work` includes this resistance. For `opening` and `traction`, p_0 is made continuous like p,
-    which excludes it. Openings as small as the rounding error of displacements count as zero.
+    resists this too. `work_error` includes this resistance. For the other two errors, p_0 is made continuous like p, which
+    excludes it. Openings as small as the rounding error of displacements count as zero.
 
     Args:
         faces: displacements of the layer's faces in a state of an interface model.
@@ -278,44 +278,44 @@ def pressure_excess(faces: FaceDisplacements, layer: RestingSublayer) -> Pressur
     if not layer.lmbda:
         return PressureExcess()
     surface, joint = faces.surface, faces.surface.joint
-    eps = surface.between(surface.thickness(faces.layer, surface.corners))
-    opening = surface.between(faces.opening)
-    stiff, wb = layer.lmbda / eps, opening + eps * faces.stretching
-    vertex = np.zeros(len(surface.numbers), np.int64)
-    vertex[surface.nodes] = joint.masters[surface.corners]
-    used, number = np.unique(vertex, return_inverse=True)  # the pressure is continuous where bodies branch
-    merge = scipy.sparse.csc_matrix((np.ones(len(vertex)), (np.arange(len(vertex)), number)))
-    b = merge.T @ surface.sums(surface.moments(wb))
-    volume = merge.T @ surface.mass(1 / stiff) @ merge
-    system = volume + merge.T @ surface.stiffness(eps**3 / (12 * layer.mu)) @ merge
+    eps = surface.from_corners(surface.thickness(faces.layer, surface.corners))
+    normal_jump = surface.from_corners(faces.normal_jump)
+    stiff, wb = layer.lmbda / eps, normal_jump + eps * faces.surface_divergence
+    node_vertices = np.zeros(len(surface.node_numbers), np.int64)
+    node_vertices[surface.nodes] = joint.masters[surface.corners]
+    vertices, number = np.unique(node_vertices, return_inverse=True)  # the pressure is continuous where bodies branch
+    expand = scipy.sparse.csc_matrix((np.ones(len(node_vertices)), (np.arange(len(node_vertices)), number)))
+    b = expand.T @ surface.nodal_sums(surface.moments(wb))
+    volume_matrix = expand.T @ surface.mass(1 / stiff) @ expand
+    system = volume_matrix + expand.T @ surface.stiffness(eps**3 / (12 * layer.mu)) @ expand
     if not b @ b:  # also if the squares underflow
         return PressureExcess()
-    rim = faces.state.model.applicability[faces.layer.name].neglected
-    at_rim = surface.thickness(faces.layer, rim.vertices).mean(axis=1)
-    resistance = layer.length * (1 - 1 / np.sqrt(1 + (rim.depth / (layer.length * at_rim)) ** 2 / 12))
-    flow = surface.lengths(rim) * at_rim**2 / (12 * layer.mu * resistance)
-    ends, k = np.searchsorted(used, joint.masters[rim.vertices]), rim.vertices.shape[1]
-    outflow = np.bincount(ends.ravel(), np.repeat(flow / k, k), len(used))
+    rim = faces.state.model.applicability[faces.layer.name].uncorrected_rim
+    rim_eps = surface.thickness(faces.layer, rim.vertices).mean(axis=1)
+    resistance = layer.decay_length * (1 - 1 / np.sqrt(1 + (rim.depth / (layer.decay_length * rim_eps)) ** 2 / 12))
+    flow = surface.ridge_lengths(rim) * rim_eps**2 / (12 * layer.mu * resistance)
+    ends, k = np.searchsorted(vertices, joint.masters[rim.vertices]), rim.vertices.shape[1]
+    outflow = np.bincount(ends.ravel(), np.repeat(flow / k, k), len(vertices))
     p = scipy.sparse.linalg.spsolve(system + scipy.sparse.diags_array(outflow.astype(float), format="csc"), b)
-    p_0 = scipy.sparse.linalg.spsolve(volume, b)
-    of_law, of_layer = float(surface.integral(stiff * wb**2)), float(b @ p)
-    slip = surface.between(faces.slip_squared) / eps
-    work = (of_law - of_layer) / (of_layer + layer.mu * float(surface.integral(slip)))
-    if surface.norm(surface.at_points(merge @ p_0) / stiff) <= faces.jump_rounding * math.sqrt(surface.integral(1.0)):
-        return PressureExcess(work=work)
-    t_N = surface.norm(stiff * wb + 2 * layer.mu * opening / eps)
+    p_0 = scipy.sparse.linalg.spsolve(volume_matrix, b)
+    law_work, layer_work = float(surface.integral(stiff * wb**2)), float(b @ p)
+    slip = surface.from_corners(faces.slip_squared) / eps
+    work_error = (law_work - layer_work) / (layer_work + layer.mu * float(surface.integral(slip)))
+    if surface.norm(surface.at_points(expand @ p_0) / stiff) <= faces.jump_rounding * math.sqrt(surface.integral(1.0)):
+        return PressureExcess(work_error=work_error)
+    t_N = surface.norm(stiff * wb + 2 * layer.mu * normal_jump / eps)
     t_T = layer.mu * math.sqrt(surface.integral(slip / eps))
-    error_norm = surface.norm(surface.at_points(merge @ (p_0 - p)))
-    return PressureExcess(float(b @ p_0) / of_layer - 1, work, error_norm / math.hypot(t_N, t_T))
+    error_norm = surface.norm(surface.at_points(expand @ (p_0 - p)))
+    return PressureExcess(float(b @ p_0) / layer_work - 1, work_error, error_norm / math.hypot(t_N, t_T))
 
 
 # ---------------------------------------------------------------- warnings
-def free_end_remark(model: Model, seam_layer: SeamLayer, layers: Sequence[list[RestingSublayer]]) -> Iterator[Remark]:
+def free_end_remark(model: Model, seam_layer: SeamLayer, layers: Sequence[list[SublayerModuli]]) -> Iterator[Remark]:
     """Yield a warning if a nearly incompressible layer loses much stiffness at its free ends.
 
-    Its pressure falls to zero there over the decay length delta that `pressure_length` computes. Interface laws do not
-    contain this effect. Between rigid faces a strip of half-width l carries only the fraction 1 - tanh(l/delta) delta/l
-    of the load that the law predicts. The warning states the inverse of the smallest such fraction.
+    Its pressure falls to zero there over the decay length delta of `pressure_decay_length`. Interface laws do not contain
+    this effect. Between rigid faces a strip of half-width l carries only the fraction 1 - tanh(l/delta) delta/l of the
+    load that the law predicts. The warning states the inverse of the smallest such fraction.
 
     Args:
         model: the interface model.
@@ -325,28 +325,28 @@ def free_end_remark(model: Model, seam_layer: SeamLayer, layers: Sequence[list[R
     Yields:
         Key of the warning, and its message; at most one such pair.
     """
-    layers, rim = [s for s in layers if any(k.rubbery for k in s)], model.applicability[seam_layer.name].neglected
+    layers, rim = [s for s in layers if any(k.rubbery for k in s)], model.applicability[seam_layer.name].uncorrected_rim
     if not layers or not len(rim.vertices):
         return
-    if any(k.length == math.inf for sublayers in layers for k in sublayers):
+    if any(k.decay_length == math.inf for sublayers in layers for k in sublayers):
         text = f"{seam_layer} is incompressible: its law holds [u_N] at zero, but at free ends it is squeezed out"
         yield "incompressible", f"{text}; use order=1, mesh the layer (structure.full), {SUPPORT_HINT}"
         return
     surface, eps = surface_of(model, seam_layer.name), seam_layer.as_thin_layer.eps
-    width = surface.integral(1.0) / surface.lengths(rim).sum()
-    lengths = [pressure_length(sublayers, width / eps) for sublayers in layers]
-    when = max(layers[lengths.index(max(lengths))], key=lambda k: k.length).when
+    width = surface.integral(1.0) / surface.ridge_lengths(rim).sum()
+    lengths = [pressure_decay_length(sublayers, width / eps) for sublayers in layers]
+    duration = max(layers[lengths.index(max(lengths))], key=lambda k: k.decay_length).duration_text
     delta = eps * max(lengths)
     y = delta / width
     excess = 1 / (1 - math.tanh(1 / y) * y) - 1
-    if excess > 1 / (1 - MIN_STIFFNESS_ERROR) - 1:
-        text = f"{seam_layer} is nearly incompressible{when}: its pressure falls to 0 at free ends over {delta:.3g}"
+    if excess > 1 / (1 - STIFFNESS_ERROR_LIMIT) - 1:
+        text = f"{seam_layer} is nearly incompressible{duration}: its pressure falls to 0 at free ends over {delta:.3g}"
         area_text = f"{y:.2g} of the area of S over the length of these ends ({width:.3g})"
         effect = f"between rigid bodies its law is about {1 + excess:.3g} times too stiff against normal jumps"
         yield "free ends", f"{text}, {area_text}; {effect}; {_remedy(seam_layer)}, {SUPPORT_HINT}"
 
 
-def pressure_length(sublayers: list[RestingSublayer], width: float) -> float:
+def pressure_decay_length(sublayers: list[SublayerModuli], width: float) -> float:
     """Return the length over which the pressure decays at a free end of S, divided by the layer's thickness.
 
     All sublayers have the same normal traction t, a function of the position along S. With derivatives along S, the
@@ -355,14 +355,14 @@ def pressure_length(sublayers: list[RestingSublayer], width: float) -> float:
     c is the sum of the sublayers' compliances. B t'' is the contribution of material that flows along S. A slope t'
     drives nearly incompressible sublayers; these shear and stretch the other sublayers, which resist. B follows from
     the displacements along S that minimise the energy, as polynomials of degree 2 through each sublayer. For a single
-    sublayer delta is its `length`.
+    sublayer delta is its `decay_length`.
 
     Args:
         sublayers: moduli of the sublayers, from the lower to the upper face.
         width: distance along S over which the material flows, divided by the layer's thickness.
     """
-    count = 2 * len(sublayers) + 1
-    A, b = np.zeros((count, count)), np.zeros(count)
+    n_nodes = 2 * len(sublayers) + 1
+    A, b = np.zeros((n_nodes, n_nodes)), np.zeros(n_nodes)
     for k, ply in enumerate(sublayers):
         at = slice(2 * k, 2 * k + 3)
         A[at, at] += ply.mu / (3 * ply.fraction) * SHEAR_MATRIX
@@ -390,21 +390,21 @@ def stiffness_remark(seam_layer: SeamLayer, states: Sequence[State], start: floa
     Yields:
         Key of the warning, and its message; at most one such pair.
     """
-    has_column = not states[0].model.applicability[seam_layer.name].why_not("excess of pressure")
-    if not (has_column or seam_layer.law.traits.compiled or any(k.rubbery for k in resting_sublayers(seam_layer))):
+    has_excess = not states[0].model.applicability[seam_layer.name].why_not("excess of pressure")
+    if not (has_excess or seam_layer.law.traits.compiled or any(k.rubbery for k in sublayer_moduli(seam_layer))):
         return  # tangents of other laws do not change in time
-    openings = [float(np.abs(FaceDisplacements.of(state, seam_layer).opening).max()) for state in states]
-    last = max(k for k, opening in enumerate(openings) if opening >= MIN_LAST_OPENING * max(openings))
+    openings = [float(np.abs(FaceDisplacements.of(state, seam_layer).normal_jump).max()) for state in states]
+    last_tested = max(k for k, opening in enumerate(openings) if opening >= MIN_OPENING_RATIO * max(openings))
     rows = []
-    for state in (states[k] for k in sorted({openings.index(max(openings)), last})):
-        sublayers = resting_sublayers(seam_layer, 0.0 if start is None else state.t - start)
-        if len(sublayers) == 1 and (has_column or sublayers[0].rubbery) and sublayers[0].length < math.inf:
+    for state in (states[k] for k in sorted({openings.index(max(openings)), last_tested})):
+        sublayers = sublayer_moduli(seam_layer, 0.0 if start is None else state.t - start)
+        if len(sublayers) == 1 and (has_excess or sublayers[0].rubbery) and sublayers[0].decay_length < math.inf:
             rows.append((pressure_excess(FaceDisplacements.of(state, seam_layer), sublayers[0]).reported, sublayers[0]))
     worst, layer = max(rows, key=lambda pair: pair[0], default=(0.0, None))
-    if layer and worst > MIN_STIFFNESS_ERROR:
+    if layer and worst > STIFFNESS_ERROR_LIMIT:
         subject = f"has lmbda/mu = {layer.lmbda / layer.mu:.4g}, and lets no material flow along S: for these jumps"
         effect = f"the layer alone is {1 + worst:.4g} times too stiff, the structure less if bodies are soft"
-        yield "too stiff", f"{seam_layer}{layer.when} {subject} {effect}; {_remedy(seam_layer)}"
+        yield "too stiff", f"{seam_layer}{layer.duration_text} {subject} {effect}; {_remedy(seam_layer)}"
 
 
 def _remedy(layer: SeamLayer) -> str:

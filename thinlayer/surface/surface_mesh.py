@@ -19,12 +19,12 @@ from forms.base import Array, InputError, require
 from geometry.refusals import refuse, require_known
 from geometry.seam import BASE, S
 from geometry.sheet import Rim, Sheet
-from geometry.topology import FACET_TYPES, BoolArray, IntArray, along, by_place, lagrange, sum_by_number
+from geometry.topology import FACET_TYPES, BoolArray, IntArray, curve_order, lagrange, place_order, sum_by_number
 from thinlayer.discretisation.contact_nodes import normal_frames
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.state import State, cell_values
+from thinlayer.discretisation.state import State, node_values
 from thinlayer.surface.lines import Line, Plane, lines_on
 from thinlayer.surface.locating import EXTENDED_BODIES_HINT, LocatedPoints
 
@@ -52,23 +52,23 @@ class FacetPoints:
 
     def __init__(self, surface: SurfaceMesh, rows: IntArray, points: Array, weights: Array | float = 1.0) -> None:
         joint, nodes, count = surface.joint, surface.faces.mean(axis=0)[rows], len(rows)
-        linear = tabulated(lagrange(surface.kind, 1), points, count, 1)
+        linear_table = tabulated(lagrange(surface.kind, 1), points, count, 1)
         table = tabulated(lagrange(surface.kind, joint.degree), points, count, 1)
-        self.rows, self.points, self.shapes, self._reference_slopes = rows, points, linear[0], linear[1:]
+        self.rows, self.points, self.shapes, self._reference_gradients = rows, points, linear_table[0], linear_table[1:]
         self.x = np.moveaxis(table[0] @ nodes, -1, 0)
-        self._derivatives = tangents = table[1:] @ nodes
+        self._tangent_vectors = tangents = table[1:] @ nodes
         normals = np.stack([tangents[0, ..., 1], -tangents[0, ..., 0]], -1) if joint.dim == 2 else np.cross(*tangents)
-        size = np.linalg.norm(normals, axis=-1)
+        area_factors = np.linalg.norm(normals, axis=-1)
         cell_middles = joint.points[joint.corners[surface.cells[rows, 1]]].mean(axis=1)
         upward = np.einsum("fqd,fd->fq", normals, cell_middles - joint.points[surface.corners[rows]].mean(axis=1))
-        self.n = np.moveaxis(normals * (np.sign(upward) / size)[..., None], -1, 0)
-        self.weights = weights * size * surface.model.kinematics.factor_at(np.moveaxis(self.x, 0, -1))
+        self.n = np.moveaxis(normals * (np.sign(upward) / area_factors)[..., None], -1, 0)
+        self.weights = weights * area_factors * surface.model.kinematics.factors_at(np.moveaxis(self.x, 0, -1))
 
     @cached_property
-    def slopes(self) -> Array:
+    def shape_gradients(self) -> Array:
         """Gradients (n, q, k, d) along S of the degree-1 shape functions of the k corners, at q points of n facets."""
-        to_x = np.linalg.pinv(np.moveaxis(self._derivatives, 0, -1))
-        return np.asarray(np.einsum("jfqa,fqjd->fqad", self._reference_slopes, to_x))
+        inverse_tangents = np.linalg.pinv(np.moveaxis(self._tangent_vectors, 0, -1))
+        return np.asarray(np.einsum("jfqa,fqjd->fqad", self._reference_gradients, inverse_tangents))
 
 
 def tabulated(element: basix.finite_element.FiniteElement, points: Array, count: int, derivatives: int = 0) -> Array:
@@ -173,7 +173,7 @@ class SurfaceMesh:
             InputError: x has another shape or numbers that are not finite, or a point is not on the surface.
         """
         located = LocatedPoints.locate(self.kind, self.faces.mean(axis=0), x)
-        refuse(located.missing, located.x, f"{{bad}} of {{all}} places are not on {self.seam}, the first at {{at}}")
+        refuse(located.is_missing, located.x, f"{{bad}} of {{all}} places are not on {self.seam}, the first at {{at}}")
         return located, FacetPoints(self, located.entity, located.X[:, None])
 
     def on_side(self, located: LocatedPoints, side: str) -> LocatedPoints:
@@ -211,17 +211,17 @@ class SurfaceMesh:
         """
         if not isinstance(self.model, FullModel):
             raise InputError(f"the surface of a meshed layer is of a full model, not of {self.model!r:.80}")
-        inflated = self.model.inflated
+        inflated = self.model.inflated_joint
         nodes = self.joint.faces(inflated.cell_points)[:, self.rows]
         if BASE in inflated.facets:
             table, kind = inflated.table, inflated.cell_type
             on_base = np.unique(table.nodes(table.index(inflated.facets[BASE]), inflated.cells, kind))
             over_base = self.cells[:, 0] < 0
-            _, at_s = cKDTree(inflated.reference[on_base]).query(nodes[0, over_base])
-            nodes[0, over_base] = inflated.points[on_base[at_s]]
+            _, base_rows = cKDTree(inflated.reference[on_base]).query(nodes[0, over_base])
+            nodes[0, over_base] = inflated.points[on_base[base_rows]]
         located, at = self.at(x)
         shapes = tabulated(lagrange(self.kind, self.joint.degree), at.points, len(at.rows))[0]
-        lower, upper = (located.mean(places) for places in np.einsum("fqa,sfad->sfd", shapes, nodes[:, at.rows]))
+        lower, upper = (located.point_means(places) for places in np.einsum("fqa,sfad->sfd", shapes, nodes[:, at.rows]))
         return np.asarray(lower + (np.asarray(height, float)[..., None] + 0.5) * (upper - lower))
 
     # ---------------------------------------------------------------- states, and functions of models
@@ -234,7 +234,7 @@ class SurfaceMesh:
             InputError: `state` is no state, or its model has another joint.
         """
         self._require_same_joint(state)
-        return self.sides(state.u, state.model, self.quadrature)
+        return self.side_values(state.u, state.model, self.quadrature)
 
     def jump(self, state: State) -> Array:
         """Return the jumps [u] = u(upper) - u(lower), (d, n, q), at the q quadrature points of n facets. Collective.
@@ -250,7 +250,7 @@ class SurfaceMesh:
         if state.model.surface_identity is not self.model.surface_identity:
             raise InputError("this state's model has another joint than the surface; build both from the same one")
 
-    def sides(self, f: fem.Function, model: Model, at: FacetPoints) -> Array:
+    def side_values(self, f: fem.Function, model: Model, at: FacetPoints) -> Array:
         """Return the values (2, c, n, q) of a function on the lower, then on the upper side of S. Collective.
 
         On a rigid base they are zero.
@@ -261,12 +261,12 @@ class SurfaceMesh:
             at: the points on S, q on each of n facets.
         """
         element = f.function_space.ufl_element().basix_element
-        values = cell_values(f, model, self.cells[at.rows].clip(0))  # not used below S on a rigid base
+        values = node_values(f, model, self.cells[at.rows].clip(0))  # not used below S on a rigid base
         out = np.zeros((2, f.function_space.dofmap.bs, *at.weights.shape))
         geometry = np.asarray(basix.geometry(basix.CellType[self.joint.cell_type]))
         for side, cells in enumerate(self.cells[at.rows].T):
-            local = (self.joint.corners[cells][:, None] == self.corners[at.rows][..., None]).argmax(axis=2)
-            orientations, orientation = np.unique(local, axis=0, return_inverse=True)
+            local_corners = (self.joint.corners[cells][:, None] == self.corners[at.rows][..., None]).argmax(axis=2)
+            orientations, orientation = np.unique(local_corners, axis=0, return_inverse=True)
             for k, corners in enumerate(orientations):  # one for each orientation of facets in their cells
                 rows = np.flatnonzero((orientation.ravel() == k) & (cells >= 0))
                 if len(rows):
@@ -285,7 +285,7 @@ class SurfaceMesh:
         return rim.distance(self.joint.points, x.reshape(-1, len(self.x))).reshape(x.shape[:-1])
 
     # ---------------------------------------------------------------- integrals
-    def _field(self, f: object) -> Array:
+    def _as_field(self, f: object) -> Array:
         """Convert a number, a field or nodal values to a field (..., n, q) at the q quadrature points of n facets.
 
         Args:
@@ -297,7 +297,7 @@ class SurfaceMesh:
         """
         try:
             values = np.asarray(f, float)
-            if values.shape == (len(self.numbers),):
+            if values.shape == (len(self.node_numbers),):
                 values = self.at_points(values)
             if f is None or (values.ndim and values.shape[-2:] not in ((len(self.rows), 1), self.weights.shape)):
                 raise ValueError
@@ -321,7 +321,7 @@ class SurfaceMesh:
             InputError: `part` is neither.
         """
         try:
-            return self._field(part(self.x) if callable(part) else part)
+            return self._as_field(part(self.x) if callable(part) else part)
         except Exception as error:
             example = "lambda x: (x[0] > 1) & (x[0] < 9)"
             raise InputError(f"where is not a numpy function of coordinates such as {example}: {error}") from error
@@ -332,7 +332,7 @@ class SurfaceMesh:
         Args:
             f: a number, or values at the q quadrature points of n facets: (n, q), for vectors (d, n, q).
         """
-        total = (self._field(f) * self.weights).sum(axis=(-2, -1))
+        total = (self._as_field(f) * self.weights).sum(axis=(-2, -1))
         return total if total.ndim else float(total)
 
     def norm(self, f: npt.ArrayLike, where: Where | float = 1.0) -> float:
@@ -343,7 +343,7 @@ class SurfaceMesh:
             where: factors, 1 inside the part and 0 outside: a field (n, q) or a numpy function of the coordinates x (d,
                 n, q).
         """
-        return float(np.sqrt((self._field(f) ** 2 * self.where(where) * self.weights).sum()))
+        return float(np.sqrt((self._as_field(f) ** 2 * self.where(where) * self.weights).sum()))
 
     def frame(self, f: npt.ArrayLike) -> Array:
         """Return the components (d, n, q) of a vector field along the tangents of S, then along its normal.
@@ -352,7 +352,7 @@ class SurfaceMesh:
         consider the smallest rotation that takes the second coordinate axis to n. It takes the first and the third axis
         to the tangents (`forms.tensors.layer_frame`).
         """
-        values, n = self._field(f), self.n
+        values, n = self._as_field(f), self.n
         if values.shape != n.shape:
             raise InputError(f"frame needs a vector field of shape {n.shape}, not {values.shape}")
         axes = normal_frames(np.moveaxis(n, 0, -1).reshape(-1, len(n))).reshape(*self.weights.shape, len(n), len(n))
@@ -361,18 +361,18 @@ class SurfaceMesh:
     # ---------------------------------------------------------------- nodes
     @cached_property
     def _node_numbering(self) -> tuple[IntArray, IntArray, IntArray]:
-        """The arrays `numbers`, `vertices` and `nodes`, which the properties of these names return."""
+        """The arrays `node_numbers`, `vertices` and `nodes`, which the properties of these names return."""
         table_vertices = self.joint.table.vertices[self.joint.surface_rows[self.rows]]
         positions = (table_vertices[:, None] == self.corners[..., None]).argmax(axis=2)
-        codes = np.take_along_axis(self.joint.pairs[self.rows], positions, axis=1)
-        numbers, first_corners, nodes = np.unique(codes, return_index=True, return_inverse=True)
-        vertices, nodes = self.joint.masters[self.corners].ravel()[first_corners], nodes.reshape(codes.shape)
+        corner_numbers = np.take_along_axis(self.joint.pairs[self.rows], positions, axis=1)
+        numbers, first_corners, nodes = np.unique(corner_numbers, return_index=True, return_inverse=True)
+        vertices, nodes = self.joint.masters[self.corners].ravel()[first_corners], nodes.reshape(corner_numbers.shape)
         x, size = self.joint.points[vertices], self.joint.size
-        order = along(x, nodes, size) if self.joint.dim == 2 else by_place(x, size)
+        order = curve_order(x, nodes, size) if self.joint.dim == 2 else place_order(x, size)
         return numbers[order], vertices[order], np.argsort(order)[nodes]
 
     @property
-    def numbers(self) -> IntArray:
+    def node_numbers(self) -> IntArray:
         """Numbers (m,) that identify the m nodes of S.
 
         A node is a vertex of S together with a seam and the two bodies that the seam joins there. So a vertex where
@@ -396,17 +396,17 @@ class SurfaceMesh:
 
     @property
     def nodes(self) -> IntArray:
-        """Positions (n, k), in the array `numbers`, of the nodes at the k corners of each of n facets."""
+        """Positions (n, k), in the array `node_numbers`, of the nodes at the k corners of each of n facets."""
         return self._node_numbering[2]
 
-    def find(self, numbers: IntArray) -> IntArray:
-        """Return the positions, in this mesh's array `numbers`, of the given node numbers.
+    def positions_of(self, numbers: IntArray) -> IntArray:
+        """Return the positions, in this mesh's array `node_numbers`, of the given node numbers.
 
         Args:
             numbers: node numbers, all of which the array contains, in any shape; the result has the same shape.
         """
-        order = np.argsort(self.numbers)
-        return order[np.searchsorted(self.numbers[order], numbers)]
+        order = np.argsort(self.node_numbers)
+        return order[np.searchsorted(self.node_numbers[order], numbers)]
 
     def mass(self, f: npt.ArrayLike = 1.0) -> scipy.sparse.csc_matrix:
         """Return the mass matrix (m, m) of the degree-1 shape functions of the m nodes, with a weight.
@@ -414,7 +414,7 @@ class SurfaceMesh:
         Args:
             f: the weight: a number, or values (n, q) at the q quadrature points of n facets.
         """
-        return self._matrix(np.einsum("fq,qa,qb->fab", self._field(f) * self.weights, self.shapes, self.shapes))
+        return self._matrix(np.einsum("fq,qa,qb->fab", self._as_field(f) * self.weights, self.shapes, self.shapes))
 
     def stiffness(self, f: npt.ArrayLike = 1.0) -> scipy.sparse.csc_matrix:
         """Return the matrix (m, m) of int_S f grad_S p . grad_S q for the degree-1 shape functions p, q of the m nodes.
@@ -422,24 +422,24 @@ class SurfaceMesh:
         Args:
             f: a number, or values (n, q) at the q quadrature points of n facets.
         """
-        slopes = self.quadrature.slopes
-        return self._matrix(np.einsum("fq,fqad,fqbd->fab", self._field(f) * self.weights, slopes, slopes))
+        gradients = self.quadrature.shape_gradients
+        return self._matrix(np.einsum("fq,fqad,fqbd->fab", self._as_field(f) * self.weights, gradients, gradients))
 
-    def _matrix(self, of_facets: Array) -> scipy.sparse.csc_matrix:
+    def _matrix(self, facet_matrices: Array) -> scipy.sparse.csc_matrix:
         rows, columns = np.broadcast_arrays(self.nodes[:, :, None], self.nodes[:, None])
-        shape = (len(self.numbers),) * 2
-        return scipy.sparse.csc_matrix((of_facets.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
+        shape = (len(self.node_numbers),) * 2
+        return scipy.sparse.csc_matrix((facet_matrices.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
 
-    def sums(self, of_corners: Array) -> Array:
+    def nodal_sums(self, at_corners: Array) -> Array:
         """Sum values at corners of facets over all corners that are the same node.
 
         Args:
-            of_corners: (n, k, ...) values at the k corners of n facets.
+            at_corners: (n, k, ...) values at the k corners of n facets.
 
         Returns:
             The sum (m, ...) at each of the m nodes.
         """
-        return sum_by_number(self.nodes, of_corners, len(self.numbers))
+        return sum_by_number(self.nodes, at_corners, len(self.node_numbers))
 
     def moments(self, f: npt.ArrayLike) -> Array:
         """Return the integrals over each facet of a field times the degree-1 shape function of each corner.
@@ -449,14 +449,14 @@ class SurfaceMesh:
         Args:
             f: a number, or values at the q quadrature points of the facets: (n, q), for vectors (d, n, q).
         """
-        return np.asarray(np.einsum("fq,qa,...fq->fa...", self.weights, self.shapes, self._field(f)))
+        return np.asarray(np.einsum("fq,qa,...fq->fa...", self.weights, self.shapes, self._as_field(f)))
 
     def projected(self, moments: Array) -> Array:
         """Return the nodal values (m, ...) of the L2 projection of a field on functions of degree 1.
 
         `moments` (n, k, ...) are those that the method `moments` returns for the field.
         """
-        total = self.sums(moments)
+        total = self.nodal_sums(moments)
         return np.asarray(self._solver(total.reshape(len(total), -1))).reshape(total.shape)
 
     def lumped(self, moments: Array) -> Array:
@@ -465,12 +465,12 @@ class SurfaceMesh:
         This is a projection with a lumped mass matrix. Contact laws define tractions at nodes in this way. `moments`
         (n, k, ...) are those that the method `moments` returns for the field.
         """
-        return np.asarray((self.sums(moments).T / self.areas).T)
+        return np.asarray((self.nodal_sums(moments).T / self.areas).T)
 
     @cached_property
     def areas(self) -> Array:
         """Areas (m,) of S that belong to the m nodes: integrals of their degree-1 shape functions."""
-        return self.sums(self.moments(1.0))
+        return self.nodal_sums(self.moments(1.0))
 
     @cached_property
     def _solver(self) -> Callable[[Array], Array]:
@@ -493,13 +493,13 @@ class SurfaceMesh:
         """
         return np.asarray(np.einsum("qa,fa...->...fq", self.shapes, nodal[self.nodes]))
 
-    def between(self, of_corners: Array) -> Array:
+    def from_corners(self, at_corners: Array) -> Array:
         """Interpolate values at the corners of facets linearly to their quadrature points.
 
-        `of_corners` (..., n, k) has the values at the k corners of n facets. The result is (..., n, q) at q points of
+        `at_corners` (..., n, k) has the values at the k corners of n facets. The result is (..., n, q) at q points of
         each.
         """
-        return np.asarray(of_corners @ self.shapes.T)
+        return np.asarray(at_corners @ self.shapes.T)
 
     def profile(self, f: npt.ArrayLike) -> tuple[Array, Array]:
         """Return the coordinates (m, d) of the m nodes of S, and nodal values of a field there.
@@ -546,8 +546,8 @@ class SurfaceMesh:
             f: values at the q quadrature points of the facets: (n, q), for vectors (d, n, q); or values (m,) at m
                 nodes.
         """
-        values = self._field(f)
-        if np.shape(f) == (len(self.numbers),):
+        values = self._as_field(f)
+        if np.shape(f) == (len(self.node_numbers),):
             return np.asarray(f, float)[self.nodes]
         if np.shape(f)[-2:] == (len(self.rows), 1):
             return np.stack([np.moveaxis(values[..., 0], -1, 0)] * self.nodes.shape[1], axis=1)
@@ -564,12 +564,12 @@ class SurfaceMesh:
         relative = self.joint.relative_thickness(layer.as_thin_layer.profile, layer.name)
         return np.asarray(layer.eps * relative[vertices])
 
-    def lengths(self, rim: Rim) -> Array:
+    def ridge_lengths(self, rim: Rim) -> Array:
         """Return the lengths (n,) of the n ridges (edges in 3D, vertices in 2D) in `rim`, which bound S at its ends.
 
         In plane models they are 1, in axisymmetry the circumference.
         """
-        return np.asarray(rim.length * self.model.kinematics.factor_at(self.joint.points[rim.vertices].mean(axis=1)))
+        return np.asarray(rim.length * self.model.kinematics.factors_at(self.joint.points[rim.vertices].mean(axis=1)))
 
 
 def surface_of(model: Model, seam: str) -> SurfaceMesh:

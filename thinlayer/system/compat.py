@@ -20,7 +20,7 @@ from dolfinx.common import IndexMap
 from dolfinx.mesh import Mesh
 
 import thinlayer.system.compilation  # noqa: F401  # before any form is compiled
-from geometry.domain import create_connectivity, first_accepted
+from geometry.domain import call_first_accepted, create_connectivity
 
 IntArray = npt.NDArray[np.int32]
 Tags = int | str | tuple[int | str, ...]  # tags of a measure
@@ -38,11 +38,11 @@ def space_with_dofmap(V: fem.FunctionSpace, dofs: IntArray, imap: IndexMap) -> f
         imap: DOLFINx's index map of the blocks, which says what rank owns each of them.
     """
     old, base = V._cpp_object, V.dofmap
-    layout = base._cpp_object.dof_layout if hasattr(base, "_cpp_object") else base.dof_layout
-    rows = cpp.graph.AdjacencyList_int32(np.ascontiguousarray(dofs, np.int32))
-    arguments = (old.mesh, old.element, cpp.fem.DofMap(layout, imap, base.index_map_bs, rows, base.bs))
-    space = first_accepted(lambda: type(old)(*arguments), lambda: type(old)(*arguments, old.value_shape))
-    return fem.FunctionSpace(V.mesh, V.ufl_element(), space)
+    dof_layout = base._cpp_object.dof_layout if hasattr(base, "_cpp_object") else base.dof_layout
+    block_lists = cpp.graph.AdjacencyList_int32(np.ascontiguousarray(dofs, np.int32))
+    arguments = (old.mesh, old.element, cpp.fem.DofMap(dof_layout, imap, base.index_map_bs, block_lists, base.bs))
+    cpp_space = call_first_accepted(lambda: type(old)(*arguments), lambda: type(old)(*arguments, old.value_shape))
+    return fem.FunctionSpace(V.mesh, V.ufl_element(), cpp_space)
 
 
 def interior_facet_entities(mesh: Mesh, facets: IntArray) -> IntArray:
@@ -74,25 +74,25 @@ def exterior_facet_entities(mesh: Mesh, facets: IntArray) -> IntArray:
     return _entities("exterior_facet", mesh, facets).reshape(-1, 2)
 
 
-def _entities(name: str, mesh: Mesh, entities: IntArray) -> IntArray:
+def _entities(integral_type: str, mesh: Mesh, entities: IntArray) -> IntArray:
     """Return integration entities of cells or facets in one flat array, as `compute_integration_domains` of DOLFINx.
 
     Cells and facets of other ranks are left out. A cell gives its number. A facet gives, for each of its cells, the
     cell and the facet's number in it.
 
     Args:
-        name: type of integral, "cell", "exterior_facet" or "interior_facet".
+        integral_type: type of integral, "cell", "exterior_facet" or "interior_facet".
         mesh: the mesh.
         entities: numbers of the cells or facets on this rank.
     """
-    dim = mesh.topology.dim - (name != "cell")
+    dim = mesh.topology.dim - (integral_type != "cell")
     create_connectivity(mesh, dim)
-    arguments = getattr(fem.IntegralType, name), getattr(mesh.topology, "_cpp_object", mesh.topology), entities
-    domains = cpp.fem.compute_integration_domains
-    return np.array(first_accepted(lambda: domains(*arguments), lambda: domains(*arguments, dim)), dtype=np.int32)
+    arguments = getattr(fem.IntegralType, integral_type), getattr(mesh.topology, "_cpp_object", mesh.topology), entities
+    compute = cpp.fem.compute_integration_domains
+    return np.array(call_first_accepted(lambda: compute(*arguments), lambda: compute(*arguments, dim)), dtype=np.int32)
 
 
-def by_domain(form: ufl.Form) -> dict[tuple[str, int, Tags], list[ufl.Integral]]:
+def integrals_by_domain(form: ufl.Form) -> dict[tuple[str, int, Tags], list[ufl.Integral]]:
     """Group the integrals of a form by where they integrate: by type of integral, subdomain data and tags.
 
     Integrals that differ only in their tags become one integral, whose tag is the tuple of their tags.
@@ -100,16 +100,16 @@ def by_domain(form: ufl.Form) -> dict[tuple[str, int, Tags], list[ufl.Integral]]
     Returns:
         (type of integral, `id` of its subdomain data, tag or tuple of tags) -> integrals.
     """
-    joined: dict[tuple[object, ...], tuple[ufl.Integral, list[int | str]]] = {}
+    tags_by_integral: dict[tuple[object, ...], tuple[ufl.Integral, list[int | str]]] = {}
     for integral in form.integrals():
         for tag in np.atleast_1d(np.array(integral.subdomain_id(), object)):
             rule, data = repr(sorted(integral.metadata().items())), id(integral.subdomain_data())
             key: tuple[object, ...] = (integral.integral_type(), data, isinstance(tag, str), integral.integrand(), rule)
-            while tag in joined.setdefault(key, (integral, []))[1]:
+            while tag in tags_by_integral.setdefault(key, (integral, []))[1]:
                 key = (*key, "once more")
-            joined[key][1].append(tag)
+            tags_by_integral[key][1].append(tag)
     domains: dict[tuple[str, int, Tags], list[ufl.Integral]] = {}
-    for integral, tags in joined.values():
+    for integral, tags in tags_by_integral.values():
         ids = tuple(tags) if len(tags) > 1 else tags[0]
         domain = integral.integral_type(), id(integral.subdomain_data()), ids
         domains.setdefault(domain, []).append(integral.reconstruct(subdomain_id=ids))
@@ -128,22 +128,22 @@ def compiled(form: ufl.Form, maps: EntityMaps | None = None) -> fem.Form:
         maps: entity maps for coefficients on other meshes, in the type that `fem.form` of the installed release takes;
             None: the form has no such coefficients.
     """
-    numbered: dict[str, list[tuple[int, IntArray]]] = {}
+    numbered_lists: dict[str, list[tuple[int, IntArray]]] = {}
     integrals = []
-    for (kind, _, ids), members in by_domain(form).items():
-        data, domain = members[0].subdomain_data(), numbered.setdefault(kind, [])
+    for (integral_type, _, ids), same_domain in integrals_by_domain(form).items():
+        data, entity_lists = same_domain[0].subdomain_data(), numbered_lists.setdefault(integral_type, [])
         if not isinstance(ids, str):
             tags = np.atleast_1d(ids)
             if hasattr(data, "indices"):
-                rows = _entities(kind, form.ufl_domain().ufl_cargo(), data.indices[np.isin(data.values, tags)])
+                rows = _entities(integral_type, form.ufl_domain().ufl_cargo(), data.indices[np.isin(data.values, tags)])
             else:
                 entities = [np.asarray(rows, np.int32).ravel() for tag, rows in data if tag in tags]
                 rows = np.concatenate([np.empty(0, np.int32), *entities])
-            ids = len(domain) + 1
-            domain.append((ids, rows))
-        for integral in members:  # UFL would join integrals with equal integrand and metadata over several numbers
+            ids = len(entity_lists) + 1
+            entity_lists.append((ids, rows))
+        for integral in same_domain:  # UFL would join integrals with equal integrand and metadata over several numbers
             metadata = {**integral.metadata(), "part": str(ids)}
-            integrals.append(integral.reconstruct(subdomain_id=ids, subdomain_data=domain, metadata=metadata))
+            integrals.append(integral.reconstruct(subdomain_id=ids, subdomain_data=entity_lists, metadata=metadata))
     entity_maps = copy(maps or {})  # a copy: DOLFINx leaves it in a reference cycle with the form
     compiled_form = fem.form(ufl.Form(integrals), entity_maps=entity_maps)
     entity_maps.clear()
@@ -173,10 +173,10 @@ def create_submesh(mesh: Mesh, dim: int, entities: IntArray) -> tuple[Mesh, Enti
         imap = sub.topology.index_map(sub.topology.dim)
         cells = np.arange(imap.size_local + imap.num_ghosts, dtype=np.int32)
         return sub, [entity_map], entity_map.sub_topology_to_topology(cells, False)
-    parents, imap = np.asarray(entity_map, np.int32), mesh.topology.index_map(dim)
-    inverse = np.full(imap.size_local + imap.num_ghosts, -1, np.int32)
-    inverse[parents] = np.arange(len(parents), dtype=np.int32)
-    return sub, {sub: inverse}, parents
+    parent_entities, imap = np.asarray(entity_map, np.int32), mesh.topology.index_map(dim)
+    cells_of_entities = np.full(imap.size_local + imap.num_ghosts, -1, np.int32)
+    cells_of_entities[parent_entities] = np.arange(len(parent_entities), dtype=np.int32)
+    return sub, {sub: cells_of_entities}, parent_entities
 
 
 def belongs_to(bc: fem.DirichletBC, V: fem.FunctionSpace) -> bool:

@@ -37,19 +37,19 @@ Resume = bool | Literal["anyway"]
 Difference = tuple[tuple[str, ...], object, object]  # path of names, and both values there or `MISSING_VALUE`
 CODE_KEY, FILE_KEY, CLASS_KEY, SAME_KEY = "(code)", "(file)", "(class)", "(same as)"
 MISSING_VALUE = object()  # placeholder for a value that one of two descriptions lacks
-MAX_SHOWN_ARRAY = 24  # number of entries up to which arrays are shown; larger arrays are hashed
+MAX_SHOWN_ENTRIES = 24  # number of entries up to which arrays are shown; larger arrays are hashed
 MAX_CHANGES = 4  # number of differences that a message names
 LIBRARY_FOLDERS = [Path(sysconfig.get_path("stdlib")), *(Path(__file__).parents[2] / name for name in PACKAGES)]
 OPAQUE_PACKAGES = ("basix", "dolfinx", "petsc4py", "ufl")  # packages whose objects differ from one process to the next
 PROCESS_LABEL = f", known to process {uuid.uuid4().hex[:8]} alone"
-EXPANDED_TYPES = (dict, types.MappingProxyType, list, tuple, set, frozenset, np.ndarray, types.ModuleType)
+TYPES_WITHOUT_IDENTITY = (dict, types.MappingProxyType, list, tuple, set, frozenset, np.ndarray, types.ModuleType)
 GENERATOR_TYPES = (  # types whose objects give other values each time
     np.random.Generator, np.random.BitGenerator, np.random.RandomState, np.random.SeedSequence, random.Random, Iterator,
 )  # fmt: skip
 _OBJECT_COUNT = itertools.count(1)
 # id of an object that only this process knows -> reference to it, and its number
 _OBJECT_NUMBERS: dict[int, tuple[Callable[[], object], int]] = {}
-INCLUDED_FILE = re.compile(rb'^[ \t]*#[^"<\n]*["<]([^">\n]+)[">]', re.MULTILINE)  # file in a preprocessor line
+INCLUDED_FILE_REGEX = re.compile(rb'^[ \t]*#[^"<\n]*["<]([^">\n]+)[">]', re.MULTILINE)  # file in a preprocessor line
 
 
 def describe(value: object) -> object:
@@ -68,10 +68,10 @@ def describe(value: object) -> object:
     The description does not cover files that a run reads, modules that a function itself imports, `sys.argv` and
     `os.environ`.
     """
-    return _Describer().of(value)
+    return _Describer().describe(value)
 
 
-def code_of(description: object, *, is_code: bool = True) -> object:
+def code_part(description: object, *, is_code: bool = True) -> object:
     """Return the part of a description that stays the same while functions run: their code, and constants in them.
 
     Numbers and texts in lists or objects are left out, since functions may collect values there.
@@ -81,10 +81,10 @@ def code_of(description: object, *, is_code: bool = True) -> object:
         is_code: whether numbers and texts in this part are kept, as it belongs directly to a function.
     """
     if isinstance(description, dict):
-        parts = {key: code_of(value, is_code=CODE_KEY in description) for key, value in description.items()}
+        parts = {key: code_part(value, is_code=CODE_KEY in description) for key, value in description.items()}
         return {key: part for key, part in parts.items() if part not in (None, {}, [])}
     if isinstance(description, list):
-        return [item for item in (code_of(item, is_code=False) for item in description) if item not in (None, {}, [])]
+        return [item for item in (code_part(item, is_code=False) for item in description) if item not in (None, {}, [])]
     return description if is_code and PROCESS_LABEL not in str(description) else None
 
 
@@ -97,8 +97,8 @@ def random_states(value: object, *, shared: bool = False) -> list[object]:
             of the value uses the name "seed".
     """
     describer = _Describer()
-    describer.of(value)
-    if shared and "seed" not in describer.names:
+    describer.describe(value)
+    if shared and "seed" not in describer.used_names:
         describer.random += [digest(repr(get_state()).encode()) for get_state in (random.getstate, np.random.get_state)]
     return describer.random
 
@@ -129,26 +129,26 @@ def differences_text(changes: list[Difference]) -> str:
     Args:
         changes: the differences: keys that lead to each, and both values, that of the earlier run first.
     """
-    pairs = {(_short(value), _short(other)): ".".join(path) for path, value, other in reversed(changes)}
-    words = [f"{path}: {value} there, {other} here" for (value, other), path in reversed(pairs.items())]
-    return "; ".join(words[:MAX_CHANGES]) + f"; and {len(words) - MAX_CHANGES} more" * (len(words) > MAX_CHANGES)
+    paths = {(_short_text(value), _short_text(other)): ".".join(path) for path, value, other in reversed(changes)}
+    texts = [f"{path}: {value} there, {other} here" for (value, other), path in reversed(paths.items())]
+    return "; ".join(texts[:MAX_CHANGES]) + f"; and {len(texts) - MAX_CHANGES} more" * (len(texts) > MAX_CHANGES)
 
 
-def _short(value: object) -> str:
+def _short_text(value: object) -> str:
     text = "nothing" if value is MISSING_VALUE else value if isinstance(value, str) else json.dumps(value)
     return text if len(text) <= 200 else f"{text[:200]} ..."
 
 
 def require_resume(resume: object) -> None:
     """Check that `resume` is True, False or "anyway"; raise InputError otherwise."""
-    allowed = isinstance(resume, bool) or (isinstance(resume, str) and resume == "anyway")
-    require(allowed, "resume", resume, "allowed: True, False, and 'anyway' for a run that may be another one")
+    is_allowed = isinstance(resume, bool) or (isinstance(resume, str) and resume == "anyway")
+    require(is_allowed, "resume", resume, "allowed: True, False, and 'anyway' for a run that may be another one")
 
 
 def digest(value: object) -> str:
     """Return a hash of a JSON value or of bytes, as a text of twelve hexadecimal digits."""
-    text = value if isinstance(value, bytes) else json.dumps(value, sort_keys=True).encode()
-    return hashlib.sha256(text).hexdigest()[:12]
+    content = value if isinstance(value, bytes) else json.dumps(value, sort_keys=True).encode()
+    return hashlib.sha256(content).hexdigest()[:12]
 
 
 class _Describer:
@@ -156,16 +156,16 @@ class _Describer:
 
     Attributes:
         random: states of the random number generators and iterators found so far.
-        names: names of globals and attributes that occur in the code of functions found so far.
+        used_names: names of globals and attributes that occur in the code of functions found so far.
     """
 
     def __init__(self) -> None:
         self.random: list[object] = []
-        self.names: set[str] = set()
+        self.used_names: set[str] = set()
         # id -> path of first place; value, so that its id stays in use
-        self._places: dict[int, tuple[str, object]] = {}
+        self._first_places: dict[int, tuple[str, object]] = {}
 
-    def of(self, value: object, at: str = "") -> object:
+    def describe(self, value: object, at: str = "") -> object:
         """Return the description of a value.
 
         If the same object occurs again, its description is only a reference to the place where it occurred first.
@@ -174,60 +174,60 @@ class _Describer:
             value: the value.
             at: place of the value in the whole: names of attributes and entries that lead to it, joined by dots.
         """
-        plain = None if _is_user_module(type(value).__module__) else _plain(value)
-        if plain is not None or value is None:
-            return plain
-        if id(value) in self._places:
-            return {SAME_KEY: self._places[id(value)][0]}
-        self._places[id(value)] = at, value
-        description = self._composed(value, at)
-        frozen = getattr(getattr(type(value), "__dataclass_params__", None), "frozen", False)
-        if frozen or type(value) in EXPANDED_TYPES:  # one object in two places is like two equal objects
-            del self._places[id(value)]
+        json_value = None if _is_user_module(type(value).__module__) else _json_value(value)
+        if json_value is not None or value is None:
+            return json_value
+        if id(value) in self._first_places:
+            return {SAME_KEY: self._first_places[id(value)][0]}
+        self._first_places[id(value)] = at, value
+        description = self._describe_any(value, at)
+        is_frozen = getattr(getattr(type(value), "__dataclass_params__", None), "frozen", False)
+        if is_frozen or type(value) in TYPES_WITHOUT_IDENTITY:  # one object in two places is like two equal objects
+            del self._first_places[id(value)]
         return description
 
-    def _composed(self, obj: object, at: str) -> object:
+    def _describe_any(self, obj: object, at: str) -> object:
         kind = type(obj)
-        if (function := _function_of(obj)) is not None:
-            return self._function(function, at)
+        if (function := _unwrap_function(obj)) is not None:
+            return self._describe_function(function, at)
         if isinstance(obj, types.MethodType):
             return self._named({CODE_KEY: "method", "(function)": obj.__func__, "self": obj.__self__}, at)
         if isinstance(obj, functools.partial):
-            parts = {CODE_KEY: "partial", "(function)": obj.func, "(arguments)": obj.args}
-            return self._named(parts | obj.keywords, at)
+            entries = {CODE_KEY: "partial", "(function)": obj.func, "(arguments)": obj.args}
+            return self._named(entries | obj.keywords, at)
         if isinstance(obj, types.ModuleType):
-            return {CODE_KEY: f"module {obj.__name__}"} | _file_of(getattr(obj, "__file__", None))
+            return {CODE_KEY: f"module {obj.__name__}"} | _file_entry(getattr(obj, "__file__", None))
         if isinstance(obj, type):
-            bases = [base for base in obj.__mro__ if _is_user_module(base.__module__)]
-            members = {f"{base.__qualname__}{k or ''}": _members(base) for k, base in enumerate(bases)}
-            return self._named(members, at) if obj in bases else _name(obj)
+            user_bases = [base for base in obj.__mro__ if _is_user_module(base.__module__)]
+            members = {f"{base.__qualname__}{k or ''}": _class_members(base) for k, base in enumerate(user_bases)}
+            return self._named(members, at) if obj in user_bases else _qualified_name(obj)
         if type(obj) is np.ndarray:
-            if obj.dtype.kind in "biuf" and obj.size > MAX_SHOWN_ARRAY:
+            if obj.dtype.kind in "biuf" and obj.size > MAX_SHOWN_ENTRIES:
                 return f"{obj.dtype.name} {obj.shape}, {digest(np.ascontiguousarray(obj).tobytes())}"
-            return self.of(obj.tolist(), at)
+            return self.describe(obj.tolist(), at)
         if type(obj) is dict or type(obj) is types.MappingProxyType:
             return self._named(obj, at)
         if type(obj) is list or type(obj) is tuple:
-            return [self.of(item, f"{at}.{k}") for k, item in enumerate(obj)]
+            return [self.describe(item, f"{at}.{k}") for k, item in enumerate(obj)]
         if type(obj) is set or type(obj) is frozenset:
-            return sorted((self.of(item, at) for item in obj), key=digest)
-        identity = getattr(kind, "identity", None)
-        if identity and (getattr(identity, "__module__", None) or "").partition(".")[0] in PACKAGES:
-            return self.of(identity(obj), at)
+            return sorted((self.describe(item, at) for item in obj), key=digest)
+        identity_method = getattr(kind, "identity", None)
+        if identity_method and (getattr(identity_method, "__module__", None) or "").partition(".")[0] in PACKAGES:
+            return self.describe(identity_method(obj), at)
         if dataclasses.is_dataclass(obj):
             return self._named({CLASS_KEY: kind} | {f.name: getattr(obj, f.name) for f in dataclasses.fields(obj)}, at)
-        description = self._copied(obj, at)
+        description = self._describe_copied(obj, at)
         # QMCEngine is of scipy.stats
         if isinstance(obj, GENERATOR_TYPES) or any(base.__name__ == "QMCEngine" for base in kind.__mro__):
             self.random.append(description)
         return description
 
     def _named(self, values: Mapping[Any, object], at: str) -> dict[str, object]:
-        keys = (name if type(name) is str else f"<{json.dumps(self.of(name, at))}>" for name in values)
+        keys = (name if type(name) is str else f"<{json.dumps(self.describe(name, at))}>" for name in values)
         texts = dict(zip(keys, values.values(), strict=True))
-        return {name: self.of(item, f"{at}.{name}") for name, item in sorted(texts.items(), key=lambda entry: entry[0])}
+        return {name: self.describe(item, f"{at}.{name}") for name, item in sorted(texts.items())}
 
-    def _copied(self, value: object, at: str) -> object:
+    def _describe_copied(self, value: object, at: str) -> object:
         """Return the description of an object, from the data that `copy` would make a copy from.
 
         An object that cannot be copied gets a description that belongs to this process alone.
@@ -236,84 +236,84 @@ class _Describer:
             value: the object.
             at: place of the object in the whole: names that lead to it, joined by dots.
         """
-        kind, top = type(value), type(value).__module__.partition(".")[0]
+        kind, package = type(value), type(value).__module__.partition(".")[0]
         if isinstance(value, ufl.core.expr.Expr) and not extract_domains(value):
-            return f"{_name(kind)}, {compute_expression_signature(value, {})[:12]}"
-        if value is np.random.mtrand._rand or value is random._inst or top == "mpi4py":
-            return _name(kind)  # global objects: their states do not belong to the value
+            return f"{_qualified_name(kind)}, {compute_expression_signature(value, {})[:12]}"
+        if value is np.random.mtrand._rand or value is random._inst or package == "mpi4py":
+            return _qualified_name(kind)  # global objects: their states do not belong to the value
         try:
-            parts = copyreg.dispatch_table.get(kind, lambda instance: instance.__reduce_ex__(4))(value)
+            reduced = copyreg.dispatch_table.get(kind, lambda instance: instance.__reduce_ex__(4))(value)
         except Exception:  # it cannot be copied
-            parts = None
-        if parts is None or top in OPAQUE_PACKAGES:
-            return f"{_name(kind)}{PROCESS_LABEL} ({_number(value)})"
-        if isinstance(parts, str):
-            return f"{_name(kind)} {parts}"
-        make, args, state, *items = (*parts, None)[: max(len(parts), 3)]
+            reduced = None
+        if reduced is None or package in OPAQUE_PACKAGES:
+            return f"{_qualified_name(kind)}{PROCESS_LABEL} ({_object_number(value)})"
+        if isinstance(reduced, str):
+            return f"{_qualified_name(kind)} {reduced}"
+        make, args, state, *items = (*reduced, None)[: max(len(reduced), 3)]
         data = {CLASS_KEY: kind, "(made of)": [make, *args], "(items)": [[*item] for item in items if item is not None]}
         for attributes in state if isinstance(state, tuple) else (state,):  # of the dict and of slots
             data |= attributes if isinstance(attributes, dict) else {f"(state {len(data)})": attributes}
         return self._named(data, at)
 
-    def _function(self, function: types.FunctionType, at: str) -> object:
+    def _describe_function(self, function: types.FunctionType, at: str) -> object:
         code, cells = function.__code__, zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
         read: dict[str, object] = {name: cell.cell_contents for name, cell in cells if cell != types.CellType()}
         if not _is_user_file(code.co_filename):
-            return {CODE_KEY: _name(function), **self._named(read, at)} if read else _name(function)
-        names = {name for code_object in _codes(code) for name in code_object.co_names}
-        self.names |= names
-        read = {name: function.__globals__[name] for name in names & function.__globals__.keys()} | read
+            return {CODE_KEY: _qualified_name(function), **self._named(read, at)} if read else _qualified_name(function)
+        used_names = {name for code_object in _codes(code) for name in code_object.co_names}
+        self.used_names |= used_names
+        read = {name: function.__globals__[name] for name in used_names & function.__globals__.keys()} | read
         read |= {"(defaults)": function.__defaults__, "(keywords)": function.__kwdefaults__} | vars(function)
         read.pop("__wrapped__", None)
         parts = self._named({name: value for name, value in read.items() if value is not None}, at)
-        return parts | _file_of(code.co_filename) | {CODE_KEY: f"{function.__qualname__} {digest(_bytecode(code))}"}
+        return parts | _file_entry(code.co_filename) | {CODE_KEY: f"{function.__qualname__} {digest(_bytecode(code))}"}
 
 
-def _number(value: object) -> int:
+def _object_number(value: object) -> int:
     """Return a number for an object, which no other object of this process gets.
 
     If the object allows weak references, this does not keep it alive.
     """
-    entry = _OBJECT_NUMBERS.get(id(value))
-    if entry is None or entry[0]() is not value:
+    reference_and_number = _OBJECT_NUMBERS.get(id(value))
+    if reference_and_number is None or reference_and_number[0]() is not value:
         reference = weakref.ref(value) if type(value).__weakrefoffset__ else lambda: value
-        entry = _OBJECT_NUMBERS[id(value)] = reference, next(_OBJECT_COUNT)
-    return entry[1]
+        reference_and_number = _OBJECT_NUMBERS[id(value)] = reference, next(_OBJECT_COUNT)
+    return reference_and_number[1]
 
 
-def _members(kind: type) -> dict[str, object]:
-    """Return what identifies the user's class `kind`: name -> method.
+def _class_members(user_class: type) -> dict[str, object]:
+    """Return what identifies the user's class `user_class`: name -> method.
 
     Further entries are the file of the class and, if it has one, the content of its C source.
     """
-    functions = {name: _function_of(value) for name, value in vars(kind).items()}
+    functions = {name: _unwrap_function(value) for name, value in vars(user_class).items()}
     made = {name for name, f in functions.items() if f and name[:2] == "__" and f.__code__.co_filename == "<string>"}
     # without those that `dataclass` makes
     members: dict[str, object] = {name: f for name, f in functions.items() if f and name not in made}
-    source = vars(kind).get("source")
+    source = vars(user_class).get("source")
     if isinstance(source, (str, Path)) and Path(source).is_file():
         members["source"] = source_content(Path(source))
-    return members | _file_of(getattr(sys.modules.get(kind.__module__), "__file__", None))
+    return members | _file_entry(getattr(sys.modules.get(user_class.__module__), "__file__", None))
 
 
-def _file_of(name: str | None) -> dict[str, str]:
-    """Return {FILE_KEY: text} with the name and hash of a user's Python file, whose path is `name`.
+def _file_entry(path: str | None) -> dict[str, str]:
+    """Return {FILE_KEY: text} with the name and hash of a user's Python file, whose path is `path`.
 
     For a file of a library, a missing file or None it is {}.
     """
-    if name is None or not Path(name).is_file() or not _is_user_file(name):
+    if path is None or not Path(path).is_file() or not _is_user_file(path):
         return {}
-    return {FILE_KEY: f"{Path(name).name} {digest(Path(name).read_bytes())}"}
+    return {FILE_KEY: f"{Path(path).name} {digest(Path(path).read_bytes())}"}
 
 
-def _function_of(value: object) -> types.FunctionType | None:
+def _unwrap_function(value: object) -> types.FunctionType | None:
     """Return the Python function that `value` is, or that it wraps as a property or cached function; else None."""
     while not isinstance(value, types.FunctionType):
-        ready = type(value).__module__.partition(".")[0] in ("builtins", "functools")
-        if not ready or value is None or isinstance(value, (type, types.MethodType, functools.partial)):
+        is_builtin = type(value).__module__.partition(".")[0] in ("builtins", "functools")
+        if not is_builtin or value is None or isinstance(value, (type, types.MethodType, functools.partial)):
             return None
-        wrapped = (getattr(value, name, None) for name in ("__wrapped__", "func", "fget"))
-        value = next((candidate for candidate in wrapped if candidate is not None), None)
+        candidates = (getattr(value, name, None) for name in ("__wrapped__", "func", "fget"))
+        value = next((candidate for candidate in candidates if candidate is not None), None)
     return value
 
 
@@ -338,21 +338,21 @@ def _is_user_module(module: str) -> bool:
     Args:
         module: name of the module.
     """
-    top = module.partition(".")[0]
-    if module == "__main__" or top in sys.stdlib_module_names:
+    package = module.partition(".")[0]
+    if module == "__main__" or package in sys.stdlib_module_names:
         return module == "__main__"
-    files = (getattr(sys.modules.get(name), "__file__", None) for name in (module, top))
+    files = (getattr(sys.modules.get(name), "__file__", None) for name in (module, package))
     return all(_is_user_file(file) for file in files if file)
 
 
 @functools.cache
 def _is_user_file(file: str) -> bool:
     path = Path(file)
-    installed = file.startswith("<frozen") or {"site-packages", "dist-packages"} & {*path.parts}
-    return not (installed or any(path.is_relative_to(folder) for folder in LIBRARY_FOLDERS))
+    is_installed = file.startswith("<frozen") or {"site-packages", "dist-packages"} & {*path.parts}
+    return not (is_installed or any(path.is_relative_to(folder) for folder in LIBRARY_FOLDERS))
 
 
-def _plain(value: object) -> bool | float | str | None:
+def _json_value(value: object) -> bool | float | str | None:
     """Return the JSON value of a number or a text; for bytes a text with their hash; for any other type None."""
     if isinstance(value, (str, bool)):
         return value if isinstance(value, bool) else str(value)
@@ -363,7 +363,7 @@ def _plain(value: object) -> bool | float | str | None:
     return f"bytes {digest(bytes(value))}" if isinstance(value, (bytes, bytearray)) else None
 
 
-def _name(kind: type | types.FunctionType) -> str:
+def _qualified_name(kind: type | types.FunctionType) -> str:
     return f"{kind.__module__}.{kind.__qualname__}"
 
 
@@ -383,7 +383,7 @@ def source_content(source: Path) -> bytes:
     contents, todo = {source: source.read_bytes()}, [source]
     while todo:
         file = todo.pop()
-        for name in INCLUDED_FILE.findall(contents[file]):
+        for name in INCLUDED_FILE_REGEX.findall(contents[file]):
             with suppress(OSError, ValueError):
                 included = (file.parent / name.decode()).resolve()
                 if included not in contents:

@@ -21,7 +21,7 @@ from geometry.parallel import on_root
 
 LOCK_FILE = ".lock"
 PREVIOUS_PREFIX = "previous-"
-NO_LOCK_ERRORS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EINVAL)  # errors of file systems without locks
+NO_LOCK_ERRNOS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EINVAL)  # errors of file systems without locks
 
 
 # ---------------------------------------------------------------- whole files
@@ -32,22 +32,22 @@ def replace_file(path: Path) -> Iterator[BinaryIO]:
     If an error occurs in the `with` statement, the file at `path` stays as it was.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.name}.part")
+    part_file = path.with_name(f"{path.name}.part")
     try:
-        with partial.open("wb") as file:
+        with part_file.open("wb") as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
-        partial.replace(path)
+        part_file.replace(path)
     except BaseException as error:
         with suppress(OSError):
-            partial.unlink(missing_ok=True)
+            part_file.unlink(missing_ok=True)
         if isinstance(error, OSError) and error.filename is None:
             error.filename = str(path)
         raise
 
 
-def hash_of(path: Path) -> str | None:
+def file_hash(path: Path) -> str | None:
     """Return the SHA-256 hash of the content of the file `path`, as a text; None if the file does not exist."""
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.exists() else None
 
@@ -55,7 +55,7 @@ def hash_of(path: Path) -> str | None:
 def write_sealed(path: Path, content: Mapping[str, object]) -> None:
     """Write the data `content` to the JSON file `path`, with a hash of them by which `read_sealed` detects damage."""
     with replace_file(path) as file:
-        file.write(json.dumps({**content, "hash": _seal(content)}).encode())
+        file.write(json.dumps({**content, "hash": _content_hash(content)}).encode())
 
 
 def read_sealed(path: Path) -> dict[str, Any]:
@@ -66,20 +66,20 @@ def read_sealed(path: Path) -> dict[str, Any]:
     """
     try:
         content = dict(json.loads(path.read_text(encoding="utf-8")))
-        if content.pop("hash", None) != _seal(content):
+        if content.pop("hash", None) != _content_hash(content):
             raise ValueError("it is damaged, or has been changed")
     except (OSError, ValueError, TypeError, RecursionError) as error:
         raise InputError(f"{str(path)!r} cannot be read ({error}); remove it to start anew") from error
     return content
 
 
-def _seal(content: Mapping[str, object]) -> str:
+def _content_hash(content: Mapping[str, object]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 # ---------------------------------------------------------------- locks
 @contextmanager
-def own_folder(folder: Path | None, comm: MPI.Intracomm | None = None, name: str = LOCK_FILE) -> Iterator[None]:
+def lock_from_root(folder: Path | None, comm: MPI.Intracomm | None = None, name: str = LOCK_FILE) -> Iterator[None]:
     """Context manager that locks a folder, so that no other run writes into it. Collective.
 
     The folder is made if necessary, and removed at the end if it is empty. The operating system frees the lock when the
@@ -113,27 +113,27 @@ def lock_folder(folder: Path, name: str = LOCK_FILE, *, wait: bool = False) -> I
     Raises:
         InputError: another run has locked the folder, and `wait` is False; or no files can be written there.
     """
-    made, file = [], -1
+    made_folders, descriptor = [], -1
     try:
         try:
-            made = [path for path in (folder, *folder.parents) if not path.is_dir()]
+            made_folders = [path for path in (folder, *folder.parents) if not path.is_dir()]
             folder.mkdir(parents=True, exist_ok=True)
-            file = _lock(folder / name, wait)
+            descriptor = _open_and_lock(folder / name, wait)
         except InputError:  # a ValueError with a complete message
             raise
         except (OSError, ValueError) as error:  # a name with a null character raises ValueError
             raise InputError(f"no files can be written in {str(folder)!r}: {error}; give another folder") from error
         yield
     finally:
-        if file >= 0:
+        if descriptor >= 0:
             (folder / name).unlink(missing_ok=True)
-            os.close(file)
-        for path in made:
+            os.close(descriptor)
+        for path in made_folders:
             with suppress(OSError, ValueError):
                 path.rmdir()
 
 
-def _lock(path: Path, wait: bool) -> int:
+def _open_and_lock(path: Path, wait: bool) -> int:
     """Open and lock a file, made if necessary, and return its descriptor.
 
     The number of this process and the name of its computer are written into the file.
@@ -147,22 +147,22 @@ def _lock(path: Path, wait: bool) -> int:
     """
     while True:
         with ExitStack() as stack:
-            file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-            stack.callback(os.close, file)
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+            stack.callback(os.close, descriptor)
             try:
-                fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+                fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
             except BlockingIOError:
-                who = os.pread(file, 200, 0).decode(errors="replace").strip() or "another process"
-                what = f"another run ({who}) is writing into {str(path.parent)!r}"
-                raise InputError(f"{what}; wait for it, or give another folder") from None
+                holder = os.pread(descriptor, 200, 0).decode(errors="replace").strip() or "another process"
+                text = f"another run ({holder}) is writing into {str(path.parent)!r}"
+                raise InputError(f"{text}; wait for it, or give another folder") from None
             except OSError as error:
-                if error.errno not in NO_LOCK_ERRORS:  # without locks nothing protects the folder
+                if error.errno not in NO_LOCK_ERRNOS:  # without locks nothing protects the folder
                     raise
-            if os.fstat(file).st_nlink:
-                os.truncate(file, 0)
-                os.pwrite(file, f"process {os.getpid()} on {socket.gethostname()}\n".encode(), 0)
+            if os.fstat(descriptor).st_nlink:
+                os.truncate(descriptor, 0)
+                os.pwrite(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode(), 0)
                 stack.pop_all()
-                return file
+                return descriptor
 
 
 # ---------------------------------------------------------------- earlier runs
@@ -176,15 +176,15 @@ def move_away(folder: Path, names: Iterable[str]) -> Path | None:
     Returns:
         The subfolder; None if none of the files exists.
     """
-    there = [folder / name for name in names if (folder / name).exists()]
-    if not there:
+    existing = [folder / name for name in names if (folder / name).exists()]
+    if not existing:
         return None
     numbers = [int(m[1]) for path in folder.iterdir() if (m := re.fullmatch(rf"{PREVIOUS_PREFIX}(\d+)", path.name))]
-    target = folder / f"{PREVIOUS_PREFIX}{max(numbers, default=0) + 1}"
-    target.mkdir()
-    for path in there:
-        path.rename(target / path.name)
-    return target
+    subfolder = folder / f"{PREVIOUS_PREFIX}{max(numbers, default=0) + 1}"
+    subfolder.mkdir()
+    for path in existing:
+        path.rename(subfolder / path.name)
+    return subfolder
 
 
 def move_back(previous: Path) -> None:

@@ -23,7 +23,7 @@ from mpi4py import MPI
 
 from geometry.parallel import ResultType, default_comm
 
-MIN_TIMED_SHARE = 1e-3  # completed share from which on the remaining time is shown
+MIN_TIMED_FRACTION = 1e-3  # completed share from which on the remaining time is shown
 # seconds before the first line, and between lines; True: on a terminal
 FIRST_REPORT_SECONDS, REPORT_SECONDS = {True: 5.0, False: 60.0}, {True: 0.2, False: 60.0}
 
@@ -46,16 +46,16 @@ class _Task:
     """Work whose progress is reported, in pieces done one after the other.
 
     Attributes:
-        what: name of the work.
-        share: finished fraction of the work, 0 to 1.
-        piece: fraction of the work, 0 to 1, that is done in the piece that now runs.
-        now: text that names this piece.
+        title: name of the work.
+        done_share: finished fraction of the work, 0 to 1.
+        piece_share: fraction of the work, 0 to 1, that is done in the piece that now runs.
+        piece_text: text that names this piece.
     """
 
-    what: str
-    share: float = 0.0
-    piece: float = 0.0
-    now: str = ""
+    title: str
+    done_share: float = 0.0
+    piece_share: float = 0.0
+    piece_text: str = ""
 
 
 class ProgressReporter:
@@ -68,12 +68,12 @@ class ProgressReporter:
 
     def __init__(self, stream: Callable[[], TextIO], clock: Callable[[], float]) -> None:
         self._stream, self._clock = stream, clock
-        self._open: list[_Task] = []
-        self._begun = self._due = 0.0
-        self._shown = False
+        self._open_tasks: list[_Task] = []
+        self._start_time = self._next_print_time = 0.0
+        self._has_printed = False
 
     @contextmanager
-    def report(self, what: str) -> Iterator[Callable[..., None]]:
+    def report(self, name: str) -> Iterator[Callable[..., None]]:
         """Context manager of long work, which yields a function that reports its progress; also a decorator.
 
         The yielded function has four arguments. `share` is the finished fraction of the work (0 to 1). `now` is a text
@@ -81,25 +81,25 @@ class ProgressReporter:
         whether to print even if the last line was printed a short time ago.
 
         Args:
-            what: name of the work.
+            name: name of the work.
         """
-        work = _Task(what)
-        if not self._open:
-            self._begun, self._shown = self._clock(), False
-            self._due = self._begun + FIRST_REPORT_SECONDS[self._stream().isatty()]
-        self._open.append(work)
+        task = _Task(name)
+        if not self._open_tasks:
+            self._start_time, self._has_printed = self._clock(), False
+            self._next_print_time = self._start_time + FIRST_REPORT_SECONDS[self._stream().isatty()]
+        self._open_tasks.append(task)
 
         def set_share(share: float, now: str = "", piece: float = 0.0, *, at_once: bool = False) -> None:
-            work.share, work.now, work.piece = share, now, piece
+            task.done_share, task.piece_text, task.piece_share = share, now, piece
             self._print(at_once)
 
         try:
             self._print()
             yield set_share
         finally:
-            if work in self._open:  # not if an abandoned generator is closed after the enclosing work
-                del self._open[self._open.index(work) :]
-            if not self._open and self._shown and self._stream().isatty():
+            if task in self._open_tasks:  # not if an abandoned generator is closed after the enclosing work
+                del self._open_tasks[self._open_tasks.index(task) :]
+            if not self._open_tasks and self._has_printed and self._stream().isatty():
                 self._stream().write("\r\x1b[K")
                 self._stream().flush()  # before the results are printed
 
@@ -136,21 +136,21 @@ class ProgressReporter:
 
     def _print(self, at_once: bool = False) -> None:
         now, stream = self._clock(), self._stream()
-        quiet = MPI.COMM_WORLD.rank or not logging.getLogger("thinlayer").isEnabledFor(logging.WARNING)
-        if quiet or (now < self._due and not at_once):
+        is_quiet = MPI.COMM_WORLD.rank or not logging.getLogger("thinlayer").isEnabledFor(logging.WARNING)
+        if is_quiet or (now < self._next_print_time and not at_once):
             return
-        self._due, self._shown = now + REPORT_SECONDS[stream.isatty()], True
-        words = [f"{work.what}: {work.now}" if work.now else work.what for work in self._open]
+        self._next_print_time, self._has_printed = now + REPORT_SECONDS[stream.isatty()], True
+        texts = [f"{task.title}: {task.piece_text}" if task.piece_text else task.title for task in self._open_tasks]
         # share of the outermost work, nested work included; the time left assumes the same pace
-        share, width = 0.0, 1.0
-        for work in self._open:
-            share += width * work.share
-            width *= work.piece
-        spent = now - self._begun
-        words.append(f"{timedelta(seconds=round(spent))} so far")
-        if share > MIN_TIMED_SHARE:
-            words.append(f"about {timedelta(seconds=round(spent * (1 - share) / share))} left")
-        line = ", ".join(words)
+        share, task_share = 0.0, 1.0
+        for task in self._open_tasks:
+            share += task_share * task.done_share
+            task_share *= task.piece_share
+        elapsed = now - self._start_time
+        texts.append(f"{timedelta(seconds=round(elapsed))} so far")
+        if share > MIN_TIMED_FRACTION:
+            texts.append(f"about {timedelta(seconds=round(elapsed * (1 - share) / share))} left")
+        line = ", ".join(texts)
         stream.write(f"\r\x1b[K{line[:120]}" if stream.isatty() else f"{line}\n")
         stream.flush()
 

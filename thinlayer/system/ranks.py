@@ -32,16 +32,16 @@ if TYPE_CHECKING:
     from dolfinx.mesh import Mesh
 
 Array = npt.NDArray[Any]  # of integers or floats
-EQUAL_COMMUNICATORS = (MPI.IDENT, MPI.CONGRUENT)
-_COPIED_COMMS: list[MPI.Intracomm] = []
+SAME_RANKS = (MPI.IDENT, MPI.CONGRUENT)
+_DUPLICATE_COMMS: list[MPI.Intracomm] = []
 # function spaces on several ranks, and their index maps, which keep the communicators alive
-_SPACES_OF_RANKS: list[tuple[ref[FunctionSpace], IndexMap]] = []
+_PARALLEL_SPACES: list[tuple[ref[FunctionSpace], IndexMap]] = []
 GRACE_SECONDS = 5.0  # s that a rank with an error waits for errors of all other ranks, before it ends them
 EXIT_STATUS = 1  # exit status if one rank alone has an error, as for any Python script; the command line sets another
 POLL_SECONDS = 1e-3  # s between two tests of a request
 MAX_CHARACTERS = 200  # number of characters shown where data differ
 MIN_WAIT_SECONDS = 60.0  # s that a rank with an error waits for the others at least
-_NESTED_BLOCKS: Counter[int] = Counter()  # communicator -> number of nested blocks that this rank is in
+_BLOCK_DEPTHS: Counter[int] = Counter()  # communicator -> number of nested blocks that this rank is in
 
 
 # ---------------------------------------------------------------- agreement
@@ -62,26 +62,26 @@ def errors_on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
     """
     comm = comm or default_comm()
     key, began = comm.py2f(), time.monotonic()
-    problem: Exception | None = None
-    _NESTED_BLOCKS[key] += 1
+    own_error: Exception | None = None
+    _BLOCK_DEPTHS[key] += 1
     try:
         try:
             yield
         except Exception as error:
-            problem = error
+            own_error = error
         if comm.size > 1:
-            texts = _error_texts(comm, _NESTED_BLOCKS[key], problem, max(MIN_WAIT_SECONDS, time.monotonic() - began))
+            texts = _share_errors(comm, _BLOCK_DEPTHS[key], own_error, max(MIN_WAIT_SECONDS, time.monotonic() - began))
             wrong = [rank for rank, text in enumerate(texts) if text is not None]
             if wrong and len(wrong) < comm.size:
-                raise _raised_on_all(InputError(f"rank {wrong[0]}: {texts[wrong[0]]}")) from problem
-        if problem is not None:
-            raise _raised_on_all(problem)
+                raise _mark_raised_on_all(InputError(f"rank {wrong[0]}: {texts[wrong[0]]}")) from own_error
+        if own_error is not None:
+            raise _mark_raised_on_all(own_error)
     finally:
-        _NESTED_BLOCKS[key] -= 1
-        problem = None  # its traceback refers to this frame
+        _BLOCK_DEPTHS[key] -= 1
+        own_error = None  # its traceback refers to this frame
 
 
-def _error_texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, patience: float) -> list[str | None]:
+def _share_errors(comm: MPI.Intracomm, depth: int, own_error: Exception | None, max_wait: float) -> list[str | None]:
     """Wait until all ranks are at the end of the same `errors_on_all` block; return each rank's error as a text.
 
     The text is None for a rank without an error. Ranks that are still in a block nested within this one receive the
@@ -90,24 +90,24 @@ def _error_texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, pat
     Args:
         comm: communicator of the ranks.
         depth: number of nested blocks that this rank is in.
-        problem: error of this rank; None: no error.
-        patience: longest time, s, for which this rank waits if it has an error. After it all ranks are ended.
+        own_error: error of this rank; None: no error.
+        max_wait: longest time, s, for which this rank waits if it has an error. After it all ranks are ended.
     """
-    kind = "" if isinstance(problem, ValueError) else f"{type(problem).__name__}: "
-    text = None if problem is None else f"{kind}{problem}"
+    class_text = "" if isinstance(own_error, ValueError) else f"{type(own_error).__name__}: "
+    text = None if own_error is None else f"{class_text}{own_error}"
     while True:
-        here = comm.Ibarrier()
-        if problem is None:
-            here.Wait()
-        elif not is_done(here, patience):
-            problem.add_note(
-                f"Rank {comm.rank} has had this error for {patience:.0f} s. The others have not come to where they would "
+        barrier = comm.Ibarrier()
+        if own_error is None:
+            barrier.Wait()
+        elif not completes_within(barrier, max_wait):
+            own_error.add_note(
+                f"Rank {comm.rank} has had this error for {max_wait:.0f} s. The others have not come to where they would "
                 "learn of it: they may wait for this rank in a collective call. All ranks are ended."
             )
-            abort(problem)
-        reports = comm.allgather((depth, text))
-        if max(theirs for theirs, _ in reports) == depth:
-            return [theirs for _, theirs in reports]
+            abort(own_error)
+        depths_and_texts = comm.allgather((depth, text))
+        if max(theirs for theirs, _ in depths_and_texts) == depth:
+            return [theirs for _, theirs in depths_and_texts]
 
 
 def require_same(comm: MPI.Intracomm | None, **data: object) -> str:
@@ -128,21 +128,21 @@ def require_same(comm: MPI.Intracomm | None, **data: object) -> str:
     if comm.size == 1:
         return ""
     with errors_on_all(comm):
-        texts = {name: json.dumps(describe(value), sort_keys=True) for name, value in data.items()}
-        texts = {name: re.sub(rf"{PROCESS_LABEL} \(\d+\)", "", text) for name, text in texts.items()}
-    digests = comm.allgather({name: digest(text) for name, text in texts.items()})
-    for name, rank in product(texts, range(comm.size)):
+        descriptions = {name: json.dumps(describe(value), sort_keys=True) for name, value in data.items()}
+        descriptions = {name: re.sub(rf"{PROCESS_LABEL} \(\d+\)", "", text) for name, text in descriptions.items()}
+    digests = comm.allgather({name: digest(text) for name, text in descriptions.items()})
+    for name, rank in product(descriptions, range(comm.size)):
         if digests[rank][name] != digests[0][name]:
-            full = [json.loads(text) for text in comm.allgather(texts[name])]
-            same = (), full[0], full[rank]  # True and 1.0 are equal
-            path, *both = next(differences(full[0], full[rank]), same)
-            here, there = ("nothing" if obj is MISSING_VALUE else json.dumps(obj)[:MAX_CHARACTERS] for obj in both)
+            parsed = [json.loads(text) for text in comm.allgather(descriptions[name])]
+            whole = (), parsed[0], parsed[rank]  # True and 1.0 are equal
+            path, *pair = next(differences(parsed[0], parsed[rank]), whole)
+            here, there = ("nothing" if obj is MISSING_VALUE else json.dumps(obj)[:MAX_CHARACTERS] for obj in pair)
             values = f"{'.'.join(path)}{' is ' if path else ''}{here} on rank 0, {there} on rank {rank}"
-            raise _raised_on_all(InputError(f"the ranks have different {name}: {values}; give all ranks the same"))
+            raise _mark_raised_on_all(InputError(f"the ranks have different {name}: {values}; give all ranks the same"))
     return digest(digests[0])
 
 
-def _raised_on_all(error: Exception) -> Exception:
+def _mark_raised_on_all(error: Exception) -> Exception:
     """Return `error`, marked by an attribute as one that all ranks raise."""
     error.on_all_ranks = True  # type: ignore[attr-defined]
     return error
@@ -157,14 +157,14 @@ def communicator(mesh: Mesh) -> MPI.Intracomm:
     Do not use the mesh's own communicator. If it ever served a pickled collective call, mpi4py 4.0 waits for itself
     when Python's garbage collector frees the mesh during another such call.
     """
-    for comm in (MPI.COMM_SELF, MPI.COMM_WORLD, *_COPIED_COMMS):
-        if MPI.Comm.Compare(mesh.comm, comm) in EQUAL_COMMUNICATORS:
+    for comm in (MPI.COMM_SELF, MPI.COMM_WORLD, *_DUPLICATE_COMMS):
+        if MPI.Comm.Compare(mesh.comm, comm) in SAME_RANKS:
             return comm
-    _COPIED_COMMS.append(mesh.comm.Dup())
-    return _COPIED_COMMS[-1]
+    _DUPLICATE_COMMS.append(mesh.comm.Dup())
+    return _DUPLICATE_COMMS[-1]
 
 
-def collect(comm: MPI.Intracomm, used: FunctionSpace | None = None) -> None:
+def free_petsc_objects(comm: MPI.Intracomm, used: FunctionSpace | None = None) -> None:
     """Free PETSc objects that Python no longer uses. Collective.
 
     On several ranks, PETSc frees such objects only in a call that all ranks make together.
@@ -179,14 +179,14 @@ def collect(comm: MPI.Intracomm, used: FunctionSpace | None = None) -> None:
     if comm.size == 1:
         return
     if used is not None:
-        _SPACES_OF_RANKS.append((ref(used), used.dofmap.index_map))
-    ours = [entry for entry in _SPACES_OF_RANKS if MPI.Comm.Compare(entry[1].comm, comm) in EQUAL_COMMUNICATORS]
-    alive = np.any(comm.allgather([space() is not None for space, _ in ours]), axis=0)
-    for each in (comm, MPI.COMM_WORLD, *_COPIED_COMMS, *(imap.comm for _, imap in ours)):
-        if MPI.Comm.Compare(each, comm) in EQUAL_COMMUNICATORS:
-            PETSc.garbage_cleanup(each)
-    for k in np.flatnonzero(~alive):
-        _SPACES_OF_RANKS.remove(ours[k])
+        _PARALLEL_SPACES.append((ref(used), used.dofmap.index_map))
+    spaces_here = [entry for entry in _PARALLEL_SPACES if MPI.Comm.Compare(entry[1].comm, comm) in SAME_RANKS]
+    is_alive = np.any(comm.allgather([space() is not None for space, _ in spaces_here]), axis=0)
+    for equal_comm in (comm, MPI.COMM_WORLD, *_DUPLICATE_COMMS, *(imap.comm for _, imap in spaces_here)):
+        if MPI.Comm.Compare(equal_comm, comm) in SAME_RANKS:
+            PETSc.garbage_cleanup(equal_comm)
+    for k in np.flatnonzero(~is_alive):
+        _PARALLEL_SPACES.remove(spaces_here[k])
 
 
 class Destroyable(Protocol):
@@ -202,44 +202,44 @@ def destroy(*things: Destroyable | None) -> None:
             thing.destroy()
 
 
-def send(comm: MPI.Intracomm, rank: Array, rows: Array) -> Array:
+def send(comm: MPI.Intracomm, destinations: Array, rows: Array) -> Array:
     """Send rows of an array to other ranks, and return the rows that this rank receives. Collective.
 
     Args:
         comm: communicator.
-        rank: (n,) number of the rank to which each row is sent.
+        destinations: (n,) number of the rank to which each row is sent.
         rows: (n, ...) rows of this rank.
 
     Returns:
         (m, ...) the received rows, those from rank 0 first, then those from rank 1, and so on.
     """
-    return np.concatenate(comm.alltoall([rows[rank == r] for r in range(comm.size)]))
+    return np.concatenate(comm.alltoall([rows[destinations == r] for r in range(comm.size)]))
 
 
-def ask(comm: MPI.Intracomm, rank: Array, questions: Array, answer: Callable[[Array, Array], Array]) -> Array:
+def query(comm: MPI.Intracomm, answerers: Array, queries: Array, answer: Callable[[Array, Array], Array]) -> Array:
     """Send each row of numbers to a rank that answers it, and return the answers in the order of the rows. Collective.
 
     Args:
         comm: communicator.
-        rank: (n,) number of the rank that answers each row.
-        questions: (n, ...) rows of numbers to send.
+        answerers: (n,) number of the rank that answers each row.
+        queries: (n, ...) rows of numbers to send.
         answer: function that is called once on each rank. Its arguments are all rows that the rank receives, and the
             number of the rank from which each came. It returns an array with one row of answers for each.
 
     Returns:
-        (n, ...) for each row of `questions` its row of answers.
+        (n, ...) for each row of `queries` its row of answers.
     """
-    order = [np.flatnonzero(rank == r) for r in range(comm.size)]
-    received = comm.alltoall([questions[rows] for rows in order])
-    sizes = [len(rows) for rows in received]
-    answers = answer(np.concatenate(received), np.repeat(np.arange(comm.size), sizes))
-    back = np.concatenate(comm.alltoall(np.split(answers, np.cumsum(sizes)[:-1])))
-    out = np.empty_like(back)
-    out[np.concatenate(order)] = back
+    rows_by_rank = [np.flatnonzero(answerers == r) for r in range(comm.size)]
+    received = comm.alltoall([queries[rows] for rows in rows_by_rank])
+    n_received = [len(rows) for rows in received]
+    answers = answer(np.concatenate(received), np.repeat(np.arange(comm.size), n_received))
+    returned = np.concatenate(comm.alltoall(np.split(answers, np.cumsum(n_received)[:-1])))
+    out = np.empty_like(returned)
+    out[np.concatenate(rows_by_rank)] = returned
     return out
 
 
-def carry_cell_values(comm: MPI.Intracomm, cells: Array, values: Callable[[Array], Array], wanted: Array) -> Array:
+def carry_cell_values(comm: MPI.Intracomm, cells: Array, values_at: Callable[[Array], Array], wanted: Array) -> Array:
     """Send values of cells from the ranks that have them to the ranks that need them. Collective.
 
     Cells have the numbers of the joint, which are the same on all ranks.
@@ -247,42 +247,42 @@ def carry_cell_values(comm: MPI.Intracomm, cells: Array, values: Callable[[Array
     Args:
         comm: communicator.
         cells: (n,) numbers of the cells whose values this rank has.
-        values: function that takes positions (i,) in `cells`, and returns the values (i, k) of the cells there.
+        values_at: function that takes positions (i,) in `cells`, and returns the values (i, k) of the cells there.
         wanted: (m,) numbers of the cells whose values this rank needs.
 
     Returns:
         (m, k) values of the cells in `wanted`; NaN for cells whose values no rank has.
     """
-    highest = comm.allreduce(int(max(cells.max(initial=-1), wanted.max(initial=-1))), MPI.MAX) + 1
+    n_cells = comm.allreduce(int(max(cells.max(initial=-1), wanted.max(initial=-1))), MPI.MAX) + 1
 
     def meeting_rank(c: Array) -> Array:
-        return c * comm.size // max(highest, 1)
+        return c * comm.size // max(n_cells, 1)
 
-    here = np.column_stack([cells, np.full(len(cells), comm.rank), np.arange(len(cells))])
-    rows = send(comm, meeting_rank(cells), here)
-    rows = rows[np.argsort(rows[:, 0], kind="stable")]
+    own_entries = np.column_stack([cells, np.full(len(cells), comm.rank), np.arange(len(cells))])
+    entries = send(comm, meeting_rank(cells), own_entries)
+    entries = entries[np.argsort(entries[:, 0], kind="stable")]
 
-    def find_holders(questions: Array, _: Array) -> Array:
+    def find_holders(cells_asked: Array, _: Array) -> Array:
         """Return which rank has the values of each cell, and at what position in its array `cells`.
 
         Args:
-            questions: (m,) numbers of cells.
+            cells_asked: (m,) numbers of cells.
             _: ranks that ask; not used.
 
         Returns:
             (m, 2) rank and position; -1 for cells whose values no rank has.
         """
-        out = np.full((len(questions), 2), -1)
-        if len(rows):
-            at = np.minimum(np.searchsorted(rows[:, 0], questions), len(rows) - 1)
-            matches = rows[at, 0] == questions
-            out[matches] = rows[at[matches], 1:]
-        return out
+        ranks_and_places = np.full((len(cells_asked), 2), -1)
+        if len(entries):
+            entry_rows = np.minimum(np.searchsorted(entries[:, 0], cells_asked), len(entries) - 1)
+            is_held = entries[entry_rows, 0] == cells_asked
+            ranks_and_places[is_held] = entries[entry_rows[is_held], 1:]
+        return ranks_and_places
 
-    holder, at = ask(comm, meeting_rank(wanted), wanted, find_holders).T
-    received = ask(comm, holder[holder >= 0], at[holder >= 0], lambda places, _: values(places))
+    holders, positions = query(comm, meeting_rank(wanted), wanted, find_holders).T
+    received = query(comm, holders[holders >= 0], positions[holders >= 0], lambda places, _: values_at(places))
     out = np.full((len(wanted), received.shape[1]), np.nan)
-    out[holder >= 0] = received
+    out[holders >= 0] = received
     return out
 
 
@@ -290,43 +290,43 @@ def carry_cell_values(comm: MPI.Intracomm, cells: Array, values: Callable[[Array
 def abort(error: BaseException) -> None:
     """Print `error` with its traceback, and end the processes of all ranks."""
     traceback.print_exception(error)
-    _end(EXIT_STATUS)
+    _abort_all(EXIT_STATUS)
 
 
-def is_done(request: MPI.Request, within: float) -> bool:
-    """Wait for an MPI request, at most `within` seconds, and return whether it has completed."""
-    end = time.monotonic() + within
+def completes_within(request: MPI.Request, seconds: float) -> bool:
+    """Wait for an MPI request, at most `seconds` seconds, and return whether it has completed."""
+    deadline = time.monotonic() + seconds
     while not request.Test():
-        if time.monotonic() > end:
+        if time.monotonic() > deadline:
             return False
         time.sleep(POLL_SECONDS)
     return True
 
 
-def _end(status: int) -> None:
+def _abort_all(status: int) -> None:
     for stream in filter(None, (sys.stdout, sys.stderr)):
         stream.flush()
     MPI.COMM_WORLD.Abort(status)
 
 
-def _end_before_petsc() -> None:
+def _abort_before_petsc() -> None:
     """Make `python3 -m mpi4py` abort all ranks as soon as a script ends with an error on only one of them.
 
     mpi4py itself aborts only after Python has freed the script's PETSc objects and PETSc has ended. Both are
     collective, so that the rank with the error would wait for the others.
     """
-    note = MPI._set_abort_status
+    set_status = MPI._set_abort_status
 
-    def note_and_end(status: int) -> None:
-        note(status)
-        if status and not is_done(MPI.COMM_WORLD.Ibarrier(), GRACE_SECONDS):
+    def set_status_and_abort(status: int) -> None:
+        set_status(status)
+        if status and not completes_within(MPI.COMM_WORLD.Ibarrier(), GRACE_SECONDS):
             error = sys.exception()
             if not isinstance(error, SystemExit):
                 traceback.print_exception(error)
-            _end(status)
+            _abort_all(status)
 
-    MPI._set_abort_status = note_and_end
+    MPI._set_abort_status = set_status_and_abort
 
 
 if MPI.COMM_WORLD.size > 1:
-    _end_before_petsc()
+    _abort_before_petsc()

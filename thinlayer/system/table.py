@@ -77,14 +77,14 @@ class Table:
             InputError: a row has other columns than the first row, or a name of a column is not a text.
             OSError: the file could not be written; on all ranks.
         """
-        before = len(self.rows)
+        n_before = len(self.rows)
         for row in rows:
             if self.rows and list(row) != self.columns:
                 raise InputError(f"a row with columns {list(row)} does not fit a table with columns {self.columns}")
-            if wrong := [name for name in row if not isinstance(name, str)]:
-                raise InputError(f"names of a table's columns must be texts, not {', '.join(map(repr, wrong))}")
+            if wrong_names := [name for name in row if not isinstance(name, str)]:
+                raise InputError(f"names of a table's columns must be texts, not {', '.join(map(repr, wrong_names))}")
             self.rows.append(dict(row))
-        if self.path is not None and len(self.rows) > before:
+        if self.path is not None and len(self.rows) > n_before:
             self.write(self.path)
 
     def write(self, path: str | Path, comm: MPI.Intracomm | None = None) -> None:
@@ -97,14 +97,14 @@ class Table:
         Raises:
             OSError: the file could not be written; on all ranks.
         """
-        on_root(comm, lambda: self.put(Path(path)))
+        on_root(comm, lambda: self.write_on_this_rank(Path(path)))
 
-    def put(self, path: Path) -> None:
+    def write_on_this_rank(self, path: Path) -> None:
         """Write all rows to the csv file `path`, on the one rank that calls this."""
         text = io.StringIO()
         writer = csv.writer(text)
         writer.writerow(self.columns)
-        writer.writerows([_text(value, repr) for value in row.values()] for row in self.rows)
+        writer.writerows([_entry_text(value, repr) for value in row.values()] for row in self.rows)
         with replace_file(path) as file:
             file.write(text.getvalue().encode())
 
@@ -123,8 +123,8 @@ class Table:
         try:
             rows = zip(*np.broadcast_arrays(*entries), strict=True)
         except ValueError:
-            sizes = ", ".join(f"{name} {len(column)}" for name, column in zip(columns, entries, strict=True))
-            raise InputError(f"columns of a table need the same number of entries, or one; not {sizes}") from None
+            sizes_text = ", ".join(f"{name} {len(column)}" for name, column in zip(columns, entries, strict=True))
+            raise InputError(f"columns of a table need the same number of entries, or one; not {sizes_text}") from None
         return cls(dict(zip(columns, row, strict=True)) for row in rows)
 
     @classmethod
@@ -150,12 +150,12 @@ class Table:
                 raise InputError(f"{str(path)!r} cannot be read as a table: {error}") from error
 
         names, *rows = on_root(comm, read) or [[]]
-        wrong = ["columns have the same name"] * (len({*names}) < len(names))
-        sizes = enumerate(map(len, rows), 2)
-        wrong += [f"line {k} has {n} entries for {len(names)} columns" for k, n in sizes if n != len(names)]
-        if wrong:
-            raise InputError(f"{str(path)!r} is not a whole table: {wrong[0]}")
-        return cls(dict(zip(names, map(_value, row), strict=True)) for row in rows)
+        problems = ["columns have the same name"] * (len({*names}) < len(names))
+        line_sizes = enumerate(map(len, rows), 2)
+        problems += [f"line {k} has {n} entries for {len(names)} columns" for k, n in line_sizes if n != len(names)]
+        if problems:
+            raise InputError(f"{str(path)!r} is not a whole table: {problems[0]}")
+        return cls(dict(zip(names, map(_parse_entry, row), strict=True)) for row in rows)
 
     @property
     def columns(self) -> list[str]:
@@ -178,8 +178,8 @@ class Table:
             ColumnError: a column does not exist or has texts.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
-            slopes = np.diff(np.log(self[errors])) / np.diff(np.log(self[of]))
-        return [None, *(order if math.isfinite(order) else None for order in slopes.tolist())]
+            orders = np.diff(np.log(self[errors])) / np.diff(np.log(self[of]))
+        return [None, *(order if math.isfinite(order) else None for order in orders.tolist())]
 
     def split(self, column: str) -> dict[Any, Table]:
         """Split the table by the values in a column: return value -> table of the rows with this value.
@@ -223,17 +223,17 @@ class Table:
         return [row[column] for row in self.rows]
 
     def __str__(self) -> str:
-        lines = [self.columns, *([_text(value, "{:.4g}".format) for value in row.values()] for row in self.rows)]
+        lines = [self.columns, *([_entry_text(value, "{:.4g}".format) for value in row.values()] for row in self.rows)]
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        padded = (map(str.rjust, line, widths) for line in lines)
-        return "\n".join("  ".join(entries).rstrip() for entries in padded)
+        padded_lines = (map(str.rjust, line, widths) for line in lines)
+        return "\n".join("  ".join(entries).rstrip() for entries in padded_lines)
 
 
-def _text(value: Entry, form: Callable[[float], str]) -> str:
-    return "" if value is None else value if isinstance(value, str) else form(float(value))
+def _entry_text(value: Entry, format_number: Callable[[float], str]) -> str:
+    return "" if value is None else value if isinstance(value, str) else format_number(float(value))
 
 
-def _value(text: str) -> Entry:
+def _parse_entry(text: str) -> Entry:
     with suppress(ValueError):
         return float(text)
     return text or None

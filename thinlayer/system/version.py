@@ -24,8 +24,8 @@ def error_reason(error: BaseException) -> str:
     For an OSError the text names the file. For an error that shows a bug it starts with the class of the error.
     """
     if isinstance(error, OSError):
-        where = f" {str(error.filename)!r}" if error.filename else ""
-        return f"a file{where} could not be written or read: {error.strerror or error}"
+        file_text = f" {str(error.filename)!r}" if error.filename else ""
+        return f"a file{file_text} could not be written or read: {error.strerror or error}"
     if isinstance(error, KeyboardInterrupt):
         return "interrupted"
     return str(error) if isinstance(error, RuntimeError) else f"{type(error).__name__}: {error}"

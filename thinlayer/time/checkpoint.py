@@ -17,7 +17,7 @@ from thinlayer.discretisation.state import Audit, Report, State
 from thinlayer.parts.part import FileOrder, Memory
 from thinlayer.solving.equations import Equations
 from thinlayer.system.fingerprint import Resume, differences, differences_text
-from thinlayer.system.folder import hash_of, read_sealed, replace_file, write_sealed
+from thinlayer.system.folder import file_hash, read_sealed, replace_file, write_sealed
 from thinlayer.system.ranks import carry_cell_values
 from thinlayer.system.table import Table
 
@@ -25,7 +25,7 @@ CSV_FILE = "table.csv"
 REACTIONS_KEY = "reactions"
 # prefixes of keys of parts in a state's file
 MEMORY_PREFIX, FIELD_PREFIX, STRESS_PREFIX = "memory ", "field ", "stress "
-FILE_FORMAT = 2  # format of the files: 2 since march.json has the numbers of states
+FORMAT_VERSION = 2  # format of the files: 2 since march.json has the numbers of states
 STATE_NUMBERS = ("t", "stored", "sudden", "prescribed_work", "dissipated")  # numbers of a state in march.json
 
 JsonObject = dict[str, Any]  # a march, its mark or one of its states in march.json
@@ -70,27 +70,27 @@ class Checkpoint:
     """
 
     def __init__(self, folder: Path, equations: Equations, mark: JsonObject) -> None:
-        self.mark, self.folder, self.path = mark | {"format": FILE_FORMAT}, folder, folder / "march.json"
+        self.mark, self.folder, self.path = mark | {"format": FORMAT_VERSION}, folder, folder / "march.json"
         self.model, self.comm, self._equations = equations.model, equations.comm, equations
-        self._states: dict[str, JsonObject] = {}  # row -> numbers of the state, hash of its file
-        self._orders = {FIELD_PREFIX + part.key: part.own_file_order for part in equations.with_own}
+        self._state_records: dict[str, JsonObject] = {}  # row -> numbers of the state, hash of its file
+        self._file_orders = {FIELD_PREFIX + part.key: part.own_file_order for part in equations.field_parts}
         for part in equations.parts:
-            if (order := part.file_order) is not None:
-                self._orders |= {MEMORY_PREFIX + part.key: order, STRESS_PREFIX + part.key: order}
-        n_owned = self.model.domain.mesh.topology.index_map(self.model.joint.dim).size_local
-        rest = equations.rest(0.0)
+            if (file_order := part.file_order) is not None:
+                self._file_orders |= {MEMORY_PREFIX + part.key: file_order, STRESS_PREFIX + part.key: file_order}
+        n_owned_cells = self.model.domain.mesh.topology.index_map(self.model.joint.dim).size_local
+        rest = equations.rest_state(0.0)
         for name, f in _state_functions(rest).items():
             dofs = np.asarray(f.function_space.dofmap.list)
-            self._orders[name] = FileOrder(self.model.domain.original_cells[: len(dofs)], dofs, n_owned)
-        arrays = [*rest.stresses, *(key for key, kept in rest.memory.items() if not isinstance(kept, Mapping))]
-        for key in (key for key in arrays if MEMORY_PREFIX + key not in self._orders):
+            self._file_orders[name] = FileOrder(self.model.domain.original_cells[: len(dofs)], dofs, n_owned_cells)
+        array_keys = [*rest.stresses, *(key for key, memory in rest.memory.items() if not isinstance(memory, Mapping))]
+        for key in (key for key in array_keys if MEMORY_PREFIX + key not in self._file_orders):
             text = f"the part {key!r} remembers values that have no order in files"
             raise InputError(f"{text}: march without out=, or give its class file_order, of the rows of its memory")
 
-    def _file(self, row: int) -> Path:
+    def _path_of(self, row: int) -> Path:
         return self.folder / "states" / f"{row:06d}.npz"
 
-    def _files(self) -> list[Path]:
+    def _state_paths(self) -> list[Path]:
         return list((self.folder / "states").glob("[0-9]" * 6 + ".npz"))
 
     # ---------------------------------------------------------------- writing
@@ -114,61 +114,61 @@ class Checkpoint:
         for row, state in states.items():
             if row >= first:
                 self._write_state(row, state)
-        on_root(self.comm, lambda: self._write_table(table, states, pace))
+        on_root(self.comm, lambda: self._write_march(table, states, pace))
 
     def _remove_files(self) -> None:
         """Remove the files of an earlier march.
 
         The file table.csv goes first, because only march.json shows to which march it belongs.
         """
-        for file in (self.folder / CSV_FILE, self.path, *self._files()):
+        for file in (self.folder / CSV_FILE, self.path, *self._state_paths()):
             file.unlink(missing_ok=True)
 
-    def _write_table(self, table: Table, states: Mapping[int, State], pace: Pace) -> None:
-        self._states = {row: record for row, record in self._states.items() if int(row) in states}
-        record = {"mark": self.mark, "pace": asdict(pace), "states": self._states}
+    def _write_march(self, table: Table, states: Mapping[int, State], pace: Pace) -> None:
+        self._state_records = {row: record for row, record in self._state_records.items() if int(row) in states}
+        record = {"mark": self.mark, "pace": asdict(pace), "states": self._state_records}
         write_sealed(self.path, record | {"columns": table.columns, "rows": [[*row.values()] for row in table.rows]})
-        for stale in self._files():
-            if int(stale.stem) not in states:
-                stale.unlink()
-        table.put(self.folder / CSV_FILE)
+        for path in self._state_paths():
+            if int(path.stem) not in states:
+                path.unlink()
+        table.write_on_this_rank(self.folder / CSV_FILE)
 
     def _write_state(self, row: int, state: State) -> None:
         arrays = {} if state.reactions is None else {REACTIONS_KEY: state.reactions}
-        arrays |= {name: self._gather(self._orders[name], values) for name, values in _state_values(state).items()}
-        record = {"report": asdict(state.report), "audit": asdict(state.audit)}
-        record |= {name: getattr(state, name) for name in STATE_NUMBERS}
+        arrays |= {name: self._gather(self._file_orders[name], values) for name, values in _state_arrays(state).items()}
+        state_data = {"report": asdict(state.report), "audit": asdict(state.audit)}
+        state_data |= {name: getattr(state, name) for name in STATE_NUMBERS}
 
         def write() -> None:
-            with replace_file(self._file(row)) as file:
+            with replace_file(self._path_of(row)) as file:
                 np.savez(file, allow_pickle=False, **arrays)
-            self._states[str(row)] = record | {"hash": hash_of(self._file(row))}
+            self._state_records[str(row)] = state_data | {"hash": file_hash(self._path_of(row))}
 
         on_root(self.comm, write)
 
-    def _gather(self, order: FileOrder, values: Array) -> Array:
+    def _gather(self, file_order: FileOrder, values: Array) -> Array:
         """Return, on rank 0, the values that all ranks have in their cells or facets, sorted for a file. Collective.
 
         Args:
-            order: order of the values in files.
+            file_order: order of the values in files.
             values: (n, v) v values in each of n rows of this rank.
 
         Returns:
             On rank 0 one row for each cell or facet: its number in the joint, then its values. Other ranks get no
             useful rows.
         """
-        rows = np.column_stack([order.numbers.astype(float), order.ordered(values)])
-        rows = np.concatenate(self.comm.gather(rows[: order.n_owned]) or [rows[:0]])
+        rows = np.column_stack([file_order.file_rows.astype(float), file_order.to_rows(values)])
+        rows = np.concatenate(self.comm.gather(rows[: file_order.n_owned]) or [rows[:0]])
         return rows[np.unique(rows[:, 0], return_index=True)[1]]
 
     # ---------------------------------------------------------------- reading
-    def read(self, resume: Resume, last: int) -> tuple[Table, dict[int, State], Pace] | None:
+    def read(self, resume: Resume, n_last: int) -> tuple[Table, dict[int, State], Pace] | None:
         """Read a march from the files in the folder.
 
         Args:
             resume: whether the march is to be resumed. "anyway": also if it is another march; its files then keep the
                 data that identify it.
-            last: how many states are read, counted from the end of the march; 0: all.
+            n_last: how many states are read, counted from the end of the march; 0: all.
 
         Returns:
             The table, number of a row -> its state, and the data from which the length of the next step follows. None:
@@ -178,16 +178,16 @@ class Checkpoint:
             InputError: the files belong to another march, or march.json is damaged; or the march is to be resumed, and
                 the file of a state is damaged.
         """
-        content = on_root(self.comm, lambda: self._content(resume))
+        content = on_root(self.comm, lambda: self._read_march(resume))
         if content is None:
             return None
-        self.mark, self._states = content["mark"], content["states"]
+        self.mark, self._state_records = content["mark"], content["states"]
         table = Table(dict(zip(content["columns"], row, strict=True)) for row in content["rows"])
-        on_root(self.comm, lambda: table.put(self.folder / CSV_FILE))
-        states = {row: self._read_state(row) for row in sorted(map(int, self._states))[-last:]}
+        on_root(self.comm, lambda: table.write_on_this_rank(self.folder / CSV_FILE))
+        states = {row: self._read_state(row) for row in sorted(map(int, self._state_records))[-n_last:]}
         return table, states, Pace(**content["pace"])
 
-    def _content(self, resume: Resume) -> JsonObject | None:
+    def _read_march(self, resume: Resume) -> JsonObject | None:
         """Return the content of march.json; None if there is no such file or `resume` is False.
 
         To be called on rank 0 only.
@@ -205,8 +205,8 @@ class Checkpoint:
             return None
         content = read_sealed(self.path)
         saved = content["mark"]
-        if saved.get("format") != FILE_FORMAT:
-            text = f"it has the format {saved.get('format')} of another version, this one reads {FILE_FORMAT}"
+        if saved.get("format") != FORMAT_VERSION:
+            text = f"it has the format {saved.get('format')} of another version, this one reads {FORMAT_VERSION}"
             raise InputError(f"{str(self.path)!r} cannot be read ({text}); give another folder, or remove it")
         if saved != self.mark and resume != "anyway":
             text = f"{self.path} is of another march ({differences_text([*differences(saved, self.mark)])})"
@@ -218,38 +218,40 @@ class Checkpoint:
     def _read_state(self, row: int) -> State:
         arrays: dict[str, Array] = {}  # on rank 0 only
 
-        def load() -> tuple[JsonObject, list[str], Array | None]:
-            record = self._states[str(row)]
-            if hash_of(self._file(row)) != record["hash"]:
-                raise InputError(f"{self._file(row)} is lost or damaged; remove the folder to start anew")
-            with np.load(self._file(row), allow_pickle=False) as file:
+        def read_file() -> tuple[JsonObject, list[str], Array | None]:
+            state_data = self._state_records[str(row)]
+            if file_hash(self._path_of(row)) != state_data["hash"]:
+                raise InputError(f"{self._path_of(row)} is lost or damaged; remove the folder to start anew")
+            with np.load(self._path_of(row), allow_pickle=False) as file:
                 arrays.update(file)
-            return record, [*arrays], arrays.get(REACTIONS_KEY)
+            return state_data, [*arrays], arrays.get(REACTIONS_KEY)
 
-        record, names, reactions = on_root(self.comm, load)
-        rest = self._equations.rest(record["t"])
-        spaces = {part.key: part.field.function_space for part in self._equations.with_own}
-        memory = {key: _copied(values) for key, values in rest.memory.items()}
-        fields = {key: fem.Function(V) for key, V in spaces.items() if FIELD_PREFIX + key in names}
-        report, audit = Report(**record["report"] | {"method": "resumed"}), Audit(**record["audit"])
-        state = replace(rest, memory=memory, fields=fields, at_rest=False, report=report, audit=audit)
-        state = replace(state, reactions=reactions, **{name: record[name] for name in STATE_NUMBERS})
-        for name, values in _state_values(state).items():
-            order = self._orders[name]
-            order.put(values, self._received(row, arrays.get(name), order.numbers, order.width * values.shape[1]))
+        state_data, array_names, reactions = on_root(self.comm, read_file)
+        rest_state = self._equations.rest_state(state_data["t"])
+        spaces = {part.key: part.field.function_space for part in self._equations.field_parts}
+        memory = {key: _copy_memory(values) for key, values in rest_state.memory.items()}
+        fields = {key: fem.Function(V) for key, V in spaces.items() if FIELD_PREFIX + key in array_names}
+        report, audit = Report(**state_data["report"] | {"method": "resumed"}), Audit(**state_data["audit"])
+        state = replace(rest_state, memory=memory, fields=fields, at_rest=False, report=report, audit=audit)
+        state = replace(state, reactions=reactions, **{name: state_data[name] for name in STATE_NUMBERS})
+        for name, values in _state_arrays(state).items():
+            order = self._file_orders[name]
+            order.assign(
+                values, self._receive_values(row, arrays.get(name), order.file_rows, order.width * values.shape[1])
+            )
         for f in (*_state_functions(state).values(), *state.fields.values()):
             f.x.scatter_forward()
         return state
 
-    def _received(self, row: int, rows: Array | None, numbers: IntArray, width: int) -> Array:
+    def _receive_values(self, row: int, rows: Array | None, entity_numbers: IntArray, n_values: int) -> Array:
         """Return the values of this rank's cells or facets from the content of a state's file. Collective.
 
         Args:
             row: number of the state's row in the table, for errors.
             rows: on rank 0 the content of the file, one row for each cell or facet: its number, then its values; on
                 other ranks None.
-            numbers: (cells,) numbers in the joint of the cells or facets of this rank.
-            width: number of values of each cell or facet.
+            entity_numbers: (cells,) numbers in the joint of the cells or facets of this rank.
+            n_values: number of values of each cell or facet.
 
         Returns:
             (cells, width) values.
@@ -257,14 +259,14 @@ class Checkpoint:
         Raises:
             InputError: the file lacks a value.
         """
-        rows = rows if rows is not None and rows.shape[1] == width + 1 else np.empty((0, width + 1))
-        values = carry_cell_values(self.comm, rows[:, 0].astype(np.int64), lambda at: rows[at, 1:], numbers)
+        rows = rows if rows is not None and rows.shape[1] == n_values + 1 else np.empty((0, n_values + 1))
+        values = carry_cell_values(self.comm, rows[:, 0].astype(np.int64), lambda at: rows[at, 1:], entity_numbers)
         if self.comm.allreduce(int(not np.isfinite(values).all())):
-            raise InputError(f"{self._file(row)} is of a march with other unknowns; remove the folder to start anew")
+            raise InputError(f"{self._path_of(row)} is of a march with other unknowns; remove the folder to start anew")
         return values
 
 
-def _copied(memory: Memory) -> Memory:
+def _copy_memory(memory: Memory) -> Memory:
     """Return a copy of the `memory` of a part: an array, or a dict of functions."""
     return {name: f.copy() for name, f in memory.items()} if isinstance(memory, Mapping) else memory.copy()
 
@@ -279,12 +281,12 @@ def _state_functions(state: State) -> dict[str, fem.Function]:
     return {"u": state.u, **{f"{MEMORY_PREFIX}{key}/{name}": f for key, memory in kept for name, f in memory.items()}}
 
 
-def _state_values(state: State) -> dict[str, Array]:
+def _state_arrays(state: State) -> dict[str, Array]:
     """Return all values of a state that are written to files: name in the file -> array (n, v).
 
     The arrays have n rows of v values. They are views of the state's data, so that writing into them changes the state.
     """
     arrays = {name: f.x.array.reshape(-1, f.function_space.dofmap.bs) for name, f in _state_functions(state).items()}
     arrays |= {FIELD_PREFIX + key: f.x.array[:, None] for key, f in state.fields.items()}
-    arrays |= {MEMORY_PREFIX + key: kept for key, kept in state.memory.items() if not isinstance(kept, Mapping)}
-    return arrays | {STRESS_PREFIX + key: kept for key, kept in state.stresses.items()}
+    arrays |= {MEMORY_PREFIX + key: values for key, values in state.memory.items() if not isinstance(values, Mapping)}
+    return arrays | {STRESS_PREFIX + key: values for key, values in state.stresses.items()}

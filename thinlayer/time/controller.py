@@ -26,15 +26,15 @@ class StepAttempt(NamedTuple):
 
     Attributes:
         name: name of the method in messages.
-        make: function that takes the length of a step, makes the step from the last state, and returns the new states.
-            It also sets the largest length of the next step, and raises SolveError if the step fails.
-        until: bound for use after a failure. If another method has failed, this one is tried only if the shorter step
-            to be tried next has at most this length.
+        make_states: function that takes the length of a step, makes the step from the last state, and returns the new
+            states. It also sets the largest length of the next step, and raises SolveError if the step fails.
+        max_next_length: bound for use after a failure. If another method has failed, this one is tried only if the
+            shorter step to be tried next has at most this length.
     """
 
     name: str
-    make: Callable[[float], list[State]]
-    until: float = math.inf
+    make_states: Callable[[float], list[State]]
+    max_next_length: float = math.inf
 
 
 def is_divisible(start: float, end: float) -> bool:
@@ -52,18 +52,18 @@ class Controller(ABC):
         targets: times at which steps must end, increasing.
         start: time of the first state.
         time_slack: largest difference of times that count as equal.
-        smallest: length below which a step is not shortened further, in the unit of `length`.
+        min_length: length below which a step is not shortened further, in the unit of `next_length`.
     """
 
     solver: Solver
     journal: Journal
     targets: Sequence[float]
-    smallest: float = field(init=False)
+    min_length: float = field(init=False)
 
     def __post_init__(self) -> None:
         self.start = self.journal.start
-        lengths = np.diff([self.start, *self.targets])
-        self.time_slack = min(TIME_TOLERANCE * max(abs(self.start), abs(self.targets[-1])), float(lengths.min()) / 2)
+        durations = np.diff([self.start, *self.targets])
+        self.time_slack = min(TIME_TOLERANCE * max(abs(self.start), abs(self.targets[-1])), float(durations.min()) / 2)
         self._log = logger("march", self.solver.model.comm)
 
     @property
@@ -74,19 +74,19 @@ class Controller(ABC):
     @property
     def done(self) -> bool:
         """Whether the march has ended, as its last state is at the last time of `targets`, or after it."""
-        return self._passed_times == len(self.targets)
+        return self._n_passed == len(self.targets)
 
     @property
     def target(self) -> float:
         """The first time of `targets` that is after the last state; the next step must not go beyond it."""
-        return self.targets[self._passed_times]
+        return self.targets[self._n_passed]
 
     @property
-    def _passed_times(self) -> int:
+    def _n_passed(self) -> int:
         return bisect_right(self.targets, self.last.t + self.time_slack)
 
     @abstractmethod
-    def length(self) -> float:
+    def next_length(self) -> float:
         """Return the length of the next step: a duration, or for a path the arc length over that of the first step."""
 
     @property
@@ -94,7 +94,7 @@ class Controller(ABC):
     def attempts(self) -> list[StepAttempt]:
         """Methods for the next step, in the order in which they are tried."""
 
-    def shorter(self, length: float, error: SolveError) -> float:
+    def shorter_length(self, length: float, error: SolveError) -> float:
         """Return the length to be tried after a step has failed; by default half of its length.
 
         Args:
@@ -112,23 +112,23 @@ class Controller(ABC):
             errors: errors of the methods that were tried for it, in order.
         """
 
-    def error(self, what: str, advice: str = "") -> SolveError:
+    def error(self, reason: str, advice: str = "") -> SolveError:
         """Return a SolveError that carries the history of the accepted states.
 
         Args:
-            what: message that says what has failed.
+            reason: message that says what has failed.
             advice: what the user may do; "": no advice.
         """
-        return SolveError(what, self.journal.history, advice=advice)
+        return SolveError(reason, self.journal.history, advice=advice)
 
     # ---------------------------------------------------------------- the loop
-    def run(self, resume: Resume = False, begun: Sequence[State] = ()) -> History:
+    def run(self, resume: Resume = False, initial: Sequence[State] = ()) -> History:
         """Make all steps of the march, and return its history. Collective.
 
         Args:
             resume: whether to continue the march that is in the journal's folder; "anyway": also if it is another
                 march.
-            begun: states of an earlier march from which this one continues: its last state, perhaps with the state
+            initial: states of an earlier march from which this one continues: its last state, perhaps with the state
                 before it in front. (): the march starts from rest.
 
         Raises:
@@ -140,19 +140,19 @@ class Controller(ABC):
             end = self.targets[-1]
             if self.journal.read(resume):
                 if self.last.t > end + self.time_slack:
-                    where = f"the march in {self.journal.out} is at t = {self.last.t:g}"
-                    raise InputError(f"{where}, and is to end before, at t = {end:g}")
-            elif begun:
-                self.journal.begin(begun)
+                    march_text = f"the march in {self.journal.out} is at t = {self.last.t:g}"
+                    raise InputError(f"{march_text}, and is to end before, at t = {end:g}")
+            elif initial:
+                self.journal.begin(initial)
             else:
-                self._first_state()
+                self._add_first_state()
             while not self.done:
-                self.journal.accept(self._next_states())
+                self.journal.accept(self._make_next_states())
                 share = (self.last.t - self.start) / (end - self.start)  # falls where t turns back
                 progress(max(share, 0.0), f"t = {self.last.t:.4g} of {end:.4g}, {len(self.journal.history)} states")
         return self.journal.history
 
-    def _first_state(self) -> None:
+    def _add_first_state(self) -> None:
         """Add the first state to the journal, for a march that starts from rest.
 
         If a part depends on rates, this is the state at rest, which is written to files only together with the first
@@ -162,33 +162,33 @@ class Controller(ABC):
             SolveError: this response cannot be computed.
         """
         if self.solver.equations.traits.rate:
-            self.journal.note(self.solver.rest(self.start))
+            self.journal.add_state(self.solver.rest_state(self.start))
             return
         try:
-            self.journal.accept([self.solver.sudden(self.start)])
+            self.journal.accept([self.solver.solve_sudden(self.start)])
         except SolveError as error:
             raise self.error(f"the first state, under the sudden load at t = {self.start:g}: {error}") from error
 
-    def _next_states(self) -> list[State]:
+    def _make_next_states(self) -> list[State]:
         """Make the next step, shortened until one of the methods succeeds, and return its states.
 
         Raises:
             SolveError: even the shortest step fails.
         """
-        length, t = self.length(), self.last.t
+        length, t = self.next_length(), self.last.t
         while True:
             errors: list[SolveError] = []
             for attempt in self.attempts:
-                if errors and self.shorter(length, errors[0]) > attempt.until:
+                if errors and self.shorter_length(length, errors[0]) > attempt.max_next_length:
                     continue
                 if errors:
                     self._log.info("t = %g: %s is tried: %s", t, attempt.name, errors[-1].reason)
                 try:
-                    return attempt.make(length)
+                    return attempt.make_states(length)
                 except SolveError as error:
                     errors.append(error.with_traceback(None))  # as in `Solver._try_in_turn`
-            shorter = self.shorter(length, errors[0])
-            if shorter < max(self.smallest, np.finfo(float).tiny):
+            new_length = self.shorter_length(length, errors[0])
+            if new_length < max(self.min_length, np.finfo(float).tiny):
                 raise self.failure(length, errors) from errors[0]
-            self._log.info("t = %g: a step of %g is shortened to %g: %s", t, length, shorter, errors[0].reason)
-            length = shorter
+            self._log.info("t = %g: a step of %g is shortened to %g: %s", t, length, new_length, errors[0].reason)
+            length = new_length

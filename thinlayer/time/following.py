@@ -17,10 +17,10 @@ from thinlayer.time.path import EquilibriumPath
 if TYPE_CHECKING:  # the settings make their controllers
     from thinlayer.time.plan import ArcLength
 
-WANTED_ITERATIONS = 4  # number of Newton steps at which the length of the next step stays the same
+IDEAL_NEWTON_STEPS = 4  # number of Newton steps at which the length of the next step stays the same
 MIN_LENGTH_RATIO, MAX_LENGTH_RATIO = 0.5, 2.0  # bounds of the ratio of the lengths of two steps
-CORNER_LENGTH = 0.125  # largest length, relative to the first step, of a failed step that may contain a corner
-UNLIMITED_STEPS = 10**6
+MAX_CORNER_LENGTH = 0.125  # largest length, relative to the first step, of a failed step that may contain a corner
+MANY_STEPS = 10**6
 
 
 @dataclass(eq=False)
@@ -30,58 +30,58 @@ class ArcLengthController(Controller):
     In its methods, the length of a step is its arc length over that of the first step.
 
     Attributes:
-        path: settings of the user: ends of the path, and limits of the lengths of steps.
+        plan: settings of the user: ends of the path, and limits of the lengths of steps.
         options: PETSc options of the linear solver, which override the package's defaults.
     """
 
-    path: ArcLength
+    plan: ArcLength
     options: Options
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.smallest = self.path.smallest
-        self._curve = EquilibriumPath(self.solver.equations, self.path.first, self.options)
-        self._aimed_state: State | None = None  # the state at which the path's direction has been computed
+        self.min_length = self.plan.smallest
+        self._path = EquilibriumPath(self.solver.equations, self.plan.first, self.options)
+        self._direction_state: State | None = None  # the state at which the path's direction has been computed
 
     @property
     def done(self) -> bool:
-        back = self.path.back
-        return super().done or (back is not None and self.last.t < back)
+        min_t = self.plan.back
+        return super().done or (min_t is not None and self.last.t < min_t)
 
-    def length(self) -> float:
-        path, pace, last, before = self.path, self.journal.pace, self.last, self.journal.previous
-        steps = len(self.journal.history) - 1
-        if last.t < path.lowest(self.start):
-            text = f"the path has come back to t = {last.t:g} and has not reached end = {path.end:g}"
+    def next_length(self) -> float:
+        settings, pace, last, previous = self.plan, self.journal.pace, self.last, self.journal.previous
+        n_steps = len(self.journal.history) - 1
+        if last.t < settings.lowest(self.start):
+            text = f"the path has come back to t = {last.t:g} and has not reached end = {settings.end:g}"
             raise self.error(text, "give back=, a time < start at which it may end too")
-        if steps >= path.steps:
-            text = f"the path is at t = {last.t:g} after {path.steps} steps, not at end = {path.end:g}"
+        if n_steps >= settings.steps:
+            text = f"the path is at t = {last.t:g} after {settings.steps} steps, not at end = {settings.end:g}"
             raise self.error(text, "give more steps, or a longer first one")
-        if steps and before and not pace.weight:
-            pace.weight, self._aimed_state = self._weight(before, last), None
-        self._curve.middle = ([self.start, *self.targets][self._passed_times] + self.target) / 2
+        if n_steps and previous and not pace.weight:
+            pace.weight, self._direction_state = self._length_weight(previous, last), None
+        self._path.inner_time = ([self.start, *self.targets][self._n_passed] + self.target) / 2
         try:
-            if self._aimed_state is not last:
-                self._aim()
+            if self._direction_state is not last:
+                self._set_direction()
         except SolveError as error:
             raise self.failure(1.0, [error]) from error
-        return min(pace.step or 1.0, path.largest)
+        return min(pace.step or 1.0, settings.largest)
 
-    def _aim(self, *, anew: bool = False) -> None:
+    def _set_direction(self, *, forward: bool = False) -> None:
         """Compute the direction of the path at the last state.
 
         It leads away from the state before the last one. If there is no such state, t increases along it.
 
         Args:
-            anew: whether t must increase along the direction even if there is a state before.
+            forward: whether t must increase along the direction even if there is a state before.
 
         Raises:
             SolveError: the direction cannot be computed.
         """
-        self._curve.weight, self._aimed_state = self.journal.pace.weight, self.last
-        self._curve.aim(None if anew else self.journal.previous, self.last)
+        self._path.length_weight, self._direction_state = self.journal.pace.weight, self.last
+        self._path.set_direction(None if forward else self.journal.previous, self.last)
 
-    def _weight(self, before: State, last: State) -> float:
+    def _length_weight(self, before: State, last: State) -> float:
         """Return the factor 1/U^2 of squared displacements in the squared arc length.
 
         U is the norm of the change of nodal displacements between the first two states, per change of t, times
@@ -93,24 +93,24 @@ class ArcLengthController(Controller):
         Raises:
             SolveError: U is 0, as nothing moves.
         """
-        unit = float((last.u.x.petsc_vec - before.u.x.petsc_vec).norm()) * self.path.first / (last.t - before.t)
+        unit = float((last.u.x.petsc_vec - before.u.x.petsc_vec).norm()) * self.plan.first / (last.t - before.t)
         if not unit:
             raise self.error(f"nothing moves from t = {before.t:g} to {last.t:g}: the path has no direction")
         return 1 / unit**2
 
     @property
     def attempts(self) -> list[StepAttempt]:
-        ahead = StepAttempt("a step along the path", self._step_ahead)
-        corner = StepAttempt("a step through a corner", self._through_corner, CORNER_LENGTH / 2)
-        return [ahead, corner] if self._curve.weight else [ahead]
+        smooth_step = StepAttempt("a step along the path", self._step_ahead)
+        corner_step = StepAttempt("a step through a corner", self._step_through_corner, MAX_CORNER_LENGTH / 2)
+        return [smooth_step, corner_step] if self._path.length_weight else [smooth_step]
 
-    def _arc(self, length: float) -> float:
+    def _arc_length(self, length: float) -> float:
         """Return the arc length of a step from its length relative to the first step.
 
         The squared arc length is a sum of two terms, from displacements and from t. In the first step each term is 1,
         so that its arc length is sqrt(2). Until the unit of displacements is known, only the term from t counts.
         """
-        return length * math.sqrt(2.0) if self._curve.weight else length
+        return length * math.sqrt(2.0) if self._path.length_weight else length
 
     def _step_ahead(self, length: float) -> list[State]:
         """Make a step along the path, and return its state in a list.
@@ -123,20 +123,20 @@ class ArcLengthController(Controller):
         Raises:
             SolveError: the step fails.
         """
-        last, target, arc = self.last, self.target, self._arc(length)
+        last, target, arc_length = self.last, self.target, self._arc_length(length)
         state = None
-        if last.t + arc * self._curve.slope >= target - self.time_slack:
+        if last.t + arc_length * self._path.t_slope >= target - self.time_slack:
             with suppress(SolveError):  # the path may turn back before the target
-                state = self._curve.solve_at_time(last, None, target)
+                state = self._path.solve_at_time(last, None, target)
         if state is None:
-            state = self._curve.step(last, arc)
-            state = self._curve.solve_at_time(last, state, target) if state.t > target - self.time_slack else state
-        return self._accepted_states(state, length)
+            state = self._path.step(last, arc_length)
+            state = self._path.solve_at_time(last, state, target) if state.t > target - self.time_slack else state
+        return self._accept_state(state, length)
 
-    def _through_corner(self, length: float) -> list[State]:
-        return self._accepted_states(self._curve.step(self.last, self._arc(length), turn=True), length)
+    def _step_through_corner(self, length: float) -> list[State]:
+        return self._accept_state(self._path.step(self.last, self._arc_length(length), turn=True), length)
 
-    def _accepted_states(self, state: State, length: float) -> list[State]:
+    def _accept_state(self, state: State, length: float) -> list[State]:
         """Accept a state as the next one of the path, and return it in a list.
 
         This also computes the direction of the path at the state, and the largest length of the next step.
@@ -148,15 +148,15 @@ class ArcLengthController(Controller):
         Raises:
             SolveError: the path turns within the step, or the state seems to be on another path.
         """
-        self._curve.aim(self.last, state, check=True)
-        factor = math.sqrt(WANTED_ITERATIONS / max(state.report.iterations, 1))
-        self.journal.pace.step = length * min(max(factor, MIN_LENGTH_RATIO), MAX_LENGTH_RATIO)
-        self._aimed_state = state
+        self._path.set_direction(self.last, state, check=True)
+        length_factor = math.sqrt(IDEAL_NEWTON_STEPS / max(state.report.iterations, 1))
+        self.journal.pace.step = length * min(max(length_factor, MIN_LENGTH_RATIO), MAX_LENGTH_RATIO)
+        self._direction_state = state
         return [state]
 
     def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:
-        step = f"step {len(self.journal.history)} of the path, from t = {self.last.t:g}"
-        return self.error(f"{step}, failed, and so did longer ones: {errors[0]}")
+        step_text = f"step {len(self.journal.history)} of the path, from t = {self.last.t:g}"
+        return self.error(f"{step_text}, failed, and so did longer ones: {errors[0]}")
 
 
 class PathToTimesController(ArcLengthController):
@@ -169,13 +169,13 @@ class PathToTimesController(ArcLengthController):
 
     _turns_back = False  # whether the path has turned back in the last step tried
 
-    def _is_break(self, t: float) -> bool:
+    def _is_break_time(self, t: float) -> bool:
         return any(abs(t - break_time) <= self.time_slack for break_time in self.solver.model.break_times)
 
-    def _aim(self, *, anew: bool = False) -> None:
-        super()._aim(anew=self._is_break(self.last.t))
+    def _set_direction(self, *, forward: bool = False) -> None:
+        super()._set_direction(forward=self._is_break_time(self.last.t))
 
-    def _accepted_states(self, state: State, length: float) -> list[State]:
+    def _accept_state(self, state: State, length: float) -> list[State]:
         """Accept a state as the next one of the path, and return it in a list.
 
         Args:
@@ -186,13 +186,13 @@ class PathToTimesController(ArcLengthController):
             SolveError: t decreases up to this state or beyond it; the path turns within the step; or the state seems to
                 be on another path.
         """
-        states = super()._accepted_states(state, length)
-        self._turns_back = not (self._curve.slope > 0 and state.t > self.last.t)
+        states = super()._accept_state(state, length)
+        self._turns_back = not (self._path.t_slope > 0 and state.t > self.last.t)
         if self._turns_back:
-            self._aim()
+            self._set_direction()
             raise SolveError("the path turns back in time")
-        if self._is_break(state.t):
-            self._aimed_state = None
+        if self._is_break_time(state.t):
+            self._direction_state = None
         return states
 
     def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:

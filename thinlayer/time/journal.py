@@ -13,10 +13,10 @@ import numpy as np
 from forms.base import InputError, ThinlayerError
 from thinlayer.discretisation.state import State
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.history import History, columns
-from thinlayer.system.fingerprint import Resume, code_of, describe
+from thinlayer.solving.history import History, column_getters
+from thinlayer.system.fingerprint import Resume, code_part, describe
 from thinlayer.system.progress import logger
-from thinlayer.system.ranks import collect, errors_on_all
+from thinlayer.system.ranks import errors_on_all, free_petsc_objects
 from thinlayer.system.table import Row
 from thinlayer.time.checkpoint import Checkpoint, Pace
 
@@ -33,8 +33,8 @@ class Journal:
 
     Attributes:
         equations: the equations of the model.
-        choices: name of an argument of the march -> its value; among them are "start" and "theta". A march can only be
-            resumed with the same values.
+        arguments: name of an argument of the march -> its value; among them are "start" and "theta". A march can only
+            be resumed with the same values.
         observe: name of a column of the table -> function of a state that returns a number.
         keep: "all": keep all states; "last": keep only the last one.
         out: folder for the table and the files from which to resume; None: no files.
@@ -45,7 +45,7 @@ class Journal:
     """
 
     equations: Equations
-    choices: Mapping[str, float | None]
+    arguments: Mapping[str, float | None]
     observe: Observers = field(default_factory=dict)
     keep: str = "last"
     out: Path | None = None
@@ -53,16 +53,19 @@ class Journal:
     def __post_init__(self) -> None:
         self.model = self.equations.model
         names = self.model.comm.bcast([*self.observe])  # one order of the columns on all ranks
-        self._observe, self._columns = {name: self.observe[name] for name in names}, columns(self.model)
+        self._observers, self._column_functions = (
+            {name: self.observe[name] for name in names},
+            column_getters(self.model),
+        )
         self._log = logger("march", self.model.comm)
-        self.start, theta = (float(self.choices[name] or 0.0) for name in ("start", "theta"))
+        self.start, theta = (float(self.arguments[name] or 0.0) for name in ("start", "theta"))
         self.history, self.pace = History(self.model, theta=theta), Pace()
         self.previous: State | None = None
-        self._checkpoint, self._n_written = None, 0
+        self._checkpoint, self._n_written_rows = None, 0
         if self.out:
             # the mark has only the code of observing functions, because the values that they collect change
-            observed = {name: code_of(describe(function)) for name, function in self._observe.items()}
-            mark = json.loads(json.dumps({**self.model.identity(), "observe": observed, **self.choices}))
+            codes = {name: code_part(describe(function)) for name, function in self._observers.items()}
+            mark = json.loads(json.dumps({**self.model.identity(), "observe": codes, **self.arguments}))
             self._checkpoint = Checkpoint(self.out, self.equations, mark)
 
     def read(self, resume: Resume) -> bool:
@@ -82,9 +85,9 @@ class Journal:
         if saved_march is None:
             return False
         self.history.table, states, self.pace = saved_march
-        self._n_written, last = len(self.history), len(self.history) - 1
-        self.previous = states.get(last - 1)
-        self.history.states = states if self.keep == "all" else {last: states[last]}
+        self._n_written_rows, last_row = len(self.history), len(self.history) - 1
+        self.previous = states.get(last_row - 1)
+        self.history.states = states if self.keep == "all" else {last_row: states[last_row]}
         return True
 
     def begin(self, states: Sequence[State]) -> None:
@@ -94,35 +97,35 @@ class Journal:
             states: states of the other march. The last of them is the first state of this one. The state before it, if
                 there is one, gives the direction of an equilibrium path.
         """
-        self.note(states[-1])
+        self.add_state(states[-1])
         self.history.begun = True
         self.previous = states[-2] if len(states) > 1 else None
 
     def accept(self, states: Sequence[State]) -> None:
         """Add accepted states to the history, each with a row of the table, and write them to the files."""
         for state in states:
-            self.note(state)
+            self.add_state(state)
         if self._checkpoint:
-            last, kept = len(self.history) - 1, dict(self.history.states)
+            last_row, states_to_keep = len(self.history) - 1, dict(self.history.states)
             if self.previous:
-                kept[last - 1] = self.previous
-            self._checkpoint.write(self.history.table, kept, self.pace, self._n_written)
-            self._n_written = len(self.history)
-        collect(self.equations.comm)
+                states_to_keep[last_row - 1] = self.previous
+            self._checkpoint.write(self.history.table, states_to_keep, self.pace, self._n_written_rows)
+            self._n_written_rows = len(self.history)
+        free_petsc_objects(self.equations.comm)
 
-    def note(self, state: State) -> None:
+    def add_state(self, state: State) -> None:
         """Add a state and its row of the table to the history, but not to the files.
 
         The next call of `accept` writes them to the files, too.
         """
         history, report = self.history, state.report
         self.previous = history.last if history.states else None
-        summary = state.t, report.method, report.iterations, report.residual
-        self._log.info("t = %g: %s, %d steps, residual %.1e", *summary)
+        log_values = state.t, report.method, report.iterations, report.residual
+        self._log.info("t = %g: %s, %d steps, residual %.1e", *log_values)
         row: Row = {"t": state.t, "dt": state.t - self.previous.t if self.previous else 0.0}
-        values = {name: value(state) for name, value in self._columns.items()}
+        values = {name: value(state) for name, value in self._column_functions.items()}
         row |= {name: None if math.isnan(value) else value for name, value in values.items()}
-        row |= {name: self._observed_value(name, state) for name in self._observe}
+        row |= {name: self._observed_value(name, state) for name in self._observers}
         history.table.append({name: row[name] for name in history.table.columns or row})
         if self.keep == "last":
             history.states.clear()
@@ -138,15 +141,15 @@ class Journal:
         Raises:
             InputError: the function fails, or its values on several ranks differ by more than rounding.
         """
-        label = f"observe[{name!r}] at t = {state.t:g}"
+        place = f"observe[{name!r}] at t = {state.t:g}"
         try:
             with errors_on_all(self.model.comm):
-                value = float(np.asarray(self._observe[name](state)).astype(float, casting="same_kind"))
+                value = float(np.asarray(self._observers[name](state)).astype(float, casting="same_kind"))
         except Exception as error:
             kind = "" if isinstance(error, (ThinlayerError, TypeError, ValueError)) else f"{type(error).__name__}: "
-            raise InputError(f"{label}: {kind}{error}; {OBSERVER_HINT}") from error
+            raise InputError(f"{place}: {kind}{error}; {OBSERVER_HINT}") from error
         values = np.array(self.model.comm.allgather(value))
         if not np.allclose(values, values[0], rtol=OBSERVED_TOLERANCE, atol=0.0, equal_nan=True):
-            numbers = ", ".join(f"{value:.6g}" for value in values)
-            raise InputError(f"{label}: the ranks find {numbers}; let it return the sum, or the largest, of all ranks")
+            listed = ", ".join(f"{value:.6g}" for value in values)
+            raise InputError(f"{place}: the ranks find {listed}; let it return the sum, or the largest, of all ranks")
         return float(values[0])

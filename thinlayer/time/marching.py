@@ -15,21 +15,21 @@ from geometry.refusals import require_known
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
-from thinlayer.solving.history import History, Solution, columns
+from thinlayer.solving.history import History, Solution, column_getters
 from thinlayer.solving.ranges import warn_of_model, warn_of_states, warn_of_steps, warn_of_strains
 from thinlayer.solving.solve import Solver, SolverChoices, comm_of
 from thinlayer.system.fingerprint import Resume, require_resume
-from thinlayer.system.folder import own_folder
+from thinlayer.system.folder import lock_from_root
 from thinlayer.system.progress import report
 from thinlayer.system.ranks import errors_on_all, require_same
 from thinlayer.time.controller import Controller
 from thinlayer.time.journal import OBSERVER_HINT, Journal, Observers
-from thinlayer.time.plan import Plan, PlannedTimes, Times, require_in_time
+from thinlayer.time.plan import Plan, PlannedTimes, Times, require_theta_suits
 from thinlayer.time.stepping import COMPARED_QUANTITIES, ErrorEstimate
 
 WARN_STEP_ERROR = 0.02  # least error of the steps that leads to a warning
 MIN_HALVED_STEPS = 8  # least number of planned steps that is halved; fewer are repeated as this many or more
-NO_DISSIPATION_SHARE = 1e-12  # dissipation over the work of the loads that counts as zero
+MIN_DISSIPATION_RATIO = 1e-12  # dissipation over the work of the loads that counts as zero
 
 
 def march(
@@ -122,46 +122,46 @@ def march(
         '0.0102'
     """
     with errors_on_all(comm_of(getattr(begin, "model", begin))):
-        model, begun = _initial_states(begin)
+        model, initial_states = _initial_states(begin)
         for name in solver:
             require_known("argument of march", name, SolverChoices.__annotations__)
-        if begun and (start is not None or out is not None):
+        if initial_states and (start is not None or out is not None):
             raise InputError("a march goes on from a state at its time, and without files: omit start= and out=")
-        start = begun[-1].t if begun else _checked_number("start", start or 0.0)
-        theta = _checked_number("theta", theta)
+        start = initial_states[-1].t if initial_states else _to_float("start", start or 0.0)
+        theta = _to_float("theta", theta)
         _check(model, theta, keep, out, resume, observe)
         plan = times if isinstance(times, Plan) else PlannedTimes(times)
         plan.targets(start)
-    choices = {"start": start, "theta": theta, "keep": keep, "out": out and str(out), "resume": resume}
-    require_same(model.comm, times=plan, **choices, observe={*(observe or {})})
+    shared_arguments = {"start": start, "theta": theta, "keep": keep, "out": out and str(out), "resume": resume}
+    require_same(model.comm, times=plan, **shared_arguments, observe={*(observe or {})})
     folder = Path(out) if out else None
-    with Solver(model, **solver) as step_solver, own_folder(folder, model.comm):
+    with Solver(model, **solver) as step_solver, lock_from_root(folder, model.comm):
         equations, traits = step_solver.equations, step_solver.equations.traits
         ends_at_breaks = traits.remembers or traits.rate or traits.softens or plan.tolerance is not None
         targets = plan.targets(start, model.break_times if ends_at_breaks else ())
         on_path, first = plan.is_path or traits.softens, targets[0] - start if plan.first is None else plan.first
         plan.check_model(equations, theta, solver.get("method"))
-        equations.check_times([start, *targets])
+        equations.check_data_at([start, *targets])
         if not on_path:
-            require_in_time(equations, theta, [start, *targets])
+            require_theta_suits(equations, theta, [start, *targets])
         identity = {"start": start, "theta": theta, "tolerance": plan.tolerance} | ({"first": first} if on_path else {})
         journal = Journal(equations, identity, observe or {}, keep, folder)
-        shortest, longest = min(first, targets[0] - start), targets[-1] - start  # durations of sudden loads
-        durations = dict.fromkeys([shortest, math.sqrt(shortest * longest), longest])
-        warn_of_model(model, () if on_path or begun else [*durations])
+        min_duration, max_duration = min(first, targets[0] - start), targets[-1] - start  # durations of sudden loads
+        load_durations = dict.fromkeys([min_duration, math.sqrt(min_duration * max_duration), max_duration])
+        warn_of_model(model, () if on_path or initial_states else [*load_durations])
         has_planned_steps = not on_path and plan.tolerance is None
         if has_planned_steps:
             warn_of_steps(model, start, targets, theta)
         controller = plan.controller(step_solver, journal, targets, solver.get("options") or {})
         try:
-            history = controller.run(resume, begun)
+            history = controller.run(resume, initial_states)
         except SolveError as error:
             warn_of_strains(list(error.history or ()))
             raise
         part_traits = [part.traits for part in equations.parts]  # laws that switch phases end steps at switches
-        timed = any((has.remembers or has.rate) and has.nonlinear and not has.switches for has in part_traits)
-        if timed and has_planned_steps:
-            warn_of_step_errors(controller, theta, begun)
+        has_time_errors = any((has.remembers or has.rate) and has.nonlinear and not has.switches for has in part_traits)
+        if has_time_errors and has_planned_steps:
+            warn_of_step_errors(controller, theta, initial_states)
     warn_of_states(list(history), None if on_path else start)
     return history
 
@@ -185,11 +185,11 @@ def _initial_states(begin: object) -> tuple[Model, list[State]]:
         return begin.model, [begin]
     if isinstance(begin, Model):
         return begin, []
-    allowed = "march takes what Structure.full or Structure.interface returns, a history or a state"
-    raise InputError(f"model is {begin!r:.200}; {allowed}")
+    allowed_text = "march takes what Structure.full or Structure.interface returns, a history or a state"
+    raise InputError(f"model is {begin!r:.200}; {allowed_text}")
 
 
-def _checked_number(name: str, value: float) -> float:
+def _to_float(name: str, value: float) -> float:
     require(not np.ndim(value) and np.asarray(value).dtype.kind in "iuf", name, value, "it must be a number")
     return float(value)
 
@@ -198,7 +198,7 @@ def _check(model: Model, theta: float, keep: str, out: object, resume: Resume, o
     require(observe is None or isinstance(observe, Mapping), "observe", observe, "give {name of a column: function}")
     for name, function in (observe or {}).items():
         require(isinstance(name, str) and callable(function), f"observe[{name!r}]", function, OBSERVER_HINT)
-        if name in {"dt", *columns(model)}:
+        if name in {"dt", *column_getters(model)}:
             raise InputError(f"observe: column {name!r} exists already; give it another name")
     if not 0.5 <= theta <= 1:
         raise InputError(f"theta is {theta}; allowed: 1/2 (midpoint rule) to 1 (backward Euler)")
@@ -209,7 +209,7 @@ def _check(model: Model, theta: float, keep: str, out: object, resume: Resume, o
 
 
 # ---------------------------------------------------------------- errors of planned steps
-def warn_of_step_errors(controller: Controller, theta: float, begun: Sequence[State]) -> None:
+def warn_of_step_errors(controller: Controller, theta: float, initial_states: Sequence[State]) -> None:
     """Estimate the errors at the end of a march with steps to given times, and warn if they are large. Collective.
 
     The march is repeated with half as many steps, which adds half as many solves. Fewer than eight steps are repeated
@@ -220,11 +220,11 @@ def warn_of_step_errors(controller: Controller, theta: float, begun: Sequence[St
     Args:
         controller: controller of the march, which has ended.
         theta: fraction of each step after which forces balance.
-        begun: states from which the march continued; (): it started from rest.
+        initial_states: states from which the march continued; (): it started from rest.
     """
     solver, history, n = controller.solver, controller.journal.history, len(controller.targets)
     dissipated, supplied = (np.abs(np.array(history.table[name], float)).sum() for name in ("dissipated", "supplied"))
-    if dissipated <= NO_DISSIPATION_SHARE * supplied:  # false for NaN, if a law declares no energy
+    if dissipated <= MIN_DISSIPATION_RATIO * supplied:  # false for NaN, if a law declares no energy
         history.step_errors = dict.fromkeys(COMPARED_QUANTITIES, 0.0)
         return
     targets = _halved_targets(controller.targets, controller.start, solver.model.break_times)
@@ -232,18 +232,18 @@ def warn_of_step_errors(controller: Controller, theta: float, begun: Sequence[St
     try:
         with report("error of the steps"):
             journal = Journal(solver.equations, {"start": controller.start, "theta": theta})
-            other = PlannedTimes(targets).controller(solver, journal, targets, {}).run(begun=begun).last
+            coarse = PlannedTimes(targets).controller(solver, journal, targets, {}).run(initial=initial_states).last
     except SolveError as error:
         history.step_errors = dict.fromkeys(COMPARED_QUANTITIES, np.nan)
         text = f"the error of the march's steps is not known: with {len(targets)} steps {error.reason}; {remedy}"
         solver.model.warn("no step error", text, *controller.targets)
         return
-    factor = abs((n / len(targets)) ** (2 if theta == 0.5 else 1) - 1)
-    shares = ErrorEstimate(solver.equations).differences(other, history.last) / factor
-    history.step_errors = dict(zip(COMPARED_QUANTITIES, map(float, shares), strict=True))
-    if shares.max() > WARN_STEP_ERROR:
-        errors = ", ".join(f"{share:.2g} in {name}" for name, share in history.step_errors.items())
-        text = f"the {n} steps of this march leave estimated relative errors of {errors} at its end"
+    error_ratio = abs((n / len(targets)) ** (2 if theta == 0.5 else 1) - 1)
+    relative_errors = ErrorEstimate(solver.equations).differences(coarse, history.last) / error_ratio
+    history.step_errors = dict(zip(COMPARED_QUANTITIES, map(float, relative_errors), strict=True))
+    if relative_errors.max() > WARN_STEP_ERROR:
+        errors_text = ", ".join(f"{error:.2g} in {name}" for name, error in history.step_errors.items())
+        text = f"the {n} steps of this march leave estimated relative errors of {errors_text} at its end"
         solver.model.warn("step error", f"{text} (march with {len(targets)} steps); {remedy}", *controller.targets)
 
 
@@ -258,9 +258,9 @@ def _halved_targets(targets: Sequence[float], start: float, breaks: set[float]) 
         start: time at which it started.
         breaks: break times of `piecewise` data, where slopes change.
     """
-    last = len(targets) - 1
-    coarse = [t for k, t in enumerate(targets) if (last - k) % 2 == 0 or t in breaks]
-    if len(targets) >= MIN_HALVED_STEPS and 4 * len(coarse) <= 3 * len(targets):
-        return coarse
-    parts = max(2, math.ceil(MIN_HALVED_STEPS / len(targets)))
-    return [b - (b - a) * k / parts for a, b in pairwise([start, *targets]) for k in reversed(range(parts))]
+    last_index = len(targets) - 1
+    every_second = [t for k, t in enumerate(targets) if (last_index - k) % 2 == 0 or t in breaks]
+    if len(targets) >= MIN_HALVED_STEPS and 4 * len(every_second) <= 3 * len(targets):
+        return every_second
+    n_parts = max(2, math.ceil(MIN_HALVED_STEPS / len(targets)))
+    return [b - (b - a) * k / n_parts for a, b in pairwise([start, *targets]) for k in reversed(range(n_parts))]

@@ -26,15 +26,15 @@ from thinlayer.discretisation.state import Report, State
 from thinlayer.errors import SolveError
 from thinlayer.parts.part import TimeStep
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.linear_solvers import Factor, direct_solver, mark_symmetry
-from thinlayer.solving.petsc import Options, chosen_options, reason_name, solve_linear
+from thinlayer.solving.linear_solvers import Factor, direct_solver_options, mark_symmetry
+from thinlayer.solving.petsc import Options, reason_name, set_options, solve_linear
 
 MAX_NEWTON_STEPS = 12  # largest number of Newton steps
 MAX_TURN_STEPS = 2  # the same for a step that turns: the branch beyond a corner is nearly straight
 # Largest distance of the equilibrium from the predictor, relative to the step; farther away it is on another path.
 MAX_PREDICTION_ERROR = 0.25
 MAX_TURN_ERROR = 3.0  # the same for a step that turns
-DIVERGED_DISTANCE = 9.0  # largest distance of Newton's iterates from the predictor, relative to the step
+MAX_ITERATE_DISTANCE = 9.0  # largest distance of Newton's iterates from the predictor, relative to the step
 CORNER_DISTANCE = 0.5  # distance beyond a corner at which a step that turns ends, relative to the step
 # Bound of the distance from the predictor, relative to the step: factor * (change of direction) + offset.
 BEND_FACTOR, BEND_OFFSET = 2.0, 0.01
@@ -47,32 +47,32 @@ class EquilibriumPath:
     """Equilibrium path of a model, which is followed in steps of given arc length. Its methods are collective.
 
     A point of the path, and a direction, is an array (n + 1,): the n unknowns of this rank, then the load parameter t.
-    The path has a direction of length 1 at its last state, which `aim` computes and `step` follows. Laws with memory
-    start from the memory of the last state, whether t increases or decreases.
+    The path has a direction of length 1 at its last state, which `set_direction` computes and `step` follows. Laws with
+    memory start from the memory of the last state, whether t increases or decreases.
 
     Args:
         equations: the equations of the model.
-        unit: unit T of t in the arc length sqrt(|du|^2/U^2 + dt^2/T^2), > 0.
+        t_unit: unit T of t in the arc length sqrt(|du|^2/U^2 + dt^2/T^2), > 0.
         options: PETSc options of the linear solver, which override the package's defaults; options of SNES are ignored.
 
     Attributes:
-        weight: factor 1/U^2 in the arc length. It is 0 until the unit U of displacements is known, so that the arc
-            length of the first step depends on t only.
-        middle: a time between those at which loads and supports are evaluated. Difference quotients by t take their
-            second value on its side, so that they stay between these times.
+        length_weight: factor 1/U^2 in the arc length. It is 0 until the unit U of displacements is known, so that the
+            arc length of the first step depends on t only.
+        inner_time: a time between those at which loads and supports are evaluated. Difference quotients by t take
+            their second value on its side, so that they stay between these times.
     """
 
-    def __init__(self, equations: Equations, unit: float, options: Options) -> None:
-        self.equations, self.unit, self.weight, self.middle = equations, unit, 0.0, 0.0
+    def __init__(self, equations: Equations, t_unit: float, options: Options) -> None:
+        self.equations, self.t_unit, self.length_weight, self.inner_time = equations, t_unit, 0.0, 0.0
         user_options = {name: value for name, value in options.items() if not name.startswith("snes_")}
-        self._options = {**direct_solver(equations.model), **user_options}
-        self._factor = Factor()
-        self._x, self._r, self._dR, self._step, self._change = (equations.vector() for _ in range(5))
+        self._options = {**direct_solver_options(equations.model), **user_options}
+        self._factorisation = Factor()
+        self._x, self._r, self._dR, self._newton_step, self._du_dt = (equations.create_vector() for _ in range(5))
         self._direction = np.zeros(self._x.getLocalSize() + 1)  # of length 1, at the last state
         self._prediction_error = 0.0  # distance of the last equilibrium from its predictor, relative to the step
 
     @property
-    def slope(self) -> float:
+    def t_slope(self) -> float:
         """Change of t per arc length at the last state, in the direction of the path."""
         return float(self._direction[-1])
 
@@ -80,18 +80,18 @@ class EquilibriumPath:
         self.equations.put_state(state, self._x)
         return np.append(self._x.array_r, state.t)
 
-    def _product(self, a: Array, b: Array) -> float:
+    def _scalar_product(self, a: Array, b: Array) -> float:
         u_product = float(self.equations.comm.allreduce(float(a[:-1] @ b[:-1])))
-        return self.weight * u_product + float(a[-1] * b[-1]) / self.unit**2
+        return self.length_weight * u_product + float(a[-1] * b[-1]) / self.t_unit**2
 
     def _norm(self, a: Array) -> float:
-        return math.sqrt(self._product(a, a))
+        return math.sqrt(self._scalar_product(a, a))
 
     def _unit_vector(self, a: Array) -> Array:
         return np.asarray(a / self._norm(a), float)
 
     # ---------------------------------------------------------------- the balance of forces
-    def _residual(self, last: State, point: Array) -> float | None:
+    def _residual_size(self, last: State, point: Array) -> float | None:
         """Compute the residual at a point; return its size over a reference force if forces balance there, else None.
 
         Unknowns of `point` that supports prescribe are set to their prescribed values first. The residual is kept in
@@ -105,14 +105,14 @@ class EquilibriumPath:
             SolveError: a law fails, or loads or supports are not finite at t.
         """
         equations, bc_dofs = self.equations, self.equations.bc_dofs
-        self._begin(last, float(point[-1]))
+        self._begin_step(last, float(point[-1]))
         point[bc_dofs] = equations.prescribed
         self._x.array[:] = point[:-1]
         self._evaluate_residual(self._r)
         self._r.array[bc_dofs] = 0.0
-        return equations.relative(self._r) if equations.is_balanced(self._x, self._r) else None
+        return equations.relative_norm(self._r) if equations.is_balanced(self._x, self._r) else None
 
-    def _begin(self, last: State, t: float) -> None:
+    def _begin_step(self, last: State, t: float) -> None:
         try:
             self.equations.begin(TimeStep(last, t, t - last.t, 1.0))
         except InputError as error:
@@ -121,7 +121,7 @@ class EquilibriumPath:
     def _evaluate_residual(self, out: PETSc.Vec) -> None:
         self.equations.residual(self._x, out)
         if self.equations.failed:
-            raise SolveError(self.equations.failure())
+            raise SolveError(self.equations.failure_text())
 
     def _linearise(self, last: State, t: float) -> tuple[Array, Array]:
         """Linearise the equations at the point of the last residual.
@@ -139,74 +139,74 @@ class EquilibriumPath:
         Raises:
             SolveError: a law fails, loads or supports are not finite, or the matrix cannot be factorised.
         """
-        equations, bc_dofs, dR, change = self.equations, self.equations.bc_dofs, self._dR, self._change
-        prescribed, dt = equations.prescribed, math.copysign(TIME_QUOTIENT_STEP * self.unit, self.middle - t)
-        self._begin(last, t + dt)
+        equations, bc_dofs, dR, du_dt = self.equations, self.equations.bc_dofs, self._dR, self._du_dt
+        old_prescribed, dt = equations.prescribed, math.copysign(TIME_QUOTIENT_STEP * self.t_unit, self.inner_time - t)
+        self._begin_step(last, t + dt)
         self._evaluate_residual(dR)
         dR.axpy(-1.0, self._r)
         dR.scale(-1 / dt)
-        change.set(0.0)
-        change.array[bc_dofs] = (equations.prescribed - prescribed) / dt
+        du_dt.set(0.0)
+        du_dt.array[bc_dofs] = (equations.prescribed - old_prescribed) / dt
         self._matrix = equations.tangent()
-        self._matrix.zeroRowsColumns(equations.bc_rows, 1.0, change, dR)
-        mark_symmetry(self._matrix, equations.model, saddle=True)
-        self._solve(dR, change)
-        self._solve(self._r, self._step)
-        return np.append(-self._step.array_r, 0.0), np.append(change.array_r, 1.0)
+        self._matrix.zeroRowsColumns(equations.bc_rows, 1.0, du_dt, dR)
+        mark_symmetry(self._matrix, equations.model, is_saddle=True)
+        self._solve(dR, du_dt)
+        self._solve(self._r, self._newton_step)
+        return np.append(-self._newton_step.array_r, 0.0), np.append(du_dt.array_r, 1.0)
 
     def _solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        with chosen_options(self._options):
+        with set_options(self._options):
             try:
-                self._factor.renew(self._matrix, None, self.equations.set_preconditioner_data)
-                solve_linear(self._factor.ksp, b, x)
+                self._factorisation.renew(self._matrix, None, self.equations.set_preconditioner_data)
+                solve_linear(self._factorisation.ksp, b, x)
             except PETSc.Error:
-                self._factor.destroy()
+                self._factorisation.destroy()
                 raise
-        reason = self._factor.ksp.getConvergedReason()
+        reason = self._factorisation.ksp.getConvergedReason()
         if reason < 0 or not math.isfinite(x.norm()):
             raise SolveError(f"linear solver: {reason_name(PETSc.KSP.ConvergedReason, reason)}")
 
     # ---------------------------------------------------------------- direction
-    def aim(self, before: State | None, last: State, *, check: bool = False) -> None:
+    def set_direction(self, previous: State | None, last: State, *, check: bool = False) -> None:
         """Compute the direction of the path at a state.
 
         The direction is tangent to the path, and leads away from the state before. Without such a state, t increases
         along it. If the stiffness is singular, the direction is that from the state before to `last`.
 
         Args:
-            before: the state before `last`; None: `last` is the first state.
+            previous: the state before `last`; None: `last` is the first state.
             last: the state at which the direction is computed.
-            check: whether to compare the new direction with the present one, that at `before`.
+            check: whether to compare the new direction with the present one, that at `previous`.
 
         Raises:
             SolveError: with `check`, the path turns between the two states, or `last` is on another path; the present
                 direction is kept. Or the direction at the first state cannot be computed.
         """
         point = self._point(last)
-        increment = None if before is None else point - self._point(before)
+        increment = None if previous is None else point - self._point(previous)
         try:
-            self._residual(before or last, point)
-            _, direction = self._linearise(before or last, last.t)
+            self._residual_size(previous or last, point)
+            _, direction = self._linearise(previous or last, last.t)
         except SolveError:
             if increment is None:
                 raise
             direction, check = increment, False
         else:
-            if increment is not None and self._product(direction, increment) < 0:
+            if increment is not None and self._scalar_product(direction, increment) < 0:
                 direction = -direction
         direction = self._unit_vector(direction)
-        if check and before is not None and increment is not None:
-            if self._crossing(before, direction, self._norm(increment)) < 0:
+        if check and previous is not None and increment is not None:
+            if self._crossing_sign(previous, direction, self._norm(increment)) < 0:
                 raise SolveError("the path turns within the step")
             if self._prediction_error > BEND_FACTOR * self._norm(direction - self._direction) + BEND_OFFSET:
                 raise SolveError("the equilibrium is not on the path: its direction is that of the predictor")
         self._direction = direction
 
-    def _crossing(self, last: State, direction: Array, length: float) -> float:
+    def _crossing_sign(self, last: State, new_direction: Array, arc_length: float) -> float:
         """Return a number whose sign says whether a new direction of the path must be reversed beyond a kink of a law.
 
         It is negative if the direction must be reversed, positive if not, and 0 if there is no kink. It serves for
-        corners of the path sharper than 90 degrees. There the angle with the last increment, by which `aim` and
+        corners of the path sharper than 90 degrees. There the angle with the last increment, by which `set_direction` and
         Crisfield (1981) choose a sign, does not decide.
 
         The residual R is continuous at a kink. Let 1 be the branch before the kink, and 2 the branch beyond it. Then
@@ -221,29 +221,31 @@ class EquilibriumPath:
 
         Args:
             last: the state before the kink, at which the path has its present direction.
-            direction: (n + 1,) the new direction d_2: the n unknowns of this rank, then t.
-            length: arc length of the step.
+            new_direction: (n + 1,) the new direction d_2: the n unknowns of this rank, then t.
+            arc_length: arc length of the step.
 
         Raises:
             SolveError: a law fails, or loads or supports are not finite.
         """
-        equations, step = self.equations, PATH_QUOTIENT_STEP * length
-        reduced = self._dR  # (A_2 - A_1) d_1 = A_2 d_1, as A_1 d_1 = 0; and with A_2 (change, 1) = 0
-        reduced.array[:] = self._direction[:-1] - self._direction[-1] * self._change.array_r
-        reduced.array[equations.bc_dofs] = 0.0
-        self._matrix.mult(reduced, self._r)
+        equations, step = self.equations, PATH_QUOTIENT_STEP * arc_length
+        du_difference = self._dR  # (A_2 - A_1) d_1 = A_2 d_1, as A_1 d_1 = 0; and with A_2 (du_dt, 1) = 0
+        du_difference.array[:] = self._direction[:-1] - self._direction[-1] * self._du_dt.array_r
+        du_difference.array[equations.bc_dofs] = 0.0
+        self._matrix.mult(du_difference, self._r)
         A_d1 = self._r.array_r.copy()
         point = self._point(last)
-        self._residual(last, point)
+        self._residual_size(last, point)
         residual = self._r.array_r.copy()
-        self._residual(last, point + step * direction)
+        self._residual_size(last, point + step * new_direction)
         A_d2 = (residual - self._r.array_r) / step  # (A_2 - A_1) d_2 = -A_1 d_2, as A_2 d_2 = 0
         sizes = [float(np.abs(vector[:-1]).max(initial=0.0)) for vector in (self._direction, point)]
-        rounded = np.array([equations.scale.rounding(equations.comm.allreduce(most, max))[0] for most in sizes])
-        tolerance = FORCE_CHANGE_TOLERANCE * equations.scale.forces[0] / length
-        *squares, product = equations.comm.allreduce(np.array([A_d1 @ A_d1, A_d2 @ A_d2, A_d1 @ A_d2]))
+        rounded = np.array(
+            [equations.scale.force_rounding(equations.comm.allreduce(max_size, max))[0] for max_size in sizes]
+        )
+        tolerance = FORCE_CHANGE_TOLERANCE * equations.scale.forces[0] / arc_length
+        *squared_norms, product = equations.comm.allreduce(np.array([A_d1 @ A_d1, A_d2 @ A_d2, A_d1 @ A_d2]))
         # rounding of residuals; forces may be zero
-        return 0.0 if (np.sqrt(squares) < np.maximum(tolerance, rounded / [1.0, step])).any() else float(product)
+        return 0.0 if (np.sqrt(squared_norms) < np.maximum(tolerance, rounded / [1.0, step])).any() else float(product)
 
     # ---------------------------------------------------------------- steps
     def step(self, last: State, length: float, *, turn: bool = False) -> State:
@@ -273,53 +275,53 @@ class EquilibriumPath:
         Raises:
             SolveError: no equilibrium is found, or it is too far from this point.
         """
-        point, at_t = self._point(last), np.zeros_like(self._direction)
-        at_t[-1] = 1.0
-        onward = self._direction if beyond is None else self._point(beyond) - point
-        increment = (t - last.t) / onward[-1] * onward
-        target = point + increment
-        target[-1] = t
-        return self._solve_in_plane(last, target, at_t, self._norm(increment), turn=False)
+        point, t_normal = self._point(last), np.zeros_like(self._direction)
+        t_normal[-1] = 1.0
+        direction = self._direction if beyond is None else self._point(beyond) - point
+        increment = (t - last.t) / direction[-1] * direction
+        predictor = point + increment
+        predictor[-1] = t
+        return self._solve_in_plane(last, predictor, t_normal, self._norm(increment), turn=False)
 
-    def _solve_in_plane(self, last: State, target: Array, row: Array, step: float, turn: bool) -> State:
+    def _solve_in_plane(self, last: State, predictor: Array, normal: Array, step: float, turn: bool) -> State:
         """Find the equilibrium of the path in a plane by Newton's method, and return it.
 
         Args:
             last: the last state.
-            target: (n + 1,) predictor, from which Newton's method starts: the n unknowns of this rank, then t. The
+            predictor: (n + 1,) predictor, from which Newton's method starts: the n unknowns of this rank, then t. The
                 plane goes through it.
-            row: (n + 1,) normal of the plane: the direction of the path, or that of t.
+            normal: (n + 1,) normal of the plane: the direction of the path, or that of t.
             step: arc length of the step.
-            turn: whether to use a plane beyond a corner of the path instead (`_direction_beyond`); `row` is then not
+            turn: whether to use a plane beyond a corner of the path instead (`_corner_direction`); `normal` is then not
                 used.
 
         Raises:
             SolveError: no equilibrium is found, or it is too far from the predictor; or, with `turn`, there is no
                 corner.
         """
-        begin, offset, iterations, point = time.perf_counter(), 0.0, 0, target.copy()
+        start_time, offset, iterations, point = time.perf_counter(), 0.0, 0, predictor.copy()
         most, far = (MAX_TURN_STEPS, MAX_TURN_ERROR * step) if turn else (MAX_NEWTON_STEPS, MAX_PREDICTION_ERROR * step)
-        while (residual := self._residual(last, point)) is None:
+        while (residual := self._residual_size(last, point)) is None:
             if iterations == most:
                 raise SolveError(f"Newton's method for the arc length has not converged in {most} steps")
             newton, tangent = self._linearise(last, float(point[-1]))
             if turn and iterations == 0:
-                row, offset = self._direction_beyond(last, tangent, step)
-            deficit = offset - self._product(row, point - target) - self._product(row, newton)
-            tangent_row = self._product(row, tangent)
-            if not tangent_row or not math.isfinite(deficit / tangent_row):
+                normal, offset = self._corner_direction(last, tangent, step)
+            deficit = offset - self._scalar_product(normal, point - predictor) - self._scalar_product(normal, newton)
+            tangent_normal = self._scalar_product(normal, tangent)
+            if not tangent_normal or not math.isfinite(deficit / tangent_normal):
                 raise SolveError("the tangent is singular along the path")
-            point += newton + deficit / tangent_row * tangent
+            point += newton + deficit / tangent_normal * tangent
             iterations += 1
-            if not self._norm(point - target) <= DIVERGED_DISTANCE * step:
+            if not self._norm(point - predictor) <= MAX_ITERATE_DISTANCE * step:
                 raise SolveError("Newton's method for the arc length runs away")
-        error = self._norm(point - target)
-        if error > far:
+        distance = self._norm(point - predictor)
+        if distance > far:
             raise SolveError("the equilibrium at this arc length is far from the predictor")
-        self._prediction_error = 0.0 if turn else error / step
-        return self.equations.accept(self._x, Report("newton", iterations, residual, time.perf_counter() - begin))
+        self._prediction_error = 0.0 if turn else distance / step
+        return self.equations.accept(self._x, Report("newton", iterations, residual, time.perf_counter() - start_time))
 
-    def _direction_beyond(self, last: State, tangent: Array, length: float) -> tuple[Array, float]:
+    def _corner_direction(self, last: State, tangent: Array, arc_length: float) -> tuple[Array, float]:
         """Return the direction of the path beyond a corner, and how far from the predictor to look for an equilibrium.
 
         The equilibrium is sought in a plane that is normal to this direction.
@@ -327,7 +329,7 @@ class EquilibriumPath:
         Args:
             last: the state before the corner.
             tangent: (n + 1,) derivative by t of the path's point, from the linearisation at the predictor.
-            length: arc length of the step.
+            arc_length: arc length of the step.
 
         Returns:
             (n + 1,) direction of length 1: the n unknowns of this rank, then t. Distance, in arc length, from the
@@ -336,9 +338,9 @@ class EquilibriumPath:
         Raises:
             SolveError: the path has no corner here.
         """
-        row = self._unit_vector(tangent)
-        crossing = self._crossing(last, row, length)
-        if crossing == 0:
+        direction = self._unit_vector(tangent)
+        sign = self._crossing_sign(last, direction, arc_length)
+        if sign == 0:
             raise SolveError("the path has no corner here")
-        row *= math.copysign(1.0, crossing)
-        return row, length * (max(-self._product(row, self._direction), 0.0) + CORNER_DISTANCE)
+        direction *= math.copysign(1.0, sign)
+        return direction, arc_length * (max(-self._scalar_product(direction, self._direction), 0.0) + CORNER_DISTANCE)

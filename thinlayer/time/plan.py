@@ -16,13 +16,13 @@ from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.history import TIME_TOLERANCE
 from thinlayer.solving.petsc import Options
-from thinlayer.solving.solve import SOFTENING_ADVICE, Solver
+from thinlayer.solving.solve import SOFTENING_MESSAGE, Solver
 from thinlayer.time.controller import Controller, is_divisible
-from thinlayer.time.following import UNLIMITED_STEPS, ArcLengthController, PathToTimesController
+from thinlayer.time.following import MANY_STEPS, ArcLengthController, PathToTimesController
 from thinlayer.time.journal import Journal
 from thinlayer.time.stepping import AdaptiveController, PlannedStepsController, SnapController
 
-MIN_LENGTH = 1e-3  # length of the shortest step before a turning point, relative to the first step
+MIN_RELATIVE_LENGTH = 1e-3  # length of the shortest step before a turning point, relative to the first step
 THETA_HINT = "theta = 1"  # the last words of errors
 NO_ERROR_MESSAGE = "Adaptive is for laws that depend on time; steps of {} have no error: give the times to stop at"
 NO_PATH_REASONS = {
@@ -30,7 +30,7 @@ NO_PATH_REASONS = {
     "bounded": "{} bounds stresses: on a path loads stay at their limit; march in time, which finds the limit",
     "switches": "{} has pure phases: its equilibria do not form one curve; march in time, which finds the snaps",
     "rate": "{} depends on rates, and t is not a time on a path: march in time",
-}  # reasons, see `PartSum.refuse`
+}  # reasons, see `PartSum.refuse_traits`
 
 
 class Plan(ABC):
@@ -105,35 +105,35 @@ class PlannedTimes(Plan):
     first = None
 
     def __post_init__(self) -> None:
-        allowed = "it must be a sequence of numbers or Adaptive(...)"
-        require(not isinstance(self.times, str), "times", self.times, allowed)
+        allowed_text = "it must be a sequence of numbers or Adaptive(...)"
+        require(not isinstance(self.times, str), "times", self.times, allowed_text)
         try:
-            values = real_values([*self.times])
-            if values.ndim != 1:
+            times = real_values([*self.times])
+            if times.ndim != 1:
                 raise TypeError("it has rows")
         except (TypeError, ValueError) as error:
-            raise InputError(f"times is {self.times!r}; {allowed}") from error
-        object.__setattr__(self, "times", tuple(map(float, values)))
+            raise InputError(f"times is {self.times!r}; {allowed_text}") from error
+        object.__setattr__(self, "times", tuple(map(float, times)))
 
     def targets(self, start: float, breaks: Iterable[float] = ()) -> list[float]:
-        return _targets(self.times, start, breaks)
+        return _merge_breaks(self.times, start, breaks)
 
     def check_model(self, equations: Equations, theta: float, method: str | None) -> None:
         if equations.traits.softens:
             try:
-                _require_path(equations, theta, method)
+                _require_path_suits(equations, theta, method)
             except InputError as error:
-                where = "the stress of a layer falls, and equilibria in time must be on its path"
-                raise InputError(f"{where}: {error}") from error
+                reason = "the stress of a layer falls, and equilibria in time must be on its path"
+                raise InputError(f"{reason}: {error}") from error
 
     def controller(self, solver: Solver, journal: Journal, targets: list[float], options: Options) -> Controller:
         if solver.equations.traits.softens:
-            lengths = np.diff([journal.start, *targets])
-            first, largest = float(lengths[0]), float(lengths.max() / lengths[0])
-            path = ArcLength(targets[-1], first, MIN_LENGTH, largest, steps=UNLIMITED_STEPS)
-            return PathToTimesController(solver, journal, targets, path, options)
-        kind = SnapController if solver.equations.traits.switches else PlannedStepsController
-        return kind(solver, journal, targets)
+            durations = np.diff([journal.start, *targets])
+            first, max_ratio = float(durations[0]), float(durations.max() / durations[0])
+            settings = ArcLength(targets[-1], first, MIN_RELATIVE_LENGTH, max_ratio, steps=MANY_STEPS)
+            return PathToTimesController(solver, journal, targets, settings, options)
+        controller_class = SnapController if solver.equations.traits.switches else PlannedStepsController
+        return controller_class(solver, journal, targets)
 
 
 @dataclass(frozen=True)
@@ -188,10 +188,10 @@ class Adaptive(Plan):
             raise InputError(f"Adaptive: at has t = {max(self.at):g}; times increase to end = {self.end:g}")
 
     def targets(self, start: float, breaks: Iterable[float] = ()) -> list[float]:
-        return _targets(sorted({*self.at, self.end}), start, breaks)
+        return _merge_breaks(sorted({*self.at, self.end}), start, breaks)
 
     def check_model(self, equations: Equations, theta: float, method: str | None) -> None:
-        equations.refuse({"softens": f"march with Adaptive: {SOFTENING_ADVICE}", "switches": NO_ERROR_MESSAGE})
+        equations.refuse_traits({"softens": f"march with Adaptive: {SOFTENING_MESSAGE}", "switches": NO_ERROR_MESSAGE})
 
     def controller(self, solver: Solver, journal: Journal, targets: list[float], options: Options) -> Controller:
         return AdaptiveController(solver, journal, targets, self)
@@ -212,11 +212,11 @@ def _require_numbers(plan: Plan, *positive: str, signed: tuple[str, ...]) -> Non
     """
     for name in (*signed, *positive):
         value = getattr(plan, name)
-        finite = is_finite(value) or (is_number(value) and name == "largest" and value == math.inf)
-        is_valid = finite and (name in signed or value > 0)
+        is_number_allowed = is_finite(value) or (is_number(value) and name == "largest" and value == math.inf)
+        is_valid = is_number_allowed and (name in signed or value > 0)
         if not is_valid and not (value is None and getattr(type(plan), name, 0) is None):
-            above = "" if name in signed else " > 0"
-            raise InputError(f"{type(plan).__name__}: {name} is {value!r}; allowed: a number{above}")
+            range_text = "" if name in signed else " > 0"
+            raise InputError(f"{type(plan).__name__}: {name} is {value!r}; allowed: a number{range_text}")
         object.__setattr__(plan, name, None if value is None else float(value))
 
 
@@ -280,7 +280,7 @@ class ArcLength(Plan):
         return [self.end]
 
     def check_model(self, equations: Equations, theta: float, method: str | None) -> None:
-        _require_path(equations, theta, method)
+        _require_path_suits(equations, theta, method)
 
     def controller(self, solver: Solver, journal: Journal, targets: list[float], options: Options) -> Controller:
         return ArcLengthController(solver, journal, targets, self, options)
@@ -290,7 +290,7 @@ Times = Sequence[float] | Plan
 
 
 # ---------------------------------------------------------------- ends of steps
-def _targets(times: Sequence[float], start: float, breaks: Iterable[float]) -> list[float]:
+def _merge_breaks(times: Sequence[float], start: float, breaks: Iterable[float]) -> list[float]:
     """Return given times together with break times between them, increasing.
 
     Break times that differ from given times only by rounding are left out.
@@ -315,7 +315,7 @@ def _targets(times: Sequence[float], start: float, breaks: Iterable[float]) -> l
 
 
 # ---------------------------------------------------------------- what models allow
-def require_in_time(equations: Equations, theta: float, ends: list[float]) -> None:
+def require_theta_suits(equations: Equations, theta: float, ends: list[float]) -> None:
     """Check that a model can be marched in time with a value of theta. Collective.
 
     With theta = 1 all models can. With theta < 1, contact laws and laws that bound stresses or switch phases are
@@ -332,18 +332,18 @@ def require_in_time(equations: Equations, theta: float, ends: list[float]) -> No
     """
     if theta == 1:
         return
-    at_ends = f"theta is {theta}; {{}} holds at the ends of steps: {THETA_HINT}"
-    bounds = f"theta is {theta}; {{}} bounds stresses, which at the end of a step may exceed it: {THETA_HINT}"
-    equations.refuse({"releases": at_ends, "switches": at_ends, "bounded": bounds})
+    ends_text = f"theta is {theta}; {{}} holds at the ends of steps: {THETA_HINT}"
+    bounds_text = f"theta is {theta}; {{}} bounds stresses, which at the end of a step may exceed it: {THETA_HINT}"
+    equations.refuse_traits({"releases": ends_text, "switches": ends_text, "bounded": bounds_text})
     for part in equations.parts:
-        if answer := part.answers_at_once(ends):
-            name, changes = answer
+        if name_and_change := part.instantaneous_nonlinear_law(ends):
+            name, changes = name_and_change
             how = "with parameters that change in time" if changes else "not linearly (linear = True is not declared)"
             text = f"theta is {theta}; {name} answers at once, and {how}"
             raise InputError(f"{text}: states at the ends of steps would oscillate undamped: {THETA_HINT}")
 
 
-def _require_path(equations: Equations, theta: float, method: str | None) -> None:
+def _require_path_suits(equations: Equations, theta: float, method: str | None) -> None:
     """Check that the equilibrium path of a model can be followed by arc length. Collective.
 
     It cannot with contact laws, incompressible laws, or laws that bound stresses, switch phases, creep or relax.
@@ -360,8 +360,8 @@ def _require_path(equations: Equations, theta: float, method: str | None) -> Non
         raise InputError(f"theta is {theta}; forces on a path balance at t itself: theta = 1")
     require(method in (None, "newton"), "method", method, "a path is followed by Newton's method")
     for part in equations.of_kind(PressurePart):
-        for name in part.named():
+        for name in part.law_traits():
             raise InputError(f"{name} is incompressible: paths have displacements alone; march in time")
-    equations.refuse(NO_PATH_REASONS)
-    for name in filter(None, [part.takes_time() for part in equations.parts]):
+    equations.refuse_traits(NO_PATH_REASONS)
+    for name in filter(None, [part.relaxing_law_name() for part in equations.parts]):
         raise InputError(f"{name} creeps or relaxes, and t is not a time on a path: march in time")

@@ -27,11 +27,11 @@ if TYPE_CHECKING:  # the settings make their controllers
     from thinlayer.time.plan import Adaptive
 
 # Least size of jumps to which errors are relative, over the displacements; rounding is smaller.
-MIN_JUMP_SHARE = 1e-6
+MIN_JUMP_RATIO = 1e-6
 COMPARED_QUANTITIES = ("displacements", "jumps", "forces")
 LOAD_CHANGE_TOLERANCE = 1e-12  # relative change of loads that counts as zero
 MAX_HALVINGS = 10  # largest number of times that a planned step is halved
-MAX_SHORTENING = 1e6  # default length of the first adaptive step over the shortest
+MAX_SHORTENING_RATIO = 1e6  # default length of the first adaptive step over the shortest
 SAFETY_FACTOR = 0.9  # factor on the length of an adaptive step that its error allows
 MIN_LENGTH_RATIO, MAX_LENGTH_RATIO = 0.2, 3.0  # bounds of the ratio of the lengths of two adaptive steps
 SPRING_STEP_RATIO = 8.0  # ratio of the lengths of two steps by weak springs
@@ -39,7 +39,7 @@ SPRING_STEP_RATIO = 8.0  # ratio of the lengths of two steps by weak springs
 MAX_SPRING_STEP = 16
 REMAINDER_SHARE = 1e-3  # remainder before a target, relative to a step, that the step includes
 TIME_ROUNDING = 8 * 2.0**-52  # relative tolerance of the time of a snap
-EXCESS_PROBES = 8  # number of equal parts of a step at whose ends the excess is tested if loads are not linear in time
+N_EXCESS_TESTS = 8  # number of equal parts of a step at whose ends the excess is tested if loads are not linear in time
 LIMIT_HINT = "no equilibrium was found, which need not be a limit of the loads: try other times, or an elastic fraction"
 
 
@@ -54,11 +54,11 @@ class PlannedStepsController(Controller):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.theta = self.journal.history.theta
-        self.smallest = float(np.diff([self.start, *self.targets]).min()) / 2**MAX_HALVINGS * (1 - TIME_TOLERANCE)
-        self._failed_at = math.inf  # earliest end of a failed step that the march has not reached
-        self._diverged_at = math.inf  # earliest time at which displacements grew without bound
+        self.min_length = float(np.diff([self.start, *self.targets]).min()) / 2**MAX_HALVINGS * (1 - TIME_TOLERANCE)
+        self._failed_end = math.inf  # earliest end of a failed step that the march has not reached
+        self._diverged_time = math.inf  # earliest time at which displacements grew without bound
 
-    def length(self) -> float:
+    def next_length(self) -> float:
         return min(self.journal.pace.step or math.inf, self.target - self.last.t)
 
     def _step_end(self, length: float) -> float:
@@ -73,24 +73,24 @@ class PlannedStepsController(Controller):
         two more methods follow in the shortest step: Newton's method with such laws in any case, and weak springs at
         all nodes.
         """
-        thorough = self._failed_at == math.inf or self.last.report.homotopy_steps > 0
-        newton = StepAttempt("Newton's method", partial(self._step, thorough=thorough))
-        retry = StepAttempt("Newton's method with homotopy", partial(self._step, thorough=True), self.smallest)
-        spring_search = StepAttempt("a search by weak springs", self._regularised_step, self.smallest)
-        return [newton, *([] if thorough else [retry]), spring_search] if self.solver.bounded else [newton]
+        homotopy = self._failed_end == math.inf or self.last.report.homotopy_steps > 0
+        newton = StepAttempt("Newton's method", partial(self._make_step, homotopy=homotopy))
+        retry = StepAttempt("Newton's method with homotopy", partial(self._make_step, homotopy=True), self.min_length)
+        spring_search = StepAttempt("a search by weak springs", self._regularised_step, self.min_length)
+        return [newton, *([] if homotopy else [retry]), spring_search] if self.solver.limited else [newton]
 
     def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:
         old, history, last = self.last, self.journal.history, errors[-1]
-        error = errors[-2] if self.solver.bounded else last
-        if isinstance(last, NoEquilibrium) and self._loads_change(old.t, self._diverged_at):
-            return LimitLoad(error.reason, old.t, self._diverged_at, self._resultant(old.t), last, history)
+        error = errors[-2] if self.solver.limited else last
+        if isinstance(last, NoEquilibrium) and self._loads_change(old.t, self._diverged_time):
+            return LimitLoad(error.reason, old.t, self._diverged_time, self._resultant(old.t), last, history)
         step = f"step {len(history)}, from t = {old.t:g} to {self._step_end(length):g}"
-        return self.error(f"{step}, failed, and so did longer ones: {error}", LIMIT_HINT if self.solver.bounded else "")
+        return self.error(f"{step}, failed, and so did longer ones: {error}", LIMIT_HINT if self.solver.limited else "")
 
     def _loads_change(self, before: float, after: float) -> bool:
         a, b = (self.solver.equations.prescribed_forces_at(t).array_r for t in (before, after))
-        changes, sizes = map(self.solver.equations.norms, (b - a, b))
-        return bool((changes > LOAD_CHANGE_TOLERANCE * sizes).any())
+        change_norms, norms = map(self.solver.equations.norms, (b - a, b))
+        return bool((change_norms > LOAD_CHANGE_TOLERANCE * norms).any())
 
     def _resultant(self, t: float) -> list[float]:
         """Return the resultant force of the loads at time `t`, on bodies and rigid plates, as its 2 or 3 components."""
@@ -99,20 +99,20 @@ class PlannedStepsController(Controller):
         return [float(loads.dot(motion.x.petsc_vec)) for motion in translations]
 
     # ---------------------------------------------------------------- attempts
-    def _step(self, length: float, *, thorough: bool) -> list[State]:
+    def _make_step(self, length: float, *, homotopy: bool) -> list[State]:
         old, end = self.last, self._step_end(length)
         if not is_divisible(old.t, end):
             raise SolveError(f"a step of {length:g} from t = {old.t:.16g} is lost in rounding")
         try:
-            states = self._states(old, end, 1.0 if old.at_rest else self.theta, thorough)
+            states = self._solve_step(old, end, 1.0 if old.at_rest else self.theta, homotopy)
         except SolveError as error:
             if not isinstance(error, _StepTooLarge):
-                self._failed_at = min(self._failed_at, end)
+                self._failed_end = min(self._failed_end, end)
             raise
         self._set_pace(length, end)
         return states
 
-    def _states(self, old: State, end: float, theta: float, thorough: bool) -> list[State]:
+    def _solve_step(self, old: State, end: float, theta: float, homotopy: bool) -> list[State]:
         """Solve a step, and return its states.
 
         If `theta` differs from the attribute `theta`, the step is made as two halves, with a state at the end of each.
@@ -121,12 +121,12 @@ class PlannedStepsController(Controller):
             old: the state before the step.
             end: time at the end of the step.
             theta: fraction of the step after which forces balance; 1 in the first step from rest.
-            thorough: whether stiffer laws that approach the given ones (homotopy) are tried if Newton's method fails.
+            homotopy: whether stiffer laws that approach the given ones (homotopy) are tried if Newton's method fails.
         """
-        return self._successive_states(old, [end] if theta == self.theta else [(old.t + end) / 2, end], theta, thorough)
+        return self._successive_states(old, [end] if theta == self.theta else [(old.t + end) / 2, end], theta, homotopy)
 
-    def _successive_states(self, old: State, ends: Sequence[float], theta: float, thorough: bool) -> list[State]:
-        states = accumulate(ends, lambda state, t: self.solver.step(state, t, theta, thorough), initial=old)
+    def _successive_states(self, old: State, ends: Sequence[float], theta: float, homotopy: bool) -> list[State]:
+        states = accumulate(ends, lambda state, t: self.solver.step(state, t, theta, homotopy), initial=old)
         return [*states][1:]
 
     def _set_pace(self, length: float, end: float) -> None:
@@ -136,10 +136,10 @@ class PlannedStepsController(Controller):
             length: length of this step.
             end: time at its end.
         """
-        if end >= self._failed_at:
-            self._failed_at = math.inf
-        grows = self._failed_at == math.inf or not self.solver.bounded
-        self.journal.pace.step = None if end == self.target else length * (2 if grows else 1)
+        if end >= self._failed_end:
+            self._failed_end = math.inf
+        may_grow = self._failed_end == math.inf or not self.solver.limited
+        self.journal.pace.step = None if end == self.target else length * (2 if may_grow else 1)
 
     def _regularised_step(self, length: float) -> list[State]:
         """Find an equilibrium by weak springs at all nodes, as late in time as possible, and return its states.
@@ -151,22 +151,22 @@ class PlannedStepsController(Controller):
             NoEquilibrium: displacements grew without bound as the springs were softened.
             SolveError: no equilibrium was found.
         """
-        old, end, t = self.last, self._step_end(length), self._latest_time(length)
-        failed = SolveError("weak springs have not led to an equilibrium")
-        if old.t < self._diverged_at < t:
-            t = max(old.t + (self._diverged_at - old.t) / SPRING_STEP_RATIO, end)
+        old, end, t = self.last, self._step_end(length), self._latest_spring_time(length)
+        last_error = SolveError("weak springs have not led to an equilibrium")
+        if old.t < self._diverged_time < t:
+            t = max(old.t + (self._diverged_time - old.t) / SPRING_STEP_RATIO, end)
         while True:
             try:
                 return self._regularised_state(self.solver.solve_regularised(old, t, self.theta))
             except NoEquilibrium as error:
-                failed, self._diverged_at = error, t
+                last_error, self._diverged_time = error, t
             except SolveError as error:  # displacements that grew without bound later still show a limit before
-                failed = failed if isinstance(failed, NoEquilibrium) else error
+                last_error = last_error if isinstance(last_error, NoEquilibrium) else error
             if t <= end:
-                raise failed
+                raise last_error
             t = max(old.t + (t - old.t) / SPRING_STEP_RATIO, end)
 
-    def _latest_time(self, length: float) -> float:
+    def _latest_spring_time(self, length: float) -> float:
         """Return the latest time at which weak springs look for an equilibrium.
 
         Args:
@@ -208,14 +208,14 @@ class AdaptiveController(PlannedStepsController):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._estimate = ErrorEstimate(self.solver.equations)
-        self.smallest = (self.settings.smallest or self.settings.first / MAX_SHORTENING) * (1 - TIME_TOLERANCE)
-        self.journal.pace.step, self._factor = self.settings.first, 1.0
+        self._error_estimate = ErrorEstimate(self.solver.equations)
+        self.min_length = (self.settings.smallest or self.settings.first / MAX_SHORTENING_RATIO) * (1 - TIME_TOLERANCE)
+        self.journal.pace.step, self._length_factor = self.settings.first, 1.0
 
-    def shorter(self, length: float, error: SolveError) -> float:
-        return length * error.factor if isinstance(error, _StepTooLarge) else super().shorter(length, error)
+    def shorter_length(self, length: float, error: SolveError) -> float:
+        return length * error.factor if isinstance(error, _StepTooLarge) else super().shorter_length(length, error)
 
-    def _states(self, old: State, end: float, theta: float, thorough: bool) -> list[State]:
+    def _solve_step(self, old: State, end: float, theta: float, homotopy: bool) -> list[State]:
         """Make a step once as a whole and once as two halves, and return the states of the halves.
 
         Errors are relative to the largest norms of displacements, jumps and forces so far. A quantity counts as being
@@ -228,26 +228,26 @@ class AdaptiveController(PlannedStepsController):
             old: the state before the step.
             end: time at the end of the step.
             theta: fraction of each step after which forces balance.
-            thorough: whether stiffer laws that approach the given ones (homotopy) are tried if Newton's method fails.
+            homotopy: whether stiffer laws that approach the given ones (homotopy) are tried if Newton's method fails.
 
         Raises:
             _StepTooLarge: the estimated error is above the tolerance.
             SolveError: a step fails.
         """
-        whole = self.solver.step(old, end, theta, thorough)
-        halves = self._successive_states(old, [(old.t + end) / 2, end], theta, thorough)
-        pace, estimate, tolerance = self.journal.pace, self._estimate, self.settings.tolerance
-        before, middle, sizes = map(estimate.sizes, [old, *halves])
-        largest = np.maximum(pace.largest, before)
-        largest = np.where(largest < tolerance * sizes, sizes, largest)
+        one_step_state = self.solver.step(old, end, theta, homotopy)
+        half_states = self._successive_states(old, [(old.t + end) / 2, end], theta, homotopy)
+        pace, estimate, tolerance = self.journal.pace, self._error_estimate, self.settings.tolerance
+        old_norms, middle_norms, end_norms = map(estimate.state_norms, [old, *half_states])
+        max_norms = np.maximum(pace.largest, old_norms)
+        max_norms = np.where(max_norms < tolerance * end_norms, end_norms, max_norms)
         order = 2 if theta == 0.5 else 1
-        error = float(estimate.differences(whole, halves[-1], largest).max()) / (2**order - 1)
-        ratio = (tolerance / error) ** (1 / (order + 1)) if error else MAX_LENGTH_RATIO
-        self._factor = float(np.clip(SAFETY_FACTOR * ratio, MIN_LENGTH_RATIO, MAX_LENGTH_RATIO))
-        pace.largest = [*map(float, np.maximum(largest, middle) if error <= tolerance else largest)]
+        error = float(estimate.differences(one_step_state, half_states[-1], max_norms).max()) / (2**order - 1)
+        length_ratio = (tolerance / error) ** (1 / (order + 1)) if error else MAX_LENGTH_RATIO
+        self._length_factor = float(np.clip(SAFETY_FACTOR * length_ratio, MIN_LENGTH_RATIO, MAX_LENGTH_RATIO))
+        pace.largest = [*map(float, np.maximum(max_norms, middle_norms) if error <= tolerance else max_norms)]
         if not error <= tolerance:
-            raise _StepTooLarge(self._factor)
-        return halves
+            raise _StepTooLarge(self._length_factor)
+        return half_states
 
     def _set_pace(self, length: float, end: float) -> None:
         """Set the largest length of the next step to what the error of the last one allows.
@@ -258,11 +258,11 @@ class AdaptiveController(PlannedStepsController):
             length: length of the last step.
             end: time at its end.
         """
-        step, planned = length * self._factor, self.journal.pace.step or 0.0
+        step, old_limit = length * self._length_factor, self.journal.pace.step or 0.0
         super()._set_pace(length, end)
-        self.journal.pace.step = min(max(step, planned) if end == self.target else step, self.settings.largest)
+        self.journal.pace.step = min(max(step, old_limit) if end == self.target else step, self.settings.largest)
 
-    def _latest_time(self, length: float) -> float:
+    def _latest_spring_time(self, length: float) -> float:
         return min(self.target, self.last.t + max(MAX_SPRING_STEP * length, self.settings.first / 2.0**MAX_HALVINGS))
 
     def _regularised_state(self, state: State) -> list[State]:
@@ -276,7 +276,7 @@ class SnapController(PlannedStepsController):
     of S.
     """
 
-    def _states(self, old: State, end: float, theta: float, thorough: bool) -> list[State]:
+    def _solve_step(self, old: State, end: float, theta: float, homotopy: bool) -> list[State]:
         """Solve a step, with all snaps (sudden changes of phase) within it, and return its states. Collective.
 
         The states are two for each snap, before and after it, and the state at the end. A snap has no duration: both
@@ -292,7 +292,7 @@ class SnapController(PlannedStepsController):
             theta, thorough: not used; forces balance at the end of the step.
 
         Raises:
-            SolveError: an equilibrium is not found, or the methods `excess` and `switched` of a law disagree.
+            SolveError: an equilibrium is not found, or the methods `max_phase_gain` and `switched` of a law disagree.
         """
         solver, states = self.solver, [old]
         while True:
@@ -300,29 +300,29 @@ class SnapController(PlannedStepsController):
             # With fixed phases driving forces are linear in time if loads, supports and parameters are (bodies are
             # assumed linear). The excess is the largest of their sizes, so it is convex in time. Therefore, if it is
             # positive within the step, it is positive at the end.
-            is_linear = old.t == end or solver.equations.linear_in_time(old.t, end)
-            probes = () if is_linear else (old.t + (end - old.t) * k / EXCESS_PROBES for k in range(1, EXCESS_PROBES))
-            bound = next((t for t in probes if self._at_fixed_phases(old, t)[1] > 0), end)
-            state, excess = self._at_fixed_phases(old, bound)
+            is_linear = old.t == end or solver.equations.is_linear_in_time(old.t, end)
+            probes = () if is_linear else (old.t + (end - old.t) * k / N_EXCESS_TESTS for k in range(1, N_EXCESS_TESTS))
+            test_time = next((t for t in probes if self._solve_at_fixed_phases(old, t)[1] > 0), end)
+            state, excess = self._solve_at_fixed_phases(old, test_time)
             if excess <= 0:
                 return [*states[1:], state] if old.t < end else states[1:]
-            t = self._switch_time(old, bound)
+            t = self._switch_time(old, test_time)
             if t > old.t:
-                old, _ = self._at_fixed_phases(old, t)
+                old, _ = self._solve_at_fixed_phases(old, t)
                 states.append(old)
                 # from the new start Newton's tolerance may make the excess smaller
-                if self._at_fixed_phases(old, t)[1] <= -EXCESS_TOLERANCE:
+                if self._solve_at_fixed_phases(old, t)[1] <= -EXCESS_TOLERANCE:
                     continue
             after = solver.step(old, t)
-            if solver.equations.excess > 2 * EXCESS_TOLERANCE:
+            if solver.equations.max_phase_gain > 2 * EXCESS_TOLERANCE:
                 raise SolveError(f"at t = {t:g} excess() > 0 for a column, but switched() keeps its phase")
             # in a snap the remainder of the balance is dissipated
-            lost = after.audit.dissipated + after.audit.remainder
-            states.append(replace(after, audit=replace(after.audit, dissipated=lost, remainder=0.0)))
+            dissipated = after.audit.dissipated + after.audit.remainder
+            states.append(replace(after, audit=replace(after.audit, dissipated=dissipated, remainder=0.0)))
             if t == end:
                 return states[1:]
 
-    def _at_fixed_phases(self, old: State, t: float) -> tuple[State, float]:
+    def _solve_at_fixed_phases(self, old: State, t: float) -> tuple[State, float]:
         """Solve for the state at a time with the phases of an earlier state; tell whether a column must switch there.
 
         Args:
@@ -334,7 +334,7 @@ class SnapController(PlannedStepsController):
             change of phase, over the energy of the transformation, minus a tolerance.
         """
         state = self.solver.step(old, t, keep_phases=True)
-        return state, self.solver.equations.excess - 2 * EXCESS_TOLERANCE
+        return state, self.solver.equations.max_phase_gain - 2 * EXCESS_TOLERANCE
 
     def _switch_time(self, old: State, end: float) -> float:
         """Return the first time at which a column must switch its phase, exact up to rounding.
@@ -346,14 +346,14 @@ class SnapController(PlannedStepsController):
         from scipy.optimize import brentq  # not needed by most marches
 
         def excess(t: float) -> float:
-            return self._at_fixed_phases(old, t)[1]
+            return self._solve_at_fixed_phases(old, t)[1]
 
         if excess(old.t) > 0:
             return old.t
-        step = TIME_ROUNDING * max(abs(old.t), abs(end))
-        t = float(brentq(excess, old.t, end, xtol=step, rtol=TIME_ROUNDING))
+        time_tolerance = TIME_ROUNDING * max(abs(old.t), abs(end))
+        t = float(brentq(excess, old.t, end, xtol=time_tolerance, rtol=TIME_ROUNDING))
         while t < end and excess(t) <= 0:
-            t, step = min(t + step, end), 2 * step
+            t, time_tolerance = min(t + time_tolerance, end), 2 * time_tolerance
         return t
 
 
@@ -379,27 +379,27 @@ class ErrorEstimate:
     def __init__(self, equations: Equations) -> None:
         self._equations, self.comm = equations, equations.comm
         # approximate norm of strains for a unit jump
-        self._measuring = [part for part in equations.parts if isinstance(part, MeasuresError)]
-        self._unit = float(np.sqrt(sum(part.unit_jump_measure() for part in self._measuring)))
+        self._measuring_parts = [part for part in equations.parts if isinstance(part, MeasuresError)]
+        self._jump_norm = float(np.sqrt(sum(part.unit_jump_measure() for part in self._measuring_parts)))
 
-    def differences(self, other: State, state: State, largest: Sequence[float] | Array = (0.0, 0.0, 0.0)) -> Array:
+    def differences(self, other: State, state: State, max_norms: Sequence[float] | Array = (0.0, 0.0, 0.0)) -> Array:
         """Return the relative differences (3,) of two states in displacements, in jumps or strains, and in forces.
 
-        Each is the norm of the difference over the norm in `state` or, if this is larger, over the norm in `largest`.
+        Each is the norm of the difference over the norm in `state` or, if this is larger, over the norm in `max_norms`.
 
         Args:
             other: the state from longer steps.
             state: the state from shorter steps.
-            largest: (3,) norms of the three quantities, in the same order.
+            max_norms: (3,) norms of the three quantities, in the same order.
         """
-        quantities = [self._quantities(end_state) for end_state in (other, state)]
-        differences = self._norms([b - a for a, b in zip(*quantities, strict=True)])
+        compared = [self._quantities(end_state) for end_state in (other, state)]
+        difference_norms = self._norms([b - a for a, b in zip(*compared, strict=True)])
         displacement = float(state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
-        min_sizes = np.array([0.0, MIN_JUMP_SHARE * self._unit * displacement, self._equations.scale.forces[0]])
-        sizes = np.maximum(np.maximum(self._norms(quantities[1]), largest), min_sizes)
-        return np.asarray(np.divide(differences, sizes, out=np.zeros(3), where=sizes > 0))
+        min_norms = np.array([0.0, MIN_JUMP_RATIO * self._jump_norm * displacement, self._equations.scale.forces[0]])
+        norms = np.maximum(np.maximum(self._norms(compared[1]), max_norms), min_norms)
+        return np.asarray(np.divide(difference_norms, norms, out=np.zeros(3), where=norms > 0))
 
-    def sizes(self, state: State) -> Array:
+    def state_norms(self, state: State) -> Array:
         """Return the norms (3,) of displacements, of jumps or strains, and of forces in `state`."""
         return self._norms(self._quantities(state))
 
@@ -411,10 +411,10 @@ class ErrorEstimate:
         u = state.u
         forces = u.x.petsc_vec.duplicate()
         forces.set(0.0)
-        jumps = [part.error_measure(u) for part in self._measuring]
+        jumps = [part.error_measure(u) for part in self._measuring_parts]
         for part in self._equations.parts:
             part.add_forces_in(state, forces)
         return [u.x.petsc_vec.array_r.copy(), np.concatenate([np.empty(0), *jumps]), forces.array_r.copy()]
 
     def _norms(self, quantities: list[Array]) -> Array:
-        return np.asarray(np.sqrt(self.comm.allreduce(np.array([values @ values for values in quantities]))))
+        return np.asarray(np.sqrt(self.comm.allreduce(np.array([array @ array for array in quantities]))))

@@ -17,16 +17,16 @@ from thinlayer.discretisation.state import State
 from thinlayer.system.compat import interpolate
 
 # nodes of a mirrored tetrahedron of degree 2, in VTK's order; the first four: degree 1
-TET_ORDER = (1, 0, 2, 3, 4, 6, 5, 8, 7, 9)
+MIRRORED_TET_ORDER = (1, 0, 2, 3, 4, 6, 5, 8, 7, 9)
 
 # VTK's numbers of cells of degree 1, and of any degree
-LINEAR_TYPES = {"interval": 3, "triangle": 5, "quadrilateral": 9, "tetrahedron": 10, "hexahedron": 12}
-LAGRANGE_TYPES = {"interval": 68, "triangle": 69, "quadrilateral": 70, "tetrahedron": 71, "hexahedron": 72}
+LINEAR_CODES = {"interval": 3, "triangle": 5, "quadrilateral": 9, "tetrahedron": 10, "hexahedron": 12}
+LAGRANGE_CODES = {"interval": 68, "triangle": 69, "quadrilateral": 70, "tetrahedron": 71, "hexahedron": 72}
 
 
-def vtk_type(cell_type: str, n_nodes: int) -> int:
+def vtk_code(cell_type: str, n_nodes: int) -> int:
     """Return VTK's code for cells of the type `cell_type`, such as "triangle", with `n_nodes` nodes."""
-    return (LINEAR_TYPES if geometry_degree(cell_type, n_nodes) == 1 else LAGRANGE_TYPES)[cell_type]
+    return (LINEAR_CODES if geometry_degree(cell_type, n_nodes) == 1 else LAGRANGE_CODES)[cell_type]
 
 
 def vtk_order(cell_type: str, n_nodes: int) -> IntArray:
@@ -59,10 +59,10 @@ class VtkGrid:
     points: Array
     u: Array
     cells: IntArray
-    types: npt.NDArray[np.uint8]
+    cell_codes: npt.NDArray[np.uint8]
     region: IntArray
     base: Array
-    base_type: int
+    base_code: int
 
     def component(self, name: str) -> Array:
         """Return a component (n,) of the displacements at the nodes, or their norm.
@@ -106,47 +106,47 @@ def gather_grid(state: State) -> VtkGrid | None:
     W = fem.functionspace(model.domain.mesh, ("Lagrange", V.ufl_element().degree)) if joint.periods else V
     n = model.domain.mesh.topology.index_map(d).size_local
     order = vtk_order(joint.cell_type, V.dofmap.list.shape[1])
-    here, there = (np.asarray(space.dofmap.list)[:n, order] for space in (V, W))
-    maps = ((V.dofmap.index_map, here), (W.dofmap.index_map, there))
-    numbers = [imap.local_to_global(np.ravel(nodes)).reshape(nodes.shape) for imap, nodes in maps]
+    u_nodes, x_nodes = (np.asarray(space.dofmap.list)[:n, order] for space in (V, W))
+    index_maps = ((V.dofmap.index_map, u_nodes), (W.dofmap.index_map, x_nodes))
+    global_nodes = [imap.local_to_global(np.ravel(nodes)).reshape(nodes.shape) for imap, nodes in index_maps]
     # coordinates of each cell, as a node on periodic sides has two positions
     x_space = fem.functionspace(V.mesh, ("DG", V.ufl_element().degree)) if joint.periods else V
-    x, values = x_space.tabulate_dof_coordinates()[x_space.dofmap.list[:n]][:, order], u.x.array.reshape(-1, d)[here]
-    pieces = model.comm.gather((model.domain.original_cells[:n], *numbers, x, values), root=0)
+    x, values = x_space.tabulate_dof_coordinates()[x_space.dofmap.list[:n]][:, order], u.x.array.reshape(-1, d)[u_nodes]
+    pieces = model.comm.gather((model.domain.original_cells[:n], *global_nodes, x, values), root=0)
     if pieces is None:
         return None
-    original, *numbers, x, values = (np.concatenate(arrays) for arrays in zip(*pieces, strict=True))
-    *numbers, x, values = (array[np.argsort(original)] for array in (*numbers, x, values))
-    pairs = np.stack(numbers, axis=-1).reshape(-1, 2)
-    _, first, node = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
-    by_cells = np.argsort(first)
-    rows = np.argsort(by_cells)[node.ravel()].reshape(numbers[0].shape)
-    at = first[by_cells]
-    points, moved = x.reshape(-1, 3)[at], np.zeros((len(at), 3))
-    moved[:, :d] = values.reshape(-1, d)[at]
+    cell_numbers, *global_nodes, x, values = (np.concatenate(arrays) for arrays in zip(*pieces, strict=True))
+    *global_nodes, x, values = (array[np.argsort(cell_numbers)] for array in (*global_nodes, x, values))
+    node_pairs = np.stack(global_nodes, axis=-1).reshape(-1, 2)
+    _, first_places, pair_numbers = np.unique(node_pairs, axis=0, return_index=True, return_inverse=True)
+    pair_order = np.argsort(first_places)
+    cell_nodes = np.argsort(pair_order)[pair_numbers.ravel()].reshape(global_nodes[0].shape)
+    places = first_places[pair_order]
+    points, displacements = x.reshape(-1, 3)[places], np.zeros((len(places), 3))
+    displacements[:, :d] = values.reshape(-1, d)[places]
     if joint.cell_type == "tetrahedron":  # VTK mistakes inner faces of left-handed cells for outer faces
-        corners = points[rows[:, :4]]
-        left = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
-        rows[left] = rows[left][:, TET_ORDER[: rows.shape[1]]]
-    cells = np.column_stack([np.full(len(rows), rows.shape[1]), rows]).ravel()
-    first_layer = len(joint.regions) - len(joint.band.regions if joint.band else ())
-    region = np.where(joint.region >= first_layer, first_layer - joint.region - 1, joint.region)
-    types = np.full(len(rows), vtk_type(joint.cell_type, rows.shape[1]), np.uint8)
-    return VtkGrid(d, points, moved, cells, types, region, *_base(joint))
+        corners = points[cell_nodes[:, :4]]
+        is_left_handed = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
+        cell_nodes[is_left_handed] = cell_nodes[is_left_handed][:, MIRRORED_TET_ORDER[: cell_nodes.shape[1]]]
+    cells = np.column_stack([np.full(len(cell_nodes), cell_nodes.shape[1]), cell_nodes]).ravel()
+    first_layer_region = len(joint.regions) - len(joint.band.regions if joint.band else ())
+    region = np.where(joint.region >= first_layer_region, first_layer_region - joint.region - 1, joint.region)
+    cell_codes = np.full(len(cell_nodes), vtk_code(joint.cell_type, cell_nodes.shape[1]), np.uint8)
+    return VtkGrid(d, points, displacements, cells, cell_codes, region, *_base_facets(joint))
 
 
-def _base(joint: Joint) -> tuple[Array, int]:
+def _base_facets(joint: Joint) -> tuple[Array, int]:
     """Return the facets of a joint that lie on a rigid base.
 
     Returns:
         (facets, k, 3) coordinates of the k nodes of each facet, in VTK's order, empty if there is no rigid base; VTK's
         code for the type of these facets.
     """
-    kind = FACET_TYPES[joint.cell_type]
-    names = joint.base_seams if joint.band is None else (BASE,) if BASE in joint.facets else ()
-    if not names:
-        return np.empty((0, joint.dim, 3)), LINEAR_TYPES[kind]
-    rows = np.unique(joint.table.index(np.concatenate([joint.facets[name] for name in names])))
-    nodes = joint.table.nodes(rows, joint.cells, joint.cell_type)
-    facets = joint.points[nodes[:, vtk_order(kind, nodes.shape[1])]]
-    return np.pad(facets, ((0, 0), (0, 0), (0, 3 - joint.dim))), vtk_type(kind, nodes.shape[1])
+    facet_type = FACET_TYPES[joint.cell_type]
+    facet_sets = joint.base_seams if joint.band is None else (BASE,) if BASE in joint.facets else ()
+    if not facet_sets:
+        return np.empty((0, joint.dim, 3)), LINEAR_CODES[facet_type]
+    facet_numbers = np.unique(joint.table.index(np.concatenate([joint.facets[name] for name in facet_sets])))
+    nodes = joint.table.nodes(facet_numbers, joint.cells, joint.cell_type)
+    facet_points = joint.points[nodes[:, vtk_order(facet_type, nodes.shape[1])]]
+    return np.pad(facet_points, ((0, 0), (0, 0), (0, 3 - joint.dim))), vtk_code(facet_type, nodes.shape[1])

@@ -16,7 +16,7 @@ from forms.base import InputError, require
 from geometry.parallel import default_comm, on_root
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
-from thinlayer.output.paraview.blocks import blocks
+from thinlayer.output.paraview.blocks import make_vtk_blocks
 from thinlayer.output.surface import Surface
 from thinlayer.solving.history import History, Solution
 from thinlayer.system.folder import replace_file
@@ -75,13 +75,13 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
     """
     comm = solution.model.comm if isinstance(solution, (State, History)) else default_comm()
     with errors_on_all(comm):
-        wanted = "give a state or a history, as solve and march return"
-        require(isinstance(solution, (State, History)), "solution", solution, wanted)
+        advice = "give a state or a history, as solve and march return"
+        require(isinstance(solution, (State, History)), "solution", solution, advice)
         states = [solution] if isinstance(solution, State) else list(solution)
         if not states:
             raise InputError(f"there is nothing to write: {solution!r} has no state")
-        wanted = "it must be the name of a file that ends in .pvd"
-        require(isinstance(path, (str, Path)) and Path(path).suffix == COLLECTION_SUFFIX, "path", path, wanted)
+        advice = "it must be the name of a file that ends in .pvd"
+        require(isinstance(path, (str, Path)) and Path(path).suffix == COLLECTION_SUFFIX, "path", path, advice)
         model = surface.model if isinstance(surface, Surface) else states[0].model
         if surface is not None and not (isinstance(surface, Surface) and isinstance(model, InterfaceModel)):
             raise InputError(f"surface is {surface!r:.80}; give Surface(limit.model) of an interface model")
@@ -90,57 +90,55 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
     require_same(comm, models=states[0].model.data_hash, states=[state.t for state in states], path=str(path))
     path = Path(path)
     folder = path.with_name(f"{path.stem}_pvd")
-    on_root(comm, lambda: _make_room(path, folder))
-    names = [folder / f"{number:0{max(4, len(str(len(states))))}}.vtm" for number in range(len(states))]
-    for state, name in zip(states, names, strict=True):
-        on_root(comm, partial(_write_blocks, blocks(state, model if isinstance(model, InterfaceModel) else None), name))
-    files = [quoteattr(name.relative_to(path.parent).as_posix()) for name in names]
-    rows = [f'timestep="{state.t!r}" file={file}' for state, file in zip(states, files, strict=True)]
-    on_root(comm, lambda: _write_listing(path, "Collection", rows))
+    on_root(comm, lambda: _empty_folder(folder))
+    paths = [folder / f"{number:0{max(4, len(str(len(states))))}}.vtm" for number in range(len(states))]
+    for state, vtm_path in zip(states, paths, strict=True):
+        multiblock = make_vtk_blocks(state, model if isinstance(model, InterfaceModel) else None)
+        on_root(comm, partial(_write_blocks, multiblock, vtm_path))
+    file_attributes = [quoteattr(vtm_path.relative_to(path.parent).as_posix()) for vtm_path in paths]
+    entries = [f'timestep="{state.t!r}" file={file}' for state, file in zip(states, file_attributes, strict=True)]
+    on_root(comm, lambda: _write_listing(path, "Collection", entries))
 
 
-def _make_room(path: Path, folder: Path) -> None:
-    """Make `folder`, in which `write` stores the files of the states, and delete files that it stored there earlier.
-
-    The file `path`, which lists the states, is left as it is.
-    """
+def _empty_folder(folder: Path) -> None:
+    """Make `folder`, in which `write` stores the files of the states, and delete files that it stored there earlier."""
     folder.mkdir(parents=True, exist_ok=True)
-    for old in folder.iterdir():
-        if re.fullmatch(r"\d+", old.name) and old.is_dir():
-            shutil.rmtree(old)
-        elif re.fullmatch(r"\d+\.vtm", old.name):
-            old.unlink()
+    for old_file in folder.iterdir():
+        if re.fullmatch(r"\d+", old_file.name) and old_file.is_dir():
+            shutil.rmtree(old_file)
+        elif re.fullmatch(r"\d+\.vtm", old_file.name):
+            old_file.unlink()
 
 
-def _write_blocks(multiblock: pyvista.MultiBlock | None, name: Path) -> None:
-    """Write the VTK file `name` (.vtm), which lists the blocks, and a file .vtu for each block in a folder next to it.
+def _write_blocks(multiblock: pyvista.MultiBlock | None, path: Path) -> None:
+    """Write the VTK file `path` (.vtm), which lists the blocks, and a file .vtu for each block in a folder next to it.
 
     VTK composes the files in memory, and Python writes them, as VTK may end the process if the disk is full.
     """
     assert multiblock is not None, "rank 0"
-    rows = []
+    entries = []
     for number, block in enumerate(multiblock.keys()):
         writer = vtkXMLUnstructuredGridWriter()
         writer.SetInputData(multiblock[block])
         writer.SetDataModeToBinary()
         writer.WriteToOutputStringOn()
         writer.Write()
-        file = name.with_suffix("") / f"{name.stem}_{number}.vtu"
+        file = path.with_suffix("") / f"{path.stem}_{number}.vtu"
         with replace_file(file) as out:
             out.write(writer.GetOutputString().encode())
-        rows.append(f'index="{number}" name={quoteattr(block)} file={quoteattr(f"{name.stem}/{file.name}")}')
-    _write_listing(name, "vtkMultiBlockDataSet", rows)
+        entries.append(f'index="{number}" name={quoteattr(block)} file={quoteattr(f"{path.stem}/{file.name}")}')
+    _write_listing(path, "vtkMultiBlockDataSet", entries)
 
 
-def _write_listing(path: Path, kind: str, rows: Iterable[str]) -> None:
+def _write_listing(path: Path, list_type: str, entries: Iterable[str]) -> None:
     """Write an XML file in which VTK lists other files.
 
     Args:
         path: name of the file.
-        kind: VTK's type of the list, "Collection" or "vtkMultiBlockDataSet".
-        rows: for each listed file a text with its XML attributes, such as `timestep="0" file="run_pvd/0000.vtm"`.
+        list_type: VTK's type of the list, "Collection" or "vtkMultiBlockDataSet".
+        entries: for each listed file a text with its XML attributes, such as `timestep="0" file="run_pvd/0000.vtm"`.
     """
-    named = "".join(f"    <DataSet {row}/>\n" for row in rows)
-    text = f'<VTKFile type="{kind}" version="1.0">\n  <{kind}>\n{named}  </{kind}>\n</VTKFile>\n'
+    elements = "".join(f"    <DataSet {entry}/>\n" for entry in entries)
+    text = f'<VTKFile type="{list_type}" version="1.0">\n  <{list_type}>\n{elements}  </{list_type}>\n</VTKFile>\n'
     with replace_file(path) as file:
         file.write(f'<?xml version="1.0"?>\n{text}'.encode())

@@ -15,12 +15,12 @@ from matplotlib.lines import Line2D
 from forms.base import require
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import PINNED_STATUS, Contact
-from thinlayer.output.plotting.curves import COLOURS, LINE_STYLES, logarithmic
-from thinlayer.output.plotting.picture import Picture, finish_picture, labelled
+from thinlayer.output.plotting.curves import COLOURS, LINE_STYLES, set_symlog
+from thinlayer.output.plotting.picture import Picture, entry_by_label, finish_picture
 from thinlayer.output.surface import Surface
 from thinlayer.surface.lines import Line, Plane
 
-Drawn = npt.ArrayLike | Mapping[str, npt.ArrayLike] | State | Contact  # a field, cases of it, or results
+FieldOrResults = npt.ArrayLike | Mapping[str, npt.ArrayLike] | State | Contact  # a field, cases of it, or results
 COMPONENT_STYLES = ("-", "--", ":")  # line styles of the normal component and of the tangential components
 PANEL_INCHES = (5.2, 2.5)  # width and height of a panel, inches; the first is shared by all seams
 LOW_PANEL_INCHES = 1.7  # height of a panel in pictures with three or more rows, inches
@@ -28,7 +28,7 @@ LOW_PANEL_INCHES = 1.7  # height of a panel in pictures with three or more rows,
 
 def along(
     surface: Surface,
-    fields: Mapping[str, Drawn] | State | Contact,
+    fields: Mapping[str, FieldOrResults] | State | Contact,
     *,
     plane: Plane | None = None,
     save: str | Path | None = None,
@@ -62,29 +62,29 @@ def along(
         OSError: the picture could not be written.
     """
     require(isinstance(surface, Surface), "along: surface", surface, "give Surface(limit.model)")
-    units = [f" ({unit})" if unit else "" for unit in (stress, length)]
-    drawn = _rows(surface, fields, *units)
+    unit_texts = [f" ({unit})" if unit else "" for unit in (stress, length)]
+    drawn = _fields_by_row(surface, fields, *unit_texts)
     rows = {label: {case: surface.along(f, plane=plane) for case, f in cases.items()} for label, cases in drawn.items()}
-    seams, curve = list(dict.fromkeys(surface.seams.tolist())), PANEL_INCHES[1] if len(rows) < 3 else LOW_PANEL_INCHES
-    figure = Picture(figsize=(PANEL_INCHES[0] + 2.2 * (len(seams) - 1), len(rows) * curve + 0.8), layout="constrained")
-    panels = figure.subplots(len(rows), len(seams), sharex="col", sharey="row", squeeze=False)
-    for (label, row), places in zip(rows.items(), panels, strict=True):
+    seams, height = list(dict.fromkeys(surface.seams.tolist())), PANEL_INCHES[1] if len(rows) < 3 else LOW_PANEL_INCHES
+    figure = Picture(figsize=(PANEL_INCHES[0] + 2.2 * (len(seams) - 1), len(rows) * height + 0.8), layout="constrained")
+    axes_rows = figure.subplots(len(rows), len(seams), sharex="col", sharey="row", squeeze=False)
+    for (label, row), row_axes in zip(rows.items(), axes_rows, strict=True):
         values = np.concatenate([line.values.ravel() for lines in row.values() for line in lines])
-        for axes, seam in zip(places, seams, strict=True):
-            _draw(axes, [[line for line in lines if line.seam == seam] for lines in row.values()])
+        for axes, seam in zip(row_axes, seams, strict=True):
+            _draw_panel(axes, [[line for line in lines if line.seam == seam] for lines in row.values()])
             if log:
-                logarithmic(axes, np.nanmin(values), np.nanmax(values))
-        places[0].set_ylabel(label)
-    for axes, seam in zip(panels[0], seams, strict=True):
+                set_symlog(axes, np.nanmin(values), np.nanmax(values))
+        row_axes[0].set_ylabel(label)
+    for axes, seam in zip(axes_rows[0], seams, strict=True):
         axes.set_title(seam if len(seams) > 1 else "", fontsize=11)
-    for axes in panels[-1]:
+    for axes in axes_rows[-1]:
         axes.set_xlabel(f"arc length{f' ({length})' if length else ''}")
-    _legend(figure, rows.values(), surface.joint.dim)
+    _draw_legend(figure, rows.values(), surface.joint.dim)
     figure.align_ylabels()
     return finish_picture(figure, save, title)
 
 
-def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, Mapping[str, npt.ArrayLike]]:
+def _fields_by_row(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, Mapping[str, npt.ArrayLike]]:
     """Return label of a row -> {label of a curve: field}, from the argument `fields` of `along` in any of its forms.
 
     Pressures and tangential tractions are NaN at pinned nodes, where supports exert the force.
@@ -94,27 +94,27 @@ def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, 
         fields: the argument of `along`.
         stress, length: texts that follow the names of stresses and of lengths, such as " (MPa)" and " (mm)".
     """
-    cases = labelled("along: fields", fields, "field")
+    cases = entry_by_label("along: fields", fields, "field")
     if not all(isinstance(case, (State, Contact)) for case in cases.values()):
         return {label: case if isinstance(case, Mapping) else {"": case} for label, case in cases.items()}
     rows: dict[str, dict[str, npt.ArrayLike]] = {}
     for label, case in cases.items():
         if isinstance(case, State):
             t, w = (surface.frame(f(case)) for f in (surface.traction, surface.jump))
-            names = ("N", "T") if len(t) == 2 else ("N", "1", "2")
-            of_case = {f"t_{k}{stress}": f for k, f in zip(names, np.roll(t, 1, axis=0), strict=True)}
-            of_case |= {f"w_{k}{length}": f for k, f in zip(names, np.roll(w, 1, axis=0), strict=True)}
+            indices = ("N", "T") if len(t) == 2 else ("N", "1", "2")
+            case_fields = {f"t_{k}{stress}": f for k, f in zip(indices, np.roll(t, 1, axis=0), strict=True)}
+            case_fields |= {f"w_{k}{length}": f for k, f in zip(indices, np.roll(w, 1, axis=0), strict=True)}
         else:
-            pinned = np.where(case.status == PINNED_STATUS, np.nan, 1.0)
+            pinned_mask = np.where(case.status == PINNED_STATUS, np.nan, 1.0)
             t_T, u_T = (v[:, 0] if v.shape[1] == 1 else np.linalg.norm(v, axis=1) for v in (case.t_T, case.u_T))
-            of_case = {f"p{stress}": pinned * case.p, f"t_T{stress}": pinned * t_T}
-            of_case |= {f"u_T{length}": u_T, f"opening{length}": -case.u_N}
-        for name, f in of_case.items():
+            case_fields = {f"p{stress}": pinned_mask * case.p, f"t_T{stress}": pinned_mask * t_T}
+            case_fields |= {f"u_T{length}": u_T, f"opening{length}": -case.u_N}
+        for name, f in case_fields.items():
             rows.setdefault(name, {})[label] = f
     return {**rows}
 
 
-def _draw(axes: Axes, cases: list[list[Line]]) -> None:
+def _draw_panel(axes: Axes, cases: list[list[Line]]) -> None:
     """Draw one panel with several curves, the values of fields along lines on S.
 
     Args:
@@ -122,19 +122,19 @@ def _draw(axes: Axes, cases: list[list[Line]]) -> None:
         cases: for each curve its lines, which follow one another on the horizontal axis, with grey lines between them.
     """
     for number, lines in enumerate(cases):
-        start = 0.0
+        line_start = 0.0
         for line in lines:
-            if start and not number:
-                axes.axvline(start, color="0.7", linewidth=0.8)
+            if line_start and not number:
+                axes.axvline(line_start, color="0.7", linewidth=0.8)
             components = np.roll(np.atleast_2d(line.values.T), 1, axis=0)  # the normal component was last
             styles = COMPONENT_STYLES if len(components) > 1 else (LINE_STYLES[number % len(LINE_STYLES)],)
             for style, component in zip(styles, components, strict=False):
-                axes.plot(start + line.s, component, linestyle=style, color=COLOURS[number % len(COLOURS)])
-            start += line.length
+                axes.plot(line_start + line.s, component, linestyle=style, color=COLOURS[number % len(COLOURS)])
+            line_start += line.length
     axes.grid(color="0.9")
 
 
-def _legend(figure: Picture, rows: Collection[Mapping[str, list[Line]]], dim: int) -> None:
+def _draw_legend(figure: Picture, rows: Collection[Mapping[str, list[Line]]], dim: int) -> None:
     """Draw a legend below the panels: line styles of the components of vectors, and colours of the curves.
 
     Args:
@@ -143,14 +143,14 @@ def _legend(figure: Picture, rows: Collection[Mapping[str, list[Line]]], dim: in
         dim: number of dimensions.
     """
     handles = list[Line2D]()
-    vectors = any(line.values[0].size > 1 for row in rows for lines in row.values() for line in lines)
-    if vectors:
-        names = ["normal", "tangential"] if dim == 2 else ["normal", "tangential 1", "tangential 2"]
-        styles = zip(COMPONENT_STYLES, names, strict=False)
+    has_vectors = any(line.values[0].size > 1 for row in rows for lines in row.values() for line in lines)
+    if has_vectors:
+        components = ["normal", "tangential"] if dim == 2 else ["normal", "tangential 1", "tangential 2"]
+        styles = zip(COMPONENT_STYLES, components, strict=False)
         handles += [Line2D([], [], color="0.3", linestyle=style, label=name) for style, name in styles]
     cases = list(dict.fromkeys(case for row in rows for case in row))
     if len(cases) > 1:
-        looks = zip(cycle(COLOURS), cycle(("-",) if vectors else LINE_STYLES), cases, strict=False)
-        handles += [Line2D([], [], color=colour, linestyle=dash, label=case) for colour, dash, case in looks]
+        curve_styles = zip(cycle(COLOURS), cycle(("-",) if has_vectors else LINE_STYLES), cases, strict=False)
+        handles += [Line2D([], [], color=colour, linestyle=dash, label=case) for colour, dash, case in curve_styles]
     if handles:
         figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 5), frameon=False)

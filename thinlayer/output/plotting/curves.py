@@ -14,20 +14,20 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
 
 from forms.base import Array, InputError, require
-from thinlayer.output.plotting.picture import Picture, finish_picture, labelled, symbols
+from thinlayer.output.plotting.picture import Picture, entry_by_label, finish_picture, typeset
 from thinlayer.system.table import Table
 
-Lines = Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike]]  # label -> (x, y)
-Range = tuple[float, float] | None
+CurvesByLabel = Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike]]  # label -> (x, y)
+AxisRange = tuple[float, float] | None
 StyleChoice = str | Sequence[str] | Mapping[str, str] | None  # one for all curves, several in turn, or by label
 # Styles of curves, in turn: colours for colour-blind readers (Okabe and Ito); line styles and markers for grey prints.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 Dash = str | tuple[int, tuple[int, ...]]  # matplotlib's line style
 LINE_STYLES: tuple[Dash, ...] = ("-", "--", "-.", ":", (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1)), (0, (1, 3)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-SYMLOG_RANGE = 1e-3  # smallest visible value, over the largest, on an axis that is logarithmic on both sides of zero
+SYMLOG_RATIO = 1e-3  # smallest visible value, over the largest, on an axis that is logarithmic on both sides of zero
 # sizes in a legend, inches: width of a letter, width of the line and the margins of an entry, height of a row
-LETTER_INCHES, SAMPLE_INCHES, ROW_INCHES = (0.075, 0.75, 0.21)
+LETTER_INCHES, LINE_INCHES, ROW_INCHES = (0.075, 0.75, 0.21)
 ERROR_COLUMNS = {"traction": "error_traction", "jump": "error_jump"}  # label -> column of a sweep's table
 
 
@@ -54,28 +54,28 @@ def rates(
         InputError: a table without rows or without these columns.
         OSError: the picture could not be written.
     """
-    tables: dict[str, Table | str | Path] = labelled("rates: table", table, "table")
+    tables: dict[str, Table | str | Path] = entry_by_label("rates: table", table, "table")
     lines, styles, colours = dict[str, tuple[Array, Array]](), {}, {}
     for j, (case, source) in enumerate(tables.items()):
         require(isinstance(source, (Table, str, Path)), f"rates: {case or 'table'}", source, "give what sweep returns")
         data = source if isinstance(source, Table) else Table.load(source)
         if lacking := [name for name in ("eps", *errors.values()) if name not in data.columns]:
-            which = f"the table {case!r}" if case else "the table"
-            raise InputError(f"rates: {which} has no row, or no column {', '.join(lacking)}; give what sweep returns")
+            subject = f"the table {case!r}" if case else "the table"
+            raise InputError(f"rates: {subject} has no row, or no column {', '.join(lacking)}; give what sweep returns")
         for k, (name, column) in enumerate(errors.items()):
             label = f"{case}: {name}" if case else name
             lines[label] = data["eps"], data[column]
             styles[label] = MARKERS[k % len(MARKERS)] + ("--" if k % 2 else "-")
             colours[label] = COLOURS[(j if len(tables) > 1 else k) % len(COLOURS)]  # one colour for each case
-    eps, lowest = min(lines.values(), key=lambda line: float(line[1][-1]))
-    slope = f"slope {reference:g}"
-    lines[slope] = eps, 0.6 * lowest[-1] * (eps / eps[-1]) ** reference
+    eps, lowest_errors = min(lines.values(), key=lambda line: float(line[1][-1]))
+    slope_label = f"slope {reference:g}"
+    lines[slope_label] = eps, 0.6 * lowest_errors[-1] * (eps / eps[-1]) ** reference
     figure = curves(
         lines, "layer thickness eps", "relative difference on S, L^2",
-        title=title, styles=styles | {slope: ":"}, colours=colours, log="xy",
+        title=title, styles=styles | {slope_label: ":"}, colours=colours, log="xy",
     )  # fmt: skip
     (axes,) = figure.axes
-    axes.set_xticks(eps, [fraction(e) for e in eps])
+    axes.set_xticks(eps, [as_fraction(e) for e in eps])
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.minorticks_off()
@@ -83,7 +83,7 @@ def rates(
 
 
 def curves(
-    lines: Lines | Mapping[str, Lines],
+    lines: CurvesByLabel | Mapping[str, CurvesByLabel],
     xlabel: str,
     ylabel: str | Mapping[str, str] = "",
     *,
@@ -92,8 +92,8 @@ def curves(
     styles: StyleChoice = None,
     colours: StyleChoice = None,
     log: str = "",
-    xlim: Range | Mapping[str, Range] = None,
-    ylim: Range | Mapping[str, Range] = None,
+    xlim: AxisRange | Mapping[str, AxisRange] = None,
+    ylim: AxisRange | Mapping[str, AxisRange] = None,
     columns: int = 3,
     levels: Mapping[str, Sequence[str]] | None = None,
 ) -> Picture:
@@ -122,59 +122,59 @@ def curves(
         ValueError: x and y of a curve have different lengths.
     """
     require(isinstance(lines, Mapping), "curves", lines, "give {label: (x, y)}, or {title: {label: (x, y)}}")
-    several = bool(lines) and all(isinstance(entry, Mapping) for entry in lines.values())
-    parts: Any = lines if several else {title: lines}
-    columns = min(columns, len(parts))
-    panel_rows, size = -(-len(parts) // columns), 1.0 if columns > 2 else 1.4
-    inches = (3.1 * size * columns, 2.6 * size * panel_rows + 0.6) if several else (6.5, 4.5)
-    figure = Picture(figsize=inches, layout="constrained")
-    labels = list(dict.fromkeys(label for part in parts.values() for label in part))
-    grey = {label: "0.5" for label in labels if label.startswith("slope")}
-    styles, colours = _by_label(labels, styles), _by_label(labels, COLOURS) | grey | _by_label(labels, colours)
-    dashes, drawn = dict(zip(labels, cycle(LINE_STYLES), strict=False)), dict[str, Line2D]()
-    for number, (panel, part) in enumerate(parts.items(), 1):
+    has_panels = bool(lines) and all(isinstance(entry, Mapping) for entry in lines.values())
+    panels: Any = lines if has_panels else {title: lines}
+    columns = min(columns, len(panels))
+    panel_rows, scale = -(-len(panels) // columns), 1.0 if columns > 2 else 1.4
+    figure_size = (3.1 * scale * columns, 2.6 * scale * panel_rows + 0.6) if has_panels else (6.5, 4.5)
+    figure = Picture(figsize=figure_size, layout="constrained")
+    labels = list(dict.fromkeys(label for curves_in_panel in panels.values() for label in curves_in_panel))
+    slope_grey = {label: "0.5" for label in labels if label.startswith("slope")}
+    styles, colours = _by_label(labels, styles), _by_label(labels, COLOURS) | slope_grey | _by_label(labels, colours)
+    dashes, plotted = dict(zip(labels, cycle(LINE_STYLES), strict=False)), dict[str, Line2D]()
+    for number, (name, curves_in_panel) in enumerate(panels.items(), 1):
         ax = figure.add_subplot(panel_rows, columns, number)
-        for label, line in part.items():
+        for label, line in curves_in_panel.items():
             # points without a line are open markers, which do not hide one another
-            look: dict[str, Any] = {"ms": 6, "mfc": "none"} if styles.get(label) in MARKERS else {"ms": 4}
-            (drawn[label],) = ax.plot(*line, styles.get(label, "-"), color=colours[label], label=label, **look)
+            marker: dict[str, Any] = {"ms": 6, "mfc": "none"} if styles.get(label) in MARKERS else {"ms": 4}
+            (plotted[label],) = ax.plot(*line, styles.get(label, "-"), color=colours[label], label=label, **marker)
             if label not in styles:
-                drawn[label].set_linestyle(dashes[label])
+                plotted[label].set_linestyle(dashes[label])
         ax.grid(color="0.9")
         ax.set(xscale="log" if "x" in log else "linear", yscale="log" if "y" in log else "linear")
-        ax.set(xlabel=xlabel, ylabel=_of_panel(ylabel, panel), xlim=_of_panel(xlim, panel), ylim=_of_panel(ylim, panel))
-        ax.set_title(panel, fontsize=11)
-        if levels and panel in levels:
-            ax.set_yticks(range(len(levels[panel])), map(symbols, levels[panel]))
-    if len(drawn) > 1:
-        wide, high = figure.get_size_inches()
-        rows = math.ceil(len(drawn) / max(1, wide // (SAMPLE_INCHES + LETTER_INCHES * max(map(len, drawn)))))
-        figure.set_figheight(high + ROW_INCHES * (rows - 1))
-        ncols = math.ceil(len(drawn) / rows)
-        figure.legend(drawn.values(), drawn, loc="outside lower center", ncols=ncols, frameon=False)
-    return finish_picture(figure, save, title if several else "")
+        ax.set(xlabel=xlabel, ylabel=_for_panel(ylabel, name), xlim=_for_panel(xlim, name), ylim=_for_panel(ylim, name))
+        ax.set_title(name, fontsize=11)
+        if levels and name in levels:
+            ax.set_yticks(range(len(levels[name])), map(typeset, levels[name]))
+    if len(plotted) > 1:
+        width, height = figure.get_size_inches()
+        legend_rows = math.ceil(len(plotted) / max(1, width // (LINE_INCHES + LETTER_INCHES * max(map(len, plotted)))))
+        figure.set_figheight(height + ROW_INCHES * (legend_rows - 1))
+        ncols = math.ceil(len(plotted) / legend_rows)
+        figure.legend(plotted.values(), plotted, loc="outside lower center", ncols=ncols, frameon=False)
+    return finish_picture(figure, save, title if has_panels else "")
 
 
-def fraction(x: float) -> str:
+def as_fraction(x: float) -> str:
     """Return a number as text: 1/4, 1/8, 1/16, ... as fractions, others as decimals with four significant digits."""
     return f"1/{1 / x:.0f}" if x <= 1 / 4 and math.frexp(x)[0] == 0.5 else f"{x:.4g}"
 
 
-def _of_panel(setting: Any, panel: str) -> Any:
-    """Return the value of a setting for the panel with the title `panel`.
+def _for_panel(setting: Any, name: str) -> Any:
+    """Return the value of a setting for the panel with the title `name`.
 
     If `setting` is a mapping, title of a panel -> value, it is this panel's entry, or None; otherwise it is `setting`.
     """
-    return setting.get(panel) if isinstance(setting, Mapping) else setting
+    return setting.get(name) if isinstance(setting, Mapping) else setting
 
 
-def _by_label(labels: Iterable[str], chosen: StyleChoice) -> dict[str, str]:
-    if isinstance(chosen, Mapping):
-        return dict(chosen)
-    return dict(zip(labels, cycle([chosen] if isinstance(chosen, str) else chosen or []), strict=False))
+def _by_label(labels: Iterable[str], styles: StyleChoice) -> dict[str, str]:
+    if isinstance(styles, Mapping):
+        return dict(styles)
+    return dict(zip(labels, cycle([styles] if isinstance(styles, str) else styles or []), strict=False))
 
 
-def logarithmic(axes: Axes, low: float, high: float) -> None:
+def set_symlog(axes: Axes, low: float, high: float) -> None:
     """Make the y axis logarithmic on both sides of zero, with ticks at zero and at powers of ten.
 
     Args:
@@ -183,8 +183,8 @@ def logarithmic(axes: Axes, low: float, high: float) -> None:
     """
     if not (largest := max(-low, high)) > 0:
         return
-    top = math.floor(math.log10(largest))
-    powers = [10.0**k for k in range(top + int(math.log10(SYMLOG_RANGE)) + 1, top + 1)]
+    top_exponent = math.floor(math.log10(largest))
+    powers = [10.0**k for k in range(top_exponent + int(math.log10(SYMLOG_RATIO)) + 1, top_exponent + 1)]
     axes.set_yscale("symlog", linthresh=powers[0], linscale=0.5)
     axes.set_yticks([*(-power for power in reversed(powers)), 0.0, *powers])
     axes.set_ylim(1.5 * min(low, 0.0), 1.5 * max(high, 0.0))  # the ticks' range leaves a half empty for one sign

@@ -63,37 +63,37 @@ def movie(
         raise InputError("movie: the states are of several models; give those of one march")
     if not isinstance(save, (str, Path)) or Path(save).suffix not in (GIF_EXT, MP4_EXT):
         raise InputError(f"save is {save!r}; it must be the name of a movie, which ends in .gif or .mp4")
-    good = is_integer(per_second, 1) and per_second <= MAX_FRAME_RATE
-    require(good, "per_second", per_second, f"allowed: whole numbers from 1 to {MAX_FRAME_RATE}")
+    is_valid_rate = is_integer(per_second, 1) and per_second <= MAX_FRAME_RATE
+    require(is_valid_rate, "per_second", per_second, f"allowed: whole numbers from 1 to {MAX_FRAME_RATE}")
     path, comm = Path(save), states[0].model.comm
-    ffmpeg = on_root(comm, _ffmpeg) if path.suffix == MP4_EXT else ""
+    ffmpeg_path = on_root(comm, _ffmpeg_path) if path.suffix == MP4_EXT else ""
     grids = [grid for state in track(states, "movie", "{0.t:.4g}") if (grid := gather_grid(state))]
 
-    def draw() -> None:
+    def write_movie() -> None:
         scene = Scene.of(grids, view)
-        figure, (axes,) = scene.panels(1)
-        scene.bar(figure, [axes])
-        shown = axes.imshow(scene.image(grids[0]), extent=scene.window)
-        clock = axes.set_title(" ", fontsize=11)
+        figure, (axes,) = scene.make_panels(1)
+        scene.draw_colour_bar(figure, [axes])
+        drawn_image = axes.imshow(scene.render(grids[0]), extent=scene.window)
+        time_text = axes.set_title(" ", fontsize=11)
         if title:
             figure.suptitle(title)
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # keep the layout of the first frame
         writer: AbstractMovieWriter = PillowWriter(per_second) if path.suffix == GIF_EXT else FFMpegWriter(per_second)
         with TemporaryDirectory() as folder, replace_file(path) as file:
-            drawn = Path(folder) / path.name
-            with rc_context({"animation.ffmpeg_path": ffmpeg}), writer.saving(figure, str(drawn), FRAME_DPI):
+            temp_path = Path(folder) / path.name
+            with rc_context({"animation.ffmpeg_path": ffmpeg_path}), writer.saving(figure, str(temp_path), FRAME_DPI):
                 for state, grid in track([*zip(states, grids, strict=True)], "movie", "a frame"):
-                    shown.set_data(scene.image(grid))
-                    clock.set_text(f"t = {state.t:.4g}{f' {time_unit}' if time_unit else ''}")
+                    drawn_image.set_data(scene.render(grid))
+                    time_text.set_text(f"t = {state.t:.4g}{f' {time_unit}' if time_unit else ''}")
                     writer.grab_frame()
-            file.write(drawn.read_bytes())
+            file.write(temp_path.read_bytes())
 
-    on_root(comm, draw)
+    on_root(comm, write_movie)
     return path
 
 
-def _ffmpeg() -> str:
+def _ffmpeg_path() -> str:
     """Return the path of the program ffmpeg; raise InputError if it is not installed."""
     try:
         from imageio_ffmpeg import get_ffmpeg_exe

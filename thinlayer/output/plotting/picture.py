@@ -19,15 +19,15 @@ from geometry.parallel import on_root
 from thinlayer.system.folder import replace_file
 
 # text width of a page, inches; dots per inch of a saved picture after scaling it down to this width if it is wider
-PAGE_WIDTH, SAVED_DPI = (6.7, 300)
+PAGE_INCHES, SAVED_DPI = (6.7, 300)
 # Text remains text in vector files, and equal pictures give equal files.
 VECTOR_FONTS = ["DejaVu Sans", "Verdana", "Arial"]
-VECTOR_STYLE = {"svg.fonttype": "none", "svg.hashsalt": "thinlayer", "font.sans-serif": VECTOR_FONTS}
+VECTOR_RC_PARAMS = {"svg.fonttype": "none", "svg.hashsalt": "thinlayer", "font.sans-serif": VECTOR_FONTS}
 UNDATED_METADATA: dict[str, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 # Words that are Greek letters; letters with an index, these letters alone, and powers.
-GREEK_LETTERS = "eps|lambda|nu|mu|pi|kappa|rho|psi|omega|Omega|delta|sigma"
+GREEK_PATTERN = "eps|lambda|nu|mu|pi|kappa|rho|psi|omega|Omega|delta|sigma"
 SYMBOL_PATTERN = r"(?:\\[A-Za-z]+|\b[A-Za-z]{1,2})_(?:[NTxyz\d]|min)\b|\\[A-Za-z]+|\b(?:10|L)\^-?\d+"
-NOTEBOOK_SETTINGS: dict[str, Any] = {"dpi": 100, "bbox_inches": "tight"}
+NOTEBOOK_SAVE_OPTIONS: dict[str, Any] = {"dpi": 100, "bbox_inches": "tight"}
 
 
 class Picture(Figure):
@@ -39,14 +39,14 @@ class Picture(Figure):
     """
 
     def draw(self, renderer: RendererBase) -> None:
-        """Draw the figure by a matplotlib renderer, after replacing symbols in its texts by mathematics (`symbols`)."""
+        """Draw the figure by a matplotlib renderer, after replacing symbols in its texts by mathematics (`typeset`)."""
         for text in self.findobj(Text):
-            text.set_text(symbols(text.get_text()))
+            text.set_text(typeset(text.get_text()))
         super().draw(renderer)
 
     def _repr_png_(self) -> bytes:
         buffer = BytesIO()
-        self.savefig(buffer, format="png", **NOTEBOOK_SETTINGS)
+        self.savefig(buffer, format="png", **NOTEBOOK_SAVE_OPTIONS)
         return buffer.getvalue()
 
     def show(self, warn: bool = True) -> None:
@@ -65,14 +65,14 @@ class Picture(Figure):
         pyplot.show()
 
 
-def symbols(text: str) -> str:
+def typeset(text: str) -> str:
     """Return a text in which symbols such as "eps", "t_T" and "10^3" are matplotlib's mathematics, between "$".
 
     A text that already contains "$" is returned unchanged.
     """
     if "$" in text:
         return text
-    text = re.sub(rf"\b({GREEK_LETTERS})(?=\b|_)", r"\\\1", text).replace(r"\eps", r"\varepsilon")
+    text = re.sub(rf"\b({GREEK_PATTERN})(?=\b|_)", r"\\\1", text).replace(r"\eps", r"\varepsilon")
     return re.sub(SYMBOL_PATTERN, lambda match: "$" + re.sub(r"([_^])(-?\w+)", r"\1{\2}", match[0]) + "$", text)
 
 
@@ -97,24 +97,24 @@ def finish_picture(figure: FigureType, save: str | Path | None, title: str = "")
 EntryType = TypeVar("EntryType")
 
 
-def labelled(what: str, entries: Mapping[str, EntryType] | EntryType, kind: str) -> dict[str, EntryType]:
+def entry_by_label(argument: str, entries: Mapping[str, EntryType] | EntryType, noun: str) -> dict[str, EntryType]:
     """Convert an argument to a mapping, label -> entry; a single entry gets the label "".
 
     Args:
-        what: name of the argument, for messages.
+        argument: name of the argument, for messages.
         entries: the argument.
-        kind: what an entry is, such as "state", for messages.
+        noun: what an entry is, such as "state", for messages.
 
     Raises:
         InputError: the mapping is empty.
     """
     by_label = dict(entries) if isinstance(entries, Mapping) else {"": entries}
     if not by_label:
-        raise InputError(f"{what} is empty; give a {kind}, or label -> {kind}")
+        raise InputError(f"{argument} is empty; give a {noun}, or label -> {noun}")
     return by_label
 
 
-def drawn_on_root(comm: MPI.Intracomm, draw: Callable[[], Picture], save: str | Path | None) -> Picture | None:
+def draw_on_root(comm: MPI.Intracomm, draw: Callable[[], Picture], save: str | Path | None) -> Picture | None:
     """Draw a picture on rank 0 and return it; other ranks return None. Collective.
 
     Args:
@@ -147,6 +147,6 @@ def save_picture(figure: Figure, save: str | Path) -> None:
     require(isinstance(save, (str, Path)), "save", save, "it must be the name of a picture, or None")
     path = Path(save)
     require(not path.is_dir(), "save", save, "it is a folder; give the name of a picture")
-    ending, dpi = path.suffix.removeprefix(".") or "png", SAVED_DPI * min(1.0, PAGE_WIDTH / figure.get_size_inches()[0])
-    with replace_file(path.with_suffix(f".{ending}")) as file, rc_context(VECTOR_STYLE):
-        figure.savefig(file, format=ending, dpi=dpi, metadata=UNDATED_METADATA.get(ending), bbox_inches="tight")
+    ext, dpi = path.suffix.removeprefix(".") or "png", SAVED_DPI * min(1.0, PAGE_INCHES / figure.get_size_inches()[0])
+    with replace_file(path.with_suffix(f".{ext}")) as file, rc_context(VECTOR_RC_PARAMS):
+        figure.savefig(file, format=ext, dpi=dpi, metadata=UNDATED_METADATA.get(ext), bbox_inches="tight")

@@ -24,10 +24,10 @@ from forms.temperature import finite_values
 from thinlayer.output.paraview.grid import VtkGrid
 from thinlayer.output.plotting.picture import Picture
 
-DRAWN_DISPLACEMENT_SHARE = 0.05  # largest drawn displacement, over the size of the structure
-DEFAULT_VIEWS = {2: (0.0, 0.0, 1.0), 3: (0.55, 0.45, 1.0)}  # dimension -> direction to the viewer
+DRAWN_DISPLACEMENT_RATIO = 0.05  # largest drawn displacement, over the size of the structure
+DEFAULT_TOWARDS = {2: (0.0, 0.0, 1.0), 3: (0.55, 0.45, 1.0)}  # dimension -> direction to the viewer
 LINE_LIFT = 0.004  # shift of lines towards the viewer, over the picture's width, so that surfaces do not hide them
-IMAGE_PIXELS = 1400  # length of the longer side of an image
+LONG_SIDE_PIXELS = 1400  # length of the longer side of an image
 Style = dict[str, Any]  # arguments of pyvista's add_mesh, or of matplotlib
 LAYER_STYLE: Style = {"color": "crimson", "line_width": 4, "lighting": False}
 SEAM_STYLE: Style = LAYER_STYLE | {"line_width": 2}  # the two sides of S
@@ -81,7 +81,7 @@ class View:
     def __post_init__(self) -> None:
         require(self.scale is None or is_finite(self.scale), "scale", self.scale, "it must be a finite number")
         if self.zoom is not None:
-            _window(self.zoom)
+            _checked_window(self.zoom)
 
 
 @dataclass(frozen=True)
@@ -91,44 +91,44 @@ class DeformedShape:
     Attributes:
         regions: number of a region -> its cells in deformed positions. Regions of meshed layers have negative numbers
             and are last. Data at the n nodes of a grid: "u" (n,), the component of the displacement that colours show;
-            "moved" (n, 3), the drawn displacement; "double" (n,), 1 where two nodes coincide before deformation, as on
-            both sides of S, else 0.
+            "moved" (n, 3), the drawn displacement; "coincident" (n,), 1 where two nodes coincide before deformation, as
+            on both sides of S, else 0.
         base: facets where the structure lies on a rigid base; None if there is a body on both sides of S.
         plane: {"normal": unit vector, "origin": point} of the plane that cuts the structure; None: it is not cut.
     """
 
     regions: dict[int, pyvista.UnstructuredGrid]
     base: pyvista.UnstructuredGrid | None
-    plane: dict[str, Any] | None = None
+    cut_plane: dict[str, Any] | None = None
 
     @classmethod
-    def of(cls, grid: VtkGrid, component: str, scale: float, cut: Sequence[float] | None = None) -> DeformedShape:
+    def of(cls, grid: VtkGrid, component: str, scale: float, normal: Sequence[float] | None = None) -> DeformedShape:
         """Make the deformed structure of a displacement field.
 
         Args:
             grid: the displacement field.
             component: component of the displacement that colours show: "x", "y", "z" or "size", the norm.
             scale: factor of the drawn displacements.
-            cut: unit vector (3,). The structure is cut through its middle, normal to this vector, and the half to which
-                it points is left out. None: the structure is not cut.
+            normal: unit vector (3,). The structure is cut through its middle, normal to this vector, and the half to
+                which it points is left out. None: the structure is not cut.
         """
-        mesh = pyvista.UnstructuredGrid(grid.cells, grid.types, grid.points + scale * grid.u)
+        mesh = pyvista.UnstructuredGrid(grid.cells, grid.cell_codes, grid.points + scale * grid.u)
         # the factor pi avoids coordinates half-way between two decimals, which rounding errors would separate
-        places = np.round(np.pi / np.ptp(grid.points) * grid.points, PLACE_DECIMALS)
-        _, place, count = np.unique(places, axis=0, return_inverse=True, return_counts=True)
-        double = (count[place.ravel()] > 1).astype(float)
-        mesh.point_data.update({"u": grid.component(component), "moved": scale * grid.u, "double": double})
-        parts = {int(number): mesh.extract_cells(grid.region == number) for number in np.unique(grid.region)[::-1]}
+        rounded_points = np.round(np.pi / np.ptp(grid.points) * grid.points, PLACE_DECIMALS)
+        _, place_of_node, count = np.unique(rounded_points, axis=0, return_inverse=True, return_counts=True)
+        is_coincident = (count[place_of_node.ravel()] > 1).astype(float)
+        mesh.point_data.update({"u": grid.component(component), "moved": scale * grid.u, "coincident": is_coincident})
+        grids = {int(number): mesh.extract_cells(grid.region == number) for number in np.unique(grid.region)[::-1]}
         n, k = grid.base.shape[:2]
         facets = np.insert(np.arange(n * k).reshape(n, k), 0, k, axis=1)
-        base = pyvista.UnstructuredGrid(facets, np.full(n, grid.base_type), grid.base.reshape(-1, 3)) if n else None
+        base = pyvista.UnstructuredGrid(facets, np.full(n, grid.base_code), grid.base.reshape(-1, 3)) if n else None
         if base is not None:
-            base.point_data.update({"moved": np.zeros(base.points.shape), "double": np.zeros(base.n_points)})
-        if cut is None:
-            return cls(parts, base)
+            base.point_data.update({"moved": np.zeros(base.points.shape), "coincident": np.zeros(base.n_points)})
+        if normal is None:
+            return cls(grids, base)
         low, high = grid.points.min(axis=0), grid.points.max(axis=0)
-        plane = {"normal": cut, "origin": (low + high) / 2 + CUT_OFFSET * (high - low).max() * np.asarray(cut)}
-        regions = {number: behind for number, part in parts.items() if (behind := part.clip(**plane)).n_cells}
+        plane = {"normal": normal, "origin": (low + high) / 2 + CUT_OFFSET * (high - low).max() * np.asarray(normal)}
+        regions = {number: clipped for number, part in grids.items() if (clipped := part.clip(**plane)).n_cells}
         return cls(regions, base.clip(**plane) if base is not None else None, plane)
 
     @property
@@ -137,7 +137,7 @@ class DeformedShape:
         return np.concatenate([mesh.points for mesh in (*self.regions.values(), self.base) if mesh is not None])
 
     @property
-    def values(self) -> Array:
+    def colour_values(self) -> Array:
         """Component of the displacement (n,) that colours show, at the nodes of `points`; NaN on the rigid base."""
         values = np.concatenate([part["u"] for part in self.regions.values()])
         return np.pad(values, (0, 0 if self.base is None else self.base.n_points), constant_values=np.nan)
@@ -157,17 +157,17 @@ def sharp_edges(surface: pyvista.PolyData) -> pyvista.PolyData:
         surface: flat faces in deformed positions, with the drawn displacements (n, 3) of the nodes as point data
             "moved".
     """
-    still = surface.copy()
-    still.points -= SPLIT_FACTOR * surface["moved"]
+    undeformed = surface.copy()
+    undeformed.points -= SPLIT_FACTOR * surface["moved"]
     if not surface.n_lines:
-        still = still.compute_normals(point_normals=False)  # orients faces consistently, for their angles
-    lines = still.extract_feature_edges(SHARP_ANGLE_DEGREES, manifold_edges=False, non_manifold_edges=False)
+        undeformed = undeformed.compute_normals(point_normals=False)  # orients faces consistently, for their angles
+    lines = undeformed.extract_feature_edges(SHARP_ANGLE_DEGREES, manifold_edges=False, non_manifold_edges=False)
     if lines.n_cells:
         lines.points += SPLIT_FACTOR * lines["moved"]
     return lines
 
 
-def _axes(dim: int, view: View) -> Array:
+def _view_axes(dim: int, view: View) -> Array:
     """Return a matrix (3, 3), whose rows are unit vectors to the right, upwards and towards the viewer of a picture.
 
     Args:
@@ -179,7 +179,7 @@ def _axes(dim: int, view: View) -> Array:
     """
     if dim == 2 and (view.towards is not None or view.cut):
         raise InputError("towards and cut are for three-dimensional structures")
-    towards = finite_values(DEFAULT_VIEWS[dim] if view.towards is None else view.towards, (3,))
+    towards = finite_values(DEFAULT_TOWARDS[dim] if view.towards is None else view.towards, (3,))
     if towards is None or not towards.any():
         raise InputError(f"towards is {view.towards}; it must have three components, not all zero")
     towards /= np.linalg.norm(towards)
@@ -205,7 +205,7 @@ class Scene:
     axes: Array
     factor: float
     window: Window = (0.0, 0.0, 0.0, 0.0)
-    limits: tuple[float, float] = (0.0, 0.0)
+    colour_limits: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def of(cls, grids: Sequence[VtkGrid], view: View) -> Scene:
@@ -219,26 +219,26 @@ class Scene:
             InputError: an unknown component; an invalid direction; a direction or cut for a 2D structure; a window with
                 no structure in it.
         """
-        axes = _axes(grids[0].dim, view)
-        largest = max(np.linalg.norm(grid.u, axis=1).max() for grid in grids)
-        fitting = DRAWN_DISPLACEMENT_SHARE * np.ptp(grids[0].points, axis=0).max() / largest if largest > 0 else 1.0
-        scene = cls(view, axes, float(fitting if view.scale is None else view.scale))
-        shapes = [scene.shape(grid) for grid in grids]
+        axes = _view_axes(grids[0].dim, view)
+        largest_u = max(np.linalg.norm(grid.u, axis=1).max() for grid in grids)
+        factor = DRAWN_DISPLACEMENT_RATIO * np.ptp(grids[0].points, axis=0).max() / largest_u if largest_u > 0 else 1.0
+        scene = cls(view, axes, float(factor if view.scale is None else view.scale))
+        shapes = [scene.deformed_shape(grid) for grid in grids]
         x, y, _ = axes @ np.concatenate([shape.points for shape in shapes]).T
-        x0, x1, y0, y1 = window = (*_range(x), *_range(y)) if view.zoom is None else _window(view.zoom)
+        x0, x1, y0, y1 = window = (*_padded(x), *_padded(y)) if view.zoom is None else _checked_window(view.zoom)
         inside = (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
-        values = np.concatenate([shape.values for shape in shapes])
+        values = np.concatenate([shape.colour_values for shape in shapes])
         if x.max() < x0 or x.min() > x1 or y.max() < y0 or y.min() > y1:
             raise InputError(f"nothing to draw in the window {(x0, x1, y0, y1)}")
-        seen = values if np.isnan(values[inside]).all() else values[inside]  # a window may lie inside one cell
-        return replace(scene, window=window, limits=(float(np.nanmin(seen)), float(np.nanmax(seen))))
+        visible = values if np.isnan(values[inside]).all() else values[inside]  # a window may lie inside one cell
+        return replace(scene, window=window, colour_limits=(float(np.nanmin(visible)), float(np.nanmax(visible))))
 
-    def shape(self, grid: VtkGrid) -> DeformedShape:
+    def deformed_shape(self, grid: VtkGrid) -> DeformedShape:
         """Return the deformed structure of a displacement field, with this scene's factor of displacements and cut."""
-        front = (0.0, 0.0, float(np.copysign(1.0, self.axes[2, 2]))) if self.view.cut else None
-        return DeformedShape.of(grid, self.view.component, self.factor, front)
+        normal = (0.0, 0.0, float(np.copysign(1.0, self.axes[2, 2]))) if self.view.cut else None
+        return DeformedShape.of(grid, self.view.component, self.factor, normal)
 
-    def panels(self, n: int) -> tuple[Picture, list[Axes]]:
+    def make_panels(self, n: int) -> tuple[Picture, list[Axes]]:
         """Make an empty picture for `n` structures side by side; return it and the axes of its n panels."""
         x0, x1, y0, y1 = self.window
         figure = Picture(figsize=(PANEL_INCHES * n, PANEL_INCHES * (y1 - y0) / (x1 - x0) + 1.3), layout="constrained")
@@ -247,83 +247,83 @@ class Scene:
             panel.set_axis_off()
         return figure, axes
 
-    def bar(self, figure: Picture, axes: list[Axes]) -> None:
+    def draw_colour_bar(self, figure: Picture, axes: list[Axes]) -> None:
         """Draw a colour bar for the displacements below the panels `axes` of a picture."""
-        size = np.abs(self.limits).max()
-        power = 0 if size == 0 or 0.01 <= size < 1e4 else 3 * int(np.floor(np.log10(size) / 3))
+        largest = np.abs(self.colour_limits).max()
+        power = 0 if largest == 0 or 0.01 <= largest < 1e4 else 3 * int(np.floor(np.log10(largest) / 3))
         unit = f"10^{power} {self.view.unit}" if power else self.view.unit
-        name = "|u|" if self.view.component == "size" else f"u_{self.view.component}"
-        label = f"{name} ({unit.strip()}); {self.scaled}" if unit else f"{name}; {self.scaled}"
-        low, high = (limit * 10.0**-power for limit in self.limits)
+        symbol = "|u|" if self.view.component == "size" else f"u_{self.view.component}"
+        label = f"{symbol} ({unit.strip()}); {self.factor_text}" if unit else f"{symbol}; {self.factor_text}"
+        low, high = (limit * 10.0**-power for limit in self.colour_limits)
         figure.colorbar(ScalarMappable(Normalize(low, high), "viridis"), ax=axes, **COLOUR_BAR_STYLE, label=label)
 
     @property
-    def scaled(self) -> str:
+    def factor_text(self) -> str:
         """Text for the colour bar with the factor of the drawn displacements, as "displacements drawn 50 times"."""
         return f"displacements drawn {self.factor:.3g} times".replace("drawn 1 times", "as they are")
 
-    def image(self, grid: VtkGrid, on_s: Sequence[pyvista.PolyData] | None = None) -> npt.NDArray[np.uint8]:
+    def render(self, grid: VtkGrid, s_meshes: Sequence[pyvista.PolyData] | None = None) -> npt.NDArray[np.uint8]:
         """Draw a structure off screen and return the pixels of the image (height, width, 3), as red, green and blue.
 
         Lines are black at edges of bodies, and red around meshed layers and at both sides of S; a rigid base is grey.
 
         Args:
             grid: displacement field of the structure.
-            on_s: meshes of S to draw in addition, in the colours of their point data "rgb". Bodies then have one colour
-                and grey-brown edges, in 3D only these edges. None: bodies are coloured by displacement.
+            s_meshes: meshes of S to draw in addition, in the colours of their point data "rgb". Bodies then have one
+                colour and grey-brown edges, in 3D only these edges. None: bodies are coloured by displacement.
         """
-        shape, (right, up, towards) = self.shape(grid), self.axes
+        shape, (right, up, towards) = self.deformed_shape(grid), self.axes
         x0, x1, y0, y1 = self.window
-        size = [round(IMAGE_PIXELS * side / max(x1 - x0, y1 - y0)) for side in (x1 - x0, y1 - y0)]
-        plotter = pyvista.Plotter(off_screen=True, window_size=size, lighting="none")
+        window_size = [round(LONG_SIDE_PIXELS * side / max(x1 - x0, y1 - y0)) for side in (x1 - x0, y1 - y0)]
+        plotter = pyvista.Plotter(off_screen=True, window_size=window_size, lighting="none")
         plotter.add_light(pyvista.Light(light_type="headlight"))
-        body = DISPLACEMENT_STYLE | {"clim": self.limits} if on_s is None else PLAIN_BODY_STYLE
-        edge, only_outlines = EDGE_STYLE if on_s is None else OUTLINE_STYLE, on_s is not None and grid.dim == 3
-        parts = [(region, body, *((LAYER_STYLE, 2) if tag < 0 else (edge, 1))) for tag, region in shape.regions.items()]
+        body = DISPLACEMENT_STYLE | {"clim": self.colour_limits} if s_meshes is None else PLAIN_BODY_STYLE
+        edge, only_outlines = EDGE_STYLE if s_meshes is None else OUTLINE_STYLE, s_meshes is not None and grid.dim == 3
+        grids = [(region, body, *((LAYER_STYLE, 2) if tag < 0 else (edge, 1))) for tag, region in shape.regions.items()]
         if shape.base is not None and not only_outlines:
-            parts.append((shape.base, BASE_STYLE, BASE_STYLE, 0))
-        for mesh, look, pen, lift in parts:
-            outside = outer_surface(mesh)
+            grids.append((shape.base, BASE_STYLE, BASE_STYLE, 0))
+        for mesh, style, line_style, n_lifts in grids:
+            surface = outer_surface(mesh)
             if not only_outlines:
-                plotter.add_mesh(outside, **look)
-            lines = sharp_edges(outside)
-            lines.points += lift * LINE_LIFT * (x1 - x0) * towards
+                plotter.add_mesh(surface, **style)
+            lines = sharp_edges(surface)
+            lines.points += n_lifts * LINE_LIFT * (x1 - x0) * towards
             ends = lines.lines.reshape(-1, 3)[:, 1:]
-            on_seam = lines["double"][ends].min(axis=1) > SPLIT_FACTOR if lines.n_cells else np.zeros(0, bool)
-            for part, look in ((~on_seam, pen), (on_seam, pen if on_s else SEAM_STYLE)):
-                if part.any():
-                    plotter.add_mesh(lines.extract_cells(part), **look)
-        for mesh in on_s or ():
-            if shape.plane is not None:
-                mesh = mesh.clip(**shape.plane)
+            is_on_seam = lines["coincident"][ends].min(axis=1) > SPLIT_FACTOR if lines.n_cells else np.zeros(0, bool)
+            for is_drawn, style in ((~is_on_seam, line_style), (is_on_seam, line_style if s_meshes else SEAM_STYLE)):
+                if is_drawn.any():
+                    plotter.add_mesh(lines.extract_cells(is_drawn), **style)
+        for mesh in s_meshes or ():
+            if shape.cut_plane is not None:
+                mesh = mesh.clip(**shape.cut_plane)
             mesh.points += (3 if grid.dim == 2 else 0) * LINE_LIFT * (x1 - x0) * towards
             plotter.add_mesh(mesh, **SURFACE_STYLE)
-        depth = shape.points @ towards
-        near, far = depth.max() + (x1 - x0), depth.min() - (x1 - x0)
+        depths = shape.points @ towards
+        near_depth, far_depth = depths.max() + (x1 - x0), depths.min() - (x1 - x0)
         centre = (x0 + x1) / 2 * right + (y0 + y1) / 2 * up
         plotter.enable_parallel_projection()
-        plotter.camera_position = [centre + near * towards, centre + far * towards, up]
+        plotter.camera_position = [centre + near_depth * towards, centre + far_depth * towards, up]
         plotter.camera.parallel_scale = (y1 - y0) / 2
-        plotter.camera.clipping_range = (0.0, near - far)
-        image = plotter.screenshot(return_img=True)
+        plotter.camera.clipping_range = (0.0, near_depth - far_depth)
+        pixels = plotter.screenshot(return_img=True)
         plotter.close()
-        return image
+        return pixels
 
 
-def _range(x: Array) -> tuple[float, float]:
+def _padded(x: Array) -> tuple[float, float]:
     """Return the range (smallest, largest) of the values `x`, enlarged at both ends by 4 % of its length."""
     margin = 0.04 * np.ptp(x)
     return float(x.min() - margin), float(x.max() + margin)
 
 
-def _window(zoom: object) -> Window:
+def _checked_window(zoom: object) -> Window:
     """Return the user's window `zoom` as (left, right, bottom, top) in floats.
 
     Raises:
         InputError: it is not four finite numbers with left < right and bottom < top.
     """
-    sides = finite_values(zoom, (4,))
-    if sides is None or not (sides[0] < sides[1] and sides[2] < sides[3]):
+    bounds = finite_values(zoom, (4,))
+    if bounds is None or not (bounds[0] < bounds[1] and bounds[2] < bounds[3]):
         raise InputError(f"zoom is {zoom!r}; it must be (left, right, bottom, top), left < right and bottom < top")
-    left, right, bottom, top = map(float, sides)
+    left, right, bottom, top = map(float, bounds)
     return left, right, bottom, top

@@ -17,8 +17,8 @@ from matplotlib.patches import Patch
 from forms.base import Array, InputError
 from thinlayer.discretisation.state import State
 from thinlayer.output.paraview.grid import VtkGrid, gather_grid
-from thinlayer.output.plotting.curves import COLOURS, SYMLOG_RANGE
-from thinlayer.output.plotting.picture import Picture, drawn_on_root, finish_picture, labelled
+from thinlayer.output.plotting.curves import COLOURS, SYMLOG_RATIO
+from thinlayer.output.plotting.picture import Picture, draw_on_root, entry_by_label, finish_picture
 from thinlayer.output.plotting.scene import COLOUR_BAR_STYLE, Scene, View
 from thinlayer.output.surface import Surface
 
@@ -54,8 +54,8 @@ def deformed(
             direction or cut in 2D, or nothing in its window.
         OSError: the picture could not be written; on all ranks.
     """
-    panels = _panels(states, "deformed")
-    return _side_by_side(panels, view, lambda scene, _, grid: scene.image(grid), Scene.bar, title, save)
+    labelled = _state_by_label(states, "deformed")
+    return _draw_panels(labelled, view, lambda scene, _, grid: scene.render(grid), Scene.draw_colour_bar, title, save)
 
 
 def on_surface(
@@ -93,84 +93,84 @@ def on_surface(
             nothing in its window.
         OSError: the picture could not be written; on all ranks.
     """
-    panels = _panels(states, "on_surface")
-    surfaces = {label: Surface(state.model, seam) for label, state in panels.items()}
-    values = {label: field(surfaces[label], state) if callable(field) else field for label, state in panels.items()}
-    names, fields = numbered_names({label: np.asarray(f) for label, f in values.items()})
-    moved = {label: s.sides(panels[label].u, s.model, s.corner_points) for label, s in surfaces.items()}
-    shown = {label: surfaces[label].at_corners(f) for label, f in fields.items()}
-    if wrong := [f.shape[2] for f in shown.values() if f.ndim > 2]:
+    labelled = _state_by_label(states, "on_surface")
+    surfaces = {label: Surface(state.model, seam) for label, state in labelled.items()}
+    values = {label: field(surfaces[label], state) if callable(field) else field for label, state in labelled.items()}
+    words, fields = number_words({label: np.asarray(f) for label, f in values.items()})
+    displacements = {label: s.side_values(labelled[label].u, s.model, s.corner_points) for label, s in surfaces.items()}
+    corner_values = {label: surfaces[label].at_corners(f) for label, f in fields.items()}
+    if wrong := [f.shape[2] for f in corner_values.values() if f.ndim > 2]:
         raise InputError(f"on_surface: the field has {wrong[0]} components; give one of them")
-    colours = _colour_map(names, np.concatenate([f.ravel() for f in shown.values()]), log=log)
+    colours = _scalar_mappable(words, np.concatenate([f.ravel() for f in corner_values.values()]), log=log)
 
-    def image(scene: Scene, label: str, grid: VtkGrid) -> npt.NDArray[np.uint8]:
+    def render(scene: Scene, label: str, grid: VtkGrid) -> npt.NDArray[np.uint8]:
         x = surfaces[label].joint.points[surfaces[label].corners]
-        lower, upper = x + scene.factor * np.moveaxis(moved[label], 1, -1)
-        return scene.image(grid, _meshes(colours, shown[label], lower, upper, smooth=not names))
+        lower, upper = x + scene.factor * np.moveaxis(displacements[label], 1, -1)
+        return scene.render(grid, _meshes(colours, corner_values[label], lower, upper, smooth=not words))
 
-    def legend(scene: Scene, figure: Picture, places: list[Axes]) -> None:
-        text = "; ".join(filter(None, [quantity, scene.scaled]))
-        if not names:
-            figure.colorbar(colours, ax=places, **COLOUR_BAR_STYLE, label=text)
+    def draw_legend(scene: Scene, figure: Picture, axes: list[Axes]) -> None:
+        text = "; ".join(filter(None, [quantity, scene.factor_text]))
+        if not words:
+            figure.colorbar(colours, ax=axes, **COLOUR_BAR_STYLE, label=text)
             return
-        patches = [Patch(color=colour_of(name, names), label=name) for name in names]
-        columns = min(len(patches), 4 * len(panels))
+        patches = [Patch(color=word_colour(word, words), label=word) for word in words]
+        columns = min(len(patches), 4 * len(labelled))
         figure.legend(handles=patches, loc="outside lower center", ncols=columns, frameon=False, title=text)
 
-    return _side_by_side(panels, replace(view, component="size"), image, legend, title, save)
+    return _draw_panels(labelled, replace(view, component="size"), render, draw_legend, title, save)
 
 
-def _panels(states: Mapping[str, State] | State, what: str) -> dict[str, State]:
+def _state_by_label(states: Mapping[str, State] | State, function_name: str) -> dict[str, State]:
     """Convert the user's states to a mapping, label -> state; a single state gets the label "".
 
     Args:
         states: the mapping or the state.
-        what: name of the function that the user has called, for messages.
+        function_name: name of the function that the user has called, for messages.
 
     Raises:
         InputError: an entry is not a state, or the mapping is empty.
     """
-    panels = labelled(f"{what}: states", states, "state")
+    panels = entry_by_label(f"{function_name}: states", states, "state")
     for label, state in panels.items():
         if not isinstance(state, State):
             received = f"{label!r} is {state!r}" if label else f"states is {state!r}"
-            raise InputError(f"{what}: {received}; give states, of a history its last one or history.at(t)")
+            raise InputError(f"{function_name}: {received}; give states, of a history its last one or history.at(t)")
     return panels
 
 
-Image = Callable[[Scene, str, VtkGrid], npt.NDArray[np.uint8]]
-Legend = Callable[[Scene, Picture, list[Axes]], None]
+Render = Callable[[Scene, str, VtkGrid], npt.NDArray[np.uint8]]
+DrawLegend = Callable[[Scene, Picture, list[Axes]], None]
 
 
-def _side_by_side(
-    panels: Mapping[str, State], view: View, image: Image, legend: Legend, title: str, save: str | Path | None
+def _draw_panels(
+    cases: Mapping[str, State], view: View, render: Render, draw_legend: DrawLegend, title: str, save: str | Path | None
 ) -> Picture | None:
     """Draw images of states side by side with one legend, on rank 0; other ranks return None. Collective.
 
     Args:
-        panels: label of a panel -> state.
+        cases: label of a panel -> state.
         view: the user's settings of the view.
-        image: function of the scene, a panel's label and its displacement field; returns the pixels of the panel's
+        render: function of the scene, a panel's label and its displacement field; returns the pixels of the panel's
             image.
-        legend: function of the scene, the picture and the axes of all panels; draws the legend.
+        draw_legend: function of the scene, the picture and the axes of all panels; draws the legend.
         title: text over the picture.
         save: name of a file to save the picture to; None: it is not saved.
     """
-    grids = {label: grid for label, state in panels.items() if (grid := gather_grid(state))}
+    grids = {label: grid for label, state in cases.items() if (grid := gather_grid(state))}
 
     def draw() -> Picture:
         scene = Scene.of(list(grids.values()), view)
-        figure, places = scene.panels(len(grids))
-        legend(scene, figure, places)
-        for axes, (label, grid) in zip(places, grids.items(), strict=True):
-            axes.imshow(image(scene, label, grid), extent=scene.window)
+        figure, axes_list = scene.make_panels(len(grids))
+        draw_legend(scene, figure, axes_list)
+        for axes, (label, grid) in zip(axes_list, grids.items(), strict=True):
+            axes.imshow(render(scene, label, grid), extent=scene.window)
             axes.set_title(label, fontsize=11)
         return finish_picture(figure, None, title)
 
-    return drawn_on_root(next(iter(panels.values())).model.comm, draw, save)
+    return draw_on_root(next(iter(cases.values())).model.comm, draw, save)
 
 
-def numbered_names(fields: Mapping[str, np.ndarray]) -> tuple[list[str], dict[str, np.ndarray]]:
+def number_words(fields: Mapping[str, np.ndarray]) -> tuple[list[str], dict[str, np.ndarray]]:
     """Replace words in fields on S, such as statuses, by numbers.
 
     Args:
@@ -187,42 +187,42 @@ def numbered_names(fields: Mapping[str, np.ndarray]) -> tuple[list[str], dict[st
         return [], dict(fields)
     if wrong := [f.shape for f in fields.values() if f.ndim > 1 and f.shape[-1] != 1]:
         raise InputError(f"names on S are those of facets, (n, 1), or nodes, (m,), not {wrong[0]}")
-    unique_names = {*np.concatenate([f.ravel() for f in fields.values()]).tolist()}
-    names = [*(name for name in STATUS_COLOURS if name in unique_names), *sorted(unique_names - {*STATUS_COLOURS})]
-    return names, {label: np.vectorize(names.index, otypes=[int])(f) for label, f in fields.items()}
+    unique_words = {*np.concatenate([f.ravel() for f in fields.values()]).tolist()}
+    words = [*(word for word in STATUS_COLOURS if word in unique_words), *sorted(unique_words - {*STATUS_COLOURS})]
+    return words, {label: np.vectorize(words.index, otypes=[int])(f) for label, f in fields.items()}
 
 
-def colour_of(name: str, names: list[str]) -> str:
-    """Return the colour of a word in a field: a status has its own, any other word that of its position in `names`.
+def word_colour(word: str, words: list[str]) -> str:
+    """Return the colour of a word in a field: a status has its own, any other word that of its position in `words`.
 
     Args:
-        name: the word.
-        names: all words of the picture.
+        word: the word.
+        words: all words of the picture.
     """
-    return STATUS_COLOURS.get(name) or COLOURS[names.index(name) % len(COLOURS)]
+    return STATUS_COLOURS.get(word) or COLOURS[words.index(word) % len(COLOURS)]
 
 
-def _colour_map(names: list[str], values: Array, *, log: bool) -> ScalarMappable:
+def _scalar_mappable(words: list[str], values: Array, *, log: bool) -> ScalarMappable:
     """Make matplotlib's map from the values of a field on S to colours.
 
     Args:
-        names: list of the words of the field, whose values are then positions in this list; empty for a field of
+        words: list of the words of the field, whose values are then positions in this list; empty for a field of
             numbers.
         values: all values in the picture. The range of colours for numbers extends over them and zero.
         log: whether colours of numbers have a scale that is logarithmic on both sides of zero.
     """
-    if names:
-        colours = ListedColormap([colour_of(name, names) for name in names])
-        return ScalarMappable(Normalize(-0.5, len(names) - 0.5), colours)
+    if words:
+        colours = ListedColormap([word_colour(word, words) for word in words])
+        return ScalarMappable(Normalize(-0.5, len(words) - 0.5), colours)
     finite = values[np.isfinite(values)]
     low, high = float(finite.min(initial=0.0)), float(finite.max(initial=0.0))
     peak = max(-low, high) or 1.0
-    both = low < 0 < high
-    least, low, high = (10.0 ** np.ceil(np.log10(SYMLOG_RANGE * peak)), *((-peak, peak) if both else (low, high)))
-    norm = SymLogNorm(least, vmin=low, vmax=high) if log else Normalize(low, high)
-    colour_map = ScalarMappable(norm, "RdBu_r" if both else "viridis")
-    colour_map.get_cmap().set_bad(NAN_COLOUR)
-    return colour_map
+    signed = low < 0 < high
+    linthresh, low, high = (10.0 ** np.ceil(np.log10(SYMLOG_RATIO * peak)), *((-peak, peak) if signed else (low, high)))
+    norm = SymLogNorm(linthresh, vmin=low, vmax=high) if log else Normalize(low, high)
+    mappable = ScalarMappable(norm, "RdBu_r" if signed else "viridis")
+    mappable.get_cmap().set_bad(NAN_COLOUR)
+    return mappable
 
 
 def _meshes(colours: ScalarMappable, values: Array, lower: Array, upper: Array, smooth: bool) -> list[pyvista.PolyData]:
@@ -240,21 +240,21 @@ def _meshes(colours: ScalarMappable, values: Array, lower: Array, upper: Array, 
         between them.
     """
     k, d = lower.shape[1:]
-    ring = [0, 1, 3, 2] if k == 4 else [*range(k)]
-    middle, values = ((lower + upper) / 2)[:, ring], values[:, ring]
-    points = 2 if k == 2 else 4
-    at_points = _corner_points(values) if smooth else np.repeat(values[:, :, None], points, axis=2)
-    flat = colours.to_rgba(np.ma.masked_invalid(at_points.ravel()))[:, :3]  # (n, k, 4) would count as an image
-    rgb = np.asarray(np.rint(255 * flat), np.uint8).reshape(*at_points.shape, 3)
+    corner_order = [0, 1, 3, 2] if k == 4 else [*range(k)]
+    mid_x, values = ((lower + upper) / 2)[:, corner_order], values[:, corner_order]
+    n_points = 2 if k == 2 else 4
+    point_values = _values_around_corners(values) if smooth else np.repeat(values[:, :, None], n_points, axis=2)
+    flat_rgb = colours.to_rgba(np.ma.masked_invalid(point_values.ravel()))[:, :3]  # (n, k, 4) would count as an image
+    rgb = np.asarray(np.rint(255 * flat_rgb), np.uint8).reshape(*point_values.shape, 3)
     if d == 3:
-        return [_mesh(_corner_points(middle), rgb, "faces")]
-    low, high = _corner_points(lower), _corner_points(upper)
-    gaps = np.concatenate([low, high[:, :, ::-1]], axis=2)
+        return [_coloured_mesh(_values_around_corners(mid_x), rgb, "faces")]
+    lower_points, upper_points = _values_around_corners(lower), _values_around_corners(upper)
+    gap_points = np.concatenate([lower_points, upper_points[:, :, ::-1]], axis=2)
     gap_rgb = np.concatenate([rgb, rgb[:, :, ::-1]], axis=2)
-    return [_mesh(gaps, gap_rgb, "faces"), _mesh(_corner_points(middle), rgb, "lines")]
+    return [_coloured_mesh(gap_points, gap_rgb, "faces"), _coloured_mesh(_values_around_corners(mid_x), rgb, "lines")]
 
 
-def _corner_points(values: Array) -> Array:
+def _values_around_corners(values: Array) -> Array:
     """Divide facets into one part around each corner, and interpolate values to the p points that bound each part.
 
     Lines have p = 2 points in each part, the corner and the middle of the line. Other facets have p = 4: the corner,
@@ -267,22 +267,22 @@ def _corner_points(values: Array) -> Array:
         (n, k, p, ...) values at the p points of each part.
     """
     centre = np.broadcast_to(values.mean(axis=1, keepdims=True), values.shape)
-    after = (values + np.roll(values, -1, axis=1)) / 2
-    parts = [values, centre] if values.shape[1] == 2 else [values, after, centre, np.roll(after, 1, axis=1)]
-    return np.stack(parts, axis=2)
+    edge_means = (values + np.roll(values, -1, axis=1)) / 2
+    bounds = [values, centre] if values.shape[1] == 2 else [values, edge_means, centre, np.roll(edge_means, 1, axis=1)]
+    return np.stack(bounds, axis=2)
 
 
-def _mesh(x: Array, rgb: npt.NDArray[np.uint8], kind: str) -> pyvista.PolyData:
+def _coloured_mesh(x: Array, rgb: npt.NDArray[np.uint8], cell_kind: str) -> pyvista.PolyData:
     """Make a coloured VTK mesh of n * k lines or faces, k on each of n facets of S.
 
     Args:
         x: (n, k, p, d) coordinates of the p points that bound each line or face, in d dimensions.
         rgb: (n, k, p, 3) colours at these points.
-        kind: "lines" or "faces".
+        cell_kind: "lines" or "faces".
     """
     p, d = x.shape[2:]
     points = np.pad(x.reshape(-1, d), ((0, 0), (0, 3 - d)))
     cells = np.insert(np.arange(len(points)).reshape(-1, p), 0, p, axis=1)
-    mesh = pyvista.PolyData(points, **{kind: cells.ravel()})
+    mesh = pyvista.PolyData(points, **{cell_kind: cells.ravel()})
     mesh.point_data["rgb"] = rgb.reshape(-1, 3)
     return mesh

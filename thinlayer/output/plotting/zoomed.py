@@ -9,14 +9,14 @@ import numpy as np
 from forms.base import Array, InputError, is_number, require
 from geometry.refusals import require_known
 from thinlayer.output.plotting.curves import COLOURS
-from thinlayer.output.plotting.picture import Picture, drawn_on_root
+from thinlayer.output.plotting.picture import Picture, draw_on_root
 from thinlayer.output.zooming import CORNER_EXCLUSION, Zoom
 
-STRESS_COMPONENTS = {"N": (1, 1), "T": (0, 1), "S": (0, 0)}  # indices of stresses in the axes of an end: inward, n
+STRESS_INDICES = {"N": (1, 1), "T": (0, 1), "S": (0, 0)}  # indices of stresses in the axes of an end: inward, n
 COMPONENT_LABELS = {"N": "normal traction t_N", "T": "shear traction t_T", "S": "stress along S"}
-GRID_POINTS = (121, 61)  # along S and through the thickness
-MAX_HEIGHT = 0.495  # largest drawn height, over the thickness
-CLIPPED_SHARE = 0.02  # share of values beyond each end of the range of colours, as values at corners are extreme
+N_GRID_POINTS = (121, 61)  # along S and through the thickness
+MAX_HEIGHT_RATIO = 0.495  # largest drawn height, over the thickness
+CLIPPED_FRACTION = 0.02  # share of values beyond each end of the range of colours, as values at corners are extreme
 
 
 def zoomed(
@@ -52,41 +52,41 @@ def zoomed(
     """
     for candidate in (zoom,) if full is None else (zoom, full):
         require(isinstance(candidate, Zoom), "zoomed: a zoom", candidate, "give Zoom(state)")
-    require_known("component", component, STRESS_COMPONENTS)
+    require_known("component", component, STRESS_INDICES)
     allowed = f"allowed: > {CORNER_EXCLUSION:g}, over the thickness"
     require(is_number(width) and CORNER_EXCLUSION < width < np.inf, "zoomed: width", width, allowed)
     if zoom.state.model.joint.dim != 2:
         raise InputError("zoomed: pictures of ends are for two dimensions; in 3D take zoom.stress")
     require(end in range(len(zoom.ends)), "zoomed: end", end, f"S has {len(zoom.ends)} free ends")
-    (at, (start, *_)), axes = zoom.ends[end], zoom.ends[end][0].axes
+    (straight_end, (end_point, *_)), axes = zoom.ends[end], zoom.ends[end][0].axes
     # the grid is finer towards the end and the faces, but excludes corners, where stresses are infinite
-    d = CORNER_EXCLUSION + (width - CORNER_EXCLUSION) * (1 - np.cos(np.linspace(0, np.pi / 2, GRID_POINTS[0])))
-    D, Y = np.meshgrid(d, MAX_HEIGHT * np.sin(np.linspace(-np.pi / 2, np.pi / 2, GRID_POINTS[1])))
-    x, height = start - D.ravel()[:, None] * zoom.eps * at.m, Y.ravel()
-    i, j = STRESS_COMPONENTS[component]
-    meshed = {} if full is None else {"meshed layer": full.stress(x, height)}
-    fields = meshed | {"layer by itself": zoom.stress(x, height)}
+    d = CORNER_EXCLUSION + (width - CORNER_EXCLUSION) * (1 - np.cos(np.linspace(0, np.pi / 2, N_GRID_POINTS[0])))
+    D, Y = np.meshgrid(d, MAX_HEIGHT_RATIO * np.sin(np.linspace(-np.pi / 2, np.pi / 2, N_GRID_POINTS[1])))
+    x, height = end_point - D.ravel()[:, None] * zoom.eps * straight_end.m, Y.ravel()
+    i, j = STRESS_INDICES[component]
+    meshed_stress = {} if full is None else {"meshed layer": full.stress(x, height)}
+    fields = meshed_stress | {"layer by itself": zoom.stress(x, height)}
     values = {name: np.einsum("i,nij,j->n", axes[i], sigma, axes[j]).reshape(D.shape) for name, sigma in fields.items()}
-    return drawn_on_root(zoom.state.model.comm, lambda: _drawn(values, D, Y, component, title, stress), save)
+    return draw_on_root(zoom.state.model.comm, lambda: _draw_stress(values, D, Y, component, title, stress), save)
 
 
-def _drawn(values: dict[str, Array], D: Array, Y: Array, component: str, title: str, unit: str) -> Picture:
-    low, high = np.quantile(next(iter(values.values())), [CLIPPED_SHARE, 1 - CLIPPED_SHARE])
+def _draw_stress(values: dict[str, Array], D: Array, Y: Array, component: str, title: str, unit: str) -> Picture:
+    low, high = np.quantile(next(iter(values.values())), [CLIPPED_FRACTION, 1 - CLIPPED_FRACTION])
     figure = Picture(figsize=(7.2, 1.9 * len(values) + 3.0), layout="constrained")
-    rows = figure.subplots(len(values) + 1, 1, height_ratios=[*[1.0] * len(values), 1.5], sharex=True)
-    for axes, (name, field) in zip(rows[:-1], values.items(), strict=True):
-        colours = axes.pcolormesh(D, Y, field, shading="gouraud", vmin=low, vmax=high, cmap="viridis")
+    panels = figure.subplots(len(values) + 1, 1, height_ratios=[*[1.0] * len(values), 1.5], sharex=True)
+    for axes, (name, field) in zip(panels[:-1], values.items(), strict=True):
+        colour_mesh = axes.pcolormesh(D, Y, field, shading="gouraud", vmin=low, vmax=high, cmap="viridis")
         axes.set(title=name, ylabel="height/eps", ylim=(-0.5, 0.5))
     quantity = f"{COMPONENT_LABELS[component]}{f' ({unit})' if unit else ''}"
-    figure.colorbar(colours, ax=list(rows[:-1]), label=quantity, extend="both")
+    figure.colorbar(colour_mesh, ax=list(panels[:-1]), label=quantity, extend="both")
     for colour, height in zip(COLOURS, (0.45, 0.0, -0.45), strict=False):
         row = int(np.abs(Y[:, 0] - height).argmin())
         for style, (name, field) in zip(("--", "-"), [*values.items()][::-1], strict=False):
             label = f"{name}, height {height:g} eps"
-            rows[-1].plot(D[row], field[row], style, color=colour, linewidth=1.5, label=label)
-    spread = high - low
-    rows[-1].set(xlabel="distance from the end, over eps", ylabel=quantity, ylim=(low - spread / 3, high + spread / 3))
-    rows[-1].grid(color="0.9")
+            panels[-1].plot(D[row], field[row], style, color=colour, linewidth=1.5, label=label)
+    span = high - low
+    panels[-1].set(xlabel="distance from the end, over eps", ylabel=quantity, ylim=(low - span / 3, high + span / 3))
+    panels[-1].grid(color="0.9")
     figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     if title:
         figure.suptitle(title)

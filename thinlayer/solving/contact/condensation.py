@@ -14,17 +14,17 @@ from forms.base import Array
 from geometry.topology import BoolArray, Indices, IntArray
 from thinlayer.errors import SolveError
 from thinlayer.solving.linear_solvers import LOW_RANK_OPTIONS
-from thinlayer.solving.petsc import PREFIX, OptionDict, default_options, keep_unknowns, schur_complement
-from thinlayer.system.compilation import own_library, pointers
+from thinlayer.solving.petsc import PREFIX, OptionDict, schur_complement, set_defaults, set_schur_unknowns
+from thinlayer.system.compilation import c_pointers, own_library
 from thinlayer.system.ranks import destroy
 
 CsrRows = tuple[Indices, Indices, Array]  # row starts, columns and entries of a sparse matrix
 C_SOURCE = Path(__file__).with_name("triangle.c")
-MAX_JOINT_UNKNOWNS = 100  # about the number of kept unknowns of pieces that are factorised together
+MAX_GROUP_UNKNOWNS = 100  # about the number of kept unknowns of pieces that are factorised together
 FRONT_SLOPE = 1.2  # slope, relative to S, of the front along which nodes are numbered
-BAND_LAYERS = 4.0  # thickness of the bands in which that front moves, in layers of cells
-SAMPLE_NODES = 64  # number of nodes whose edges show the diagonals of the cells
-SPARSE_SHARE = 0.05  # largest share of non-zeros of a right-hand side that is treated as sparse
+BAND_CELL_LAYERS = 4.0  # thickness of the bands in which that front moves, in layers of cells
+N_SAMPLE_NODES = 64  # number of nodes whose edges show the diagonals of the cells
+MAX_SPARSE_FRACTION = 0.05  # largest share of non-zeros of a right-hand side that is treated as sparse
 # minimum degree, as with a Schur complement MUMPS offers only this and METIS; no scaling, which changes nothing here
 MUMPS_OPTIONS = OptionDict(LOW_RANK_OPTIONS, mat_mumps_icntl_7=0, mat_mumps_icntl_8=0)
 SMALL_PIECE_NODES = 1000  # number of nodes of pieces below which MUMPS underestimates its workspace
@@ -44,7 +44,7 @@ class Condensation:
         kept: (c,) numbers of the kept unknowns, ascending.
         x: (N, d) coordinates of the nodes.
         normal: (d,) mean normal of S, of any length.
-        bodies: number of bodies. Up to two are factorised together.
+        n_bodies: number of bodies. Up to two are factorised together.
 
     Attributes:
         stiffness: (c, c) condensed stiffness. It is a dense array if all pieces are factorised together, else sparse.
@@ -55,40 +55,40 @@ class Condensation:
 
     stiffness: Array | scipy.sparse.csr_matrix
 
-    def __init__(self, A: CsrRows, is_fixed: BoolArray, kept: IntArray, x: Array, normal: Array, bodies: int) -> None:
+    def __init__(self, A: CsrRows, is_fixed: BoolArray, kept: IntArray, x: Array, normal: Array, n_bodies: int) -> None:
         d = x.shape[1]
         order = oblique_order(x - x[kept // d].mean(axis=0), normal, A)
-        group = np.zeros(len(x), np.int32)  # of nodes
-        if bodies > 2:
-            count, piece = connected_components(scipy.sparse.csr_matrix(A[::-1]), directed=False)
-            group = (np.cumsum(np.bincount(piece[kept], minlength=count)) // MAX_JOINT_UNKNOWNS)[piece[::d]]
-        self._kept, self._own_indices, self._factors = kept, list[IntArray](), list[SchurFactor]()
-        for k in np.unique(group):
-            self._own_indices.append(np.flatnonzero(group[kept // d] == k))
-            self._factors.append(SchurFactor(A, is_fixed, d, order[group[order] == k], kept[self._own_indices[-1]]))
+        group_of = np.zeros(len(x), np.int32)  # of nodes
+        if n_bodies > 2:
+            n_pieces, piece_of = connected_components(scipy.sparse.csr_matrix(A[::-1]), directed=False)
+            group_of = (np.cumsum(np.bincount(piece_of[kept], minlength=n_pieces)) // MAX_GROUP_UNKNOWNS)[piece_of[::d]]
+        self._kept, self._positions, self._factors = kept, list[IntArray](), list[SchurFactor]()
+        for k in np.unique(group_of):
+            self._positions.append(np.flatnonzero(group_of[kept // d] == k))
+            self._factors.append(SchurFactor(A, is_fixed, d, order[group_of[order] == k], kept[self._positions[-1]]))
         self.stiffness = self._factors[0].complement
-        if len(self._own_indices) > 1:
+        if len(self._positions) > 1:
             complements = scipy.sparse.block_diag([factor.complement for factor in self._factors], format="csr")
             complements.eliminate_zeros()  # zeros between pieces
-            inverse_order = np.argsort(np.concatenate(self._own_indices))
+            inverse_order = np.argsort(np.concatenate(self._positions))
             self.stiffness = complements[inverse_order][:, inverse_order]
 
     def condense(self, b: Array) -> Array:
         """Return the forces (c,) on the kept unknowns that are equivalent to forces `b` (N d,) on all unknowns."""
         out = np.empty(len(self._kept))
-        for indices, factor in zip(self._own_indices, self._factors, strict=True):
-            out[indices] = factor.condense(b)
+        for positions, factor in zip(self._positions, self._factors, strict=True):
+            out[positions] = factor.condense(b)
         return out
 
-    def expand(self, b: Array, kept: Array, out: Array) -> None:
+    def expand(self, b: Array, kept_values: Array, out: Array) -> None:
         """Compute all unknowns under given forces from the values of the kept unknowns, and write them into `out`.
 
         Args:
             b: (N d,) forces on all unknowns, as in the last call of `condense`.
-            kept: (c,) values of the kept unknowns.
+            kept_values: (c,) values of the kept unknowns.
             out: (N d,) all unknowns; overwritten.
         """
-        out[self._kept] = kept
+        out[self._kept] = kept_values
         for factor in self._factors:
             factor.expand(b, out)
 
@@ -117,18 +117,18 @@ def oblique_order(x: Array, normal: Array, A: CsrRows) -> IntArray:
         Numbers (N,) of the nodes in this order.
     """
     indptr, indices, d = *A[:2], x.shape[1]
-    sample = np.linspace(0, len(x) - 1, min(len(x), SAMPLE_NODES)).astype(int)
-    edges = np.concatenate([x[indices[indptr[r * d] : indptr[r * d + 1] : d] // d] - x[r] for r in sample])
-    size, default_normal = np.linalg.norm(normal), np.eye(len(normal))[-1]
-    normal = normal / size if size > 0 else default_normal
+    sample_nodes = np.linspace(0, len(x) - 1, min(len(x), N_SAMPLE_NODES)).astype(int)
+    edges = np.concatenate([x[indices[indptr[r * d] : indptr[r * d + 1] : d] // d] - x[r] for r in sample_nodes])
+    length, default_normal = np.linalg.norm(normal), np.eye(len(normal))[-1]
+    normal = normal / length if length > 0 else default_normal
     height = x @ normal
-    key = FRONT_SLOPE * np.abs(height)
+    front_key = FRONT_SLOPE * np.abs(height)
     for tangent in linalg.null_space(normal[None]).T:
         diagonal_sign = np.sign((edges @ tangent) @ (edges @ normal)) or 1.0
-        key += diagonal_sign * np.sign(height) * (x @ tangent)
-    thickness = BAND_LAYERS * np.abs(edges @ normal).max() or 1.0
-    band = np.floor(np.abs(height) / thickness + 0.1)  # so that rounding splits no layer of a grid
-    return np.asarray(np.lexsort((key, band, height < 0)))
+        front_key += diagonal_sign * np.sign(height) * (x @ tangent)
+    band_thickness = BAND_CELL_LAYERS * np.abs(edges @ normal).max() or 1.0
+    band_number = np.floor(np.abs(height) / band_thickness + 0.1)  # so that rounding splits no layer of a grid
+    return np.asarray(np.lexsort((front_key, band_number, height < 0)))
 
 
 class SchurFactor:
@@ -153,12 +153,12 @@ class SchurFactor:
         self._unknowns = (nodes[:, None] * d + np.arange(d)).ravel()
         position = np.full(len(A[0]) - 1, -1, np.int32)
         position[self._unknowns] = np.arange(len(self._unknowns))
-        self._all_kept, self._kept = kept, position[kept]
-        rows, columns, entries = _upper_triangle(A, is_fixed, d, nodes)
-        diagonal = rows[self._kept]  # the first entry of a row is its diagonal
-        self._springs = entries[diagonal] / max(len(kept), 1)
-        entries[diagonal] += self._springs
-        csr = rows.astype(PETSc.IntType, copy=False), columns.astype(PETSc.IntType, copy=False), entries
+        self._all_kept, self._local_kept = kept, position[kept]
+        row_starts, columns, entries = _upper_triangle(A, is_fixed, d, nodes)
+        diagonal_entries = row_starts[self._local_kept]  # the first entry of a row is its diagonal
+        self._springs = entries[diagonal_entries] / max(len(kept), 1)
+        entries[diagonal_entries] += self._springs
+        csr = row_starts.astype(PETSc.IntType, copy=False), columns.astype(PETSc.IntType, copy=False), entries
         upper = PETSc.Mat().createAIJWithArrays((len(self._unknowns),) * 2, csr, comm=PETSc.COMM_SELF)
         upper.setOption(PETSc.Mat.Option.SPD, True)
         self._pc = pc = PETSc.PC().create(PETSc.COMM_SELF)
@@ -166,19 +166,19 @@ class SchurFactor:
         pc.setOperators(upper)
         pc.setType("cholesky")
         pc.setFactorSolverType("mumps")
-        with default_options(MUMPS_OPTIONS | (SMALL_PIECE_OPTIONS if len(nodes) < SMALL_PIECE_NODES else {})):
+        with set_defaults(MUMPS_OPTIONS | (SMALL_PIECE_OPTIONS if len(nodes) < SMALL_PIECE_NODES else {})):
             pc.setFactorSetUpSolverType()
             self._factor = pc.getFactorMatrix()
             self._factor.setOptionsPrefix(PREFIX)
             if len(kept):
-                keep_unknowns(self._factor, self._kept)
+                set_schur_unknowns(self._factor, self._local_kept)
             pc.setUp()
         upper.destroy()
-        code = self._factor.getMumpsInfog(1)
-        if code < 0 or pc.getFailedReason():
+        infog = self._factor.getMumpsInfog(1)
+        if infog < 0 or pc.getFailedReason():
             self.close()
             advice = "is every body supported, or does it meet S in more than a point?"
-            raise SolveError(f"contact: MUMPS could not factorise the stiffness: INFOG(1) = {code}", advice=advice)
+            raise SolveError(f"contact: MUMPS could not factorise the stiffness: INFOG(1) = {infog}", advice=advice)
         complement = schur_complement(self._factor, len(kept)) if len(kept) else np.empty((0, 0))
         self.complement = np.triu(complement)
         self.complement += np.triu(complement, 1).T
@@ -194,10 +194,10 @@ class SchurFactor:
         Args:
             b: forces on the unknowns of all bodies, also on those that this factor does not contain.
         """
-        if not len(self._kept):
+        if not len(self._local_kept):
             return np.empty(0)
         self._factor.setMumpsIcntl(26, 1)  # solve for the kept unknowns only
-        self._condensed = self._complement_forces(self._solve(b[self._unknowns])[self._kept])
+        self._condensed = self._complement_forces(self._solve(b[self._unknowns])[self._local_kept])
         self._factor.setMumpsIcntl(26, -1)
         return self._condensed
 
@@ -209,11 +209,11 @@ class SchurFactor:
             out: unknowns of all bodies. The values of the kept unknowns are read from it. The other unknowns of the
                 factorised pieces are overwritten.
         """
-        forces, kept = b[self._unknowns], out[self._all_kept]
-        if len(kept):
-            forces[self._kept] += self._complement_forces(kept) - self._condensed
+        forces, kept_values = b[self._unknowns], out[self._all_kept]
+        if len(kept_values):
+            forces[self._local_kept] += self._complement_forces(kept_values) - self._condensed
         out[self._unknowns] = self._solve(forces)
-        out[self._all_kept] = kept  # a stiff layer would magnify their rounding
+        out[self._all_kept] = kept_values  # a stiff layer would magnify their rounding
 
     def _solve(self, b: Array) -> Array:
         """Return the solution of the factorised system for the right-hand side `b`, by MUMPS.
@@ -225,7 +225,7 @@ class SchurFactor:
             return np.zeros_like(b)
         solution = np.empty((len(b), 1), order="F")
         X = PETSc.Mat().createDense(solution.shape, array=solution, comm=PETSc.COMM_SELF)
-        if len(nonzeros) > SPARSE_SHARE * len(b):
+        if len(nonzeros) > MAX_SPARSE_FRACTION * len(b):
             B = PETSc.Mat().createDense(solution.shape, array=b[:, None], comm=PETSc.COMM_SELF)
             self._factor.matSolve(B, X)
         else:
@@ -258,15 +258,15 @@ def _upper_triangle(A: CsrRows, is_fixed: BoolArray, d: int, nodes: IntArray) ->
         SolveError: the nonzero pattern is not symmetric, or not made of blocks.
     """
     indptr, indices, values = A
-    n, lengths = len(nodes), np.diff(indptr)[nodes * d]
-    size = (d * int(lengths.sum()) + n * d) // 2
+    n, row_lengths = len(nodes), np.diff(indptr)[nodes * d]
+    n_entries = (d * int(row_lengths.sum()) + n * d) // 2
     position = np.full((len(indptr) - 1) // d, -1, np.int32)
     position[nodes] = np.arange(n, dtype=np.int32)
-    rows, columns, entries = np.empty(n * d + 1, np.int32), np.empty(size, np.int32), np.empty(size)
+    row_starts, columns, entries = np.empty(n * d + 1, np.int32), np.empty(n_entries, np.int32), np.empty(n_entries)
     c = own_library(C_SOURCE)
     indptr, indices, order = (a.astype(np.int32, copy=False) for a in (indptr, indices, nodes))
-    arrays = pointers(c, indptr, indices, values, is_fixed, position, order, rows, columns, entries)
-    if c.lib.upper_triangle(n, d, size, *arrays) != size:
+    arrays = c_pointers(c, indptr, indices, values, is_fixed, position, order, row_starts, columns, entries)
+    if c.lib.upper_triangle(n, d, n_entries, *arrays) != n_entries:
         text = "contact: the nonzero pattern of the stiffness is not symmetric, or not made of blocks of nodes"
         raise SolveError(text, advice="use method='newton'")
-    return rows, columns, entries
+    return row_starts, columns, entries

@@ -17,7 +17,7 @@ import scipy.sparse
 from petsc4py import PETSc
 
 from forms.base import Array
-from geometry.topology import IntArray, along
+from geometry.topology import IntArray, curve_order
 from thinlayer.discretisation.constraints import create_aij
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
@@ -25,7 +25,7 @@ from thinlayer.solving.contact.condensation import Condensation
 from thinlayer.solving.contact.contact_solver import ContactSolver
 from thinlayer.solving.contact.pairs import ContactPairs
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.part_sum import MACHINE_EPSILON, MIN_DIVISOR, STATE_TOLERANCE
+from thinlayer.solving.part_sum import ACCEPTED_RESIDUAL, MACHINE_EPSILON, MIN_DIVISOR
 from thinlayer.system.ranks import destroy
 
 NEWTON_TOLERANCE = 1e-11  # residual at which Newton's method stops, relative to the forces
@@ -62,15 +62,15 @@ class CondensedContact(ContactSolver):
         Constrained displacements are decoupled from all others.
         """
         pairs, K, model = self.pairs, self.equations.K, self.equations.model
-        x, bodies = model.V.tabulate_dof_coordinates()[:, : pairs.d], int(model.split_mesh.pieces.max()) + 1
+        x, n_bodies = model.V.tabulate_dof_coordinates()[:, : pairs.d], int(model.split_mesh.pieces.max()) + 1
         normal = pairs.weights @ pairs.frames[:, -1]
-        return Condensation(K.getValuesCSR(), self.is_fixed, pairs.dofs, x, normal, bodies)
+        return Condensation(K.getValuesCSR(), self.is_fixed, pairs.dofs, x, normal, n_bodies)
 
     @cached_property
-    def _system(self) -> CondensedSystem:
+    def _condensed_system(self) -> CondensedSystem:
         nodes = [part.nodes for part in self.parts]
-        begins = np.cumsum([0, *(len(part_nodes.x) for part_nodes in nodes)])
-        lines = np.concatenate([part_nodes.lines + begin for part_nodes, begin in zip(nodes, begins, strict=False)])
+        starts = np.cumsum([0, *(len(part_nodes.x) for part_nodes in nodes)])
+        lines = np.concatenate([part_nodes.adjacent + start for part_nodes, start in zip(nodes, starts, strict=False)])
         x = np.concatenate([part_nodes.x for part_nodes in nodes])
         return CondensedSystem(self._condensation.stiffness, self.pairs, x, lines)
 
@@ -95,18 +95,18 @@ class CondensedContact(ContactSolver):
         g[constrained] = (condensation.stiffness.diagonal() * u)[constrained]
         self._external_norms = equations.residual_norms(equations.external)
         if not has_guess:
-            u = self._system.start(g)
+            u = self._condensed_system.guess(g)
             equations.scale.include_displacement(float(np.abs(u).max(initial=0.0)))
-        u, residuals = self._system.newton(u, g, self._relative)
+        u, residuals = self._condensed_system.newton(u, g, self._relative_norm)
         condensation.expand(b, u, self.x.array)
         self.x.array[equations.bc_dofs] = equations.prescribed
-        relative = self.relative_residual()
-        if not relative <= STATE_TOLERANCE:
-            text = f"contact: the residual of the whole problem is {relative:.1e} of the forces"
+        residual = self.relative_residual()
+        if not residual <= ACCEPTED_RESIDUAL:
+            text = f"contact: the residual of the whole problem is {residual:.1e} of the forces"
             raise SolveError(text, residuals=residuals)
-        return len(residuals) - 1, relative
+        return len(residuals) - 1, residual
 
-    def _relative(self, r: Array, forces: Array, u: Array) -> float:
+    def _relative_norm(self, r: Array, forces: Array, u: Array) -> float:
         """Return the largest ratio of a residual's norm to the reference force, over the blocks of unknowns.
 
         The reference forces and the blocks are those of `ForceScale`.
@@ -119,7 +119,7 @@ class CondensedContact(ContactSolver):
         block, count, scale = self.equations.block_of[self.pairs.dofs], self.equations.n_blocks, self.equations.scale
         pair_norms, r_norms = (np.sqrt(np.bincount(block, v * v, count)) for v in (forces, r))
         scale.update_stresses(np.maximum(self._external_norms, pair_norms))
-        return scale.relative(r_norms)
+        return scale.relative_norm(r_norms)
 
     def close(self) -> None:
         """Free matrices, vectors and factors."""
@@ -149,7 +149,7 @@ class CondensedSystem:
         self._stiffness, self.pairs, self._x, self._lines = K, pairs, x, lines
 
     @cached_property
-    def _blocks(self) -> scipy.sparse.bsr_matrix:
+    def _bsr_K(self) -> scipy.sparse.bsr_matrix:
         """The stiffness K of n nodes as a sparse matrix of (n, n) blocks (d, d), for the Gauss-Seidel sweeps."""
         A, d, n = self._stiffness, self.pairs.d, len(self.pairs.nodes)
         if not isinstance(A, np.ndarray):
@@ -160,7 +160,7 @@ class CondensedSystem:
     @cached_property
     def _rounding(self) -> float:
         """Estimated norm of the rounding errors of the nodal forces, for displacements of size 1."""
-        springs = self.pairs.bonded()[0]
+        springs = self.pairs.bonded_springs()[0]
         largest = max(float(matrix.diagonal().max(initial=0.0)) for matrix in (self._stiffness, springs))
         return MACHINE_EPSILON * SUMMATION_FACTOR * math.sqrt(len(self.pairs.nodes)) * largest
 
@@ -172,19 +172,19 @@ class CondensedSystem:
         """
         if len(self._lines) <= MAX_COARSEST_LINES:
             return None
-        chosen, shares, lines = every_second(self._x, self._lines)
+        chosen, weights, lines = every_second_point(self._x, self._lines)
         if len(chosen) > MAX_COARSE_RATIO * len(self._x):
             return None
-        coarse_pairs = self.pairs.subset(chosen, shares.T @ self.pairs.weights)
+        coarse_pairs = self.pairs.subset(chosen, weights.T @ self.pairs.weights)
         pair, side = np.nonzero(self.pairs.pair_nodes >= 0)
         node, first = np.unique(self.pairs.pair_nodes[pair, side], return_index=True)
-        rows = shares[pair[first]]  # if a node is in several pairs, these are ends of curves, which are all chosen
+        rows = weights[pair[first]]  # if a node is in several pairs, these are ends of curves, which are all chosen
         columns = coarse_pairs.pair_nodes[rows.indices, side[first].repeat(np.diff(rows.indptr))]
         P = scipy.sparse.csr_matrix((rows.data, columns, rows.indptr), shape=(len(node), len(coarse_pairs.nodes)))
         P = scipy.sparse.kron(P, scipy.sparse.eye(self.pairs.d), format="csr")
         return CondensedSystem(P.T @ self._stiffness @ P, coarse_pairs, self._x[chosen], lines), P
 
-    def start(self, g: Array) -> Array:
+    def guess(self, g: Array) -> Array:
         """Return displacements (n d,) of n nodes in d dimensions from which Newton's method starts.
 
         They are interpolated from the solution with every second pair of nodes. If there is none, they are those of
@@ -196,8 +196,8 @@ class CondensedSystem:
         if self._coarse_system is not None:
             system, P = self._coarse_system
             with suppress(SolveError):
-                return np.asarray(P @ system.newton(system.start(P.T @ g), P.T @ g, _force_ratio, COARSE_TOLERANCE)[0])
-        springs, forces = self.pairs.bonded()
+                return np.asarray(P @ system.newton(system.guess(P.T @ g), P.T @ g, _force_ratio, COARSE_TOLERANCE)[0])
+        springs, forces = self.pairs.bonded_springs()
         return self._linear_solve(springs, g - forces)
 
     def _residual(self, u: Array, g: Array) -> Array:
@@ -210,7 +210,7 @@ class CondensedSystem:
             u: (n d,) displacements.
             g: (n d,) condensed loads.
         """
-        return np.asarray(self._stiffness @ u + self.pairs.forces(self.pairs.separation(u)) - g)
+        return np.asarray(self._stiffness @ u + self.pairs.forces(self.pairs.jumps_with_gaps(u)) - g)
 
     def _linear_solve(self, springs: scipy.sparse.csr_matrix, b: Array) -> Array:
         """Solve (K + springs) x = b, where K is the stiffness of the bodies; return x (n d,).
@@ -227,21 +227,21 @@ class CondensedSystem:
                 return np.linalg.solve(A + springs.toarray(), b)
             except np.linalg.LinAlgError:
                 return np.full(len(b), np.nan)
-        rows = (A + springs).tocsr()
-        rows.sort_indices()
-        matrix = create_aij(rows, PETSc.COMM_SELF)
+        csr = (A + springs).tocsr()
+        csr.sort_indices()
+        matrix = create_aij(csr, PETSc.COMM_SELF)
         pc = PETSc.PC().create(PETSc.COMM_SELF)
         pc.setOperators(matrix)
         pc.setType("lu")
         pc.setFactorSolverType("mumps")  # unlike SuperLU it makes use of the dense blocks of bodies
         pc.setFactorSetUpSolverType()
         pc.getFactorMatrix().setMumpsIcntl(14, 100)  # as in `DIRECT_OPTIONS`: spare memory in per cent
-        x, right = matrix.createVecs()
-        right.array = b
+        x, rhs = matrix.createVecs()
+        rhs.array = b
         pc.setUp()
-        pc.apply(right, x)
+        pc.apply(rhs, x)
         out = x.array_r.copy()
-        destroy(pc, matrix, x, right)
+        destroy(pc, matrix, x, rhs)
         return np.asarray(out)
 
     def newton(
@@ -264,7 +264,7 @@ class CondensedSystem:
         """
         residuals, pairs, long_steps, limit = list[float](), self.pairs, 0, LONG_STEP_RATIO * np.abs(u).max(initial=0.0)
         while True:
-            forces = pairs.forces(pairs.separation(u))
+            forces = pairs.forces(pairs.jumps_with_gaps(u))
             residuals.append(relative(self._stiffness @ u + forces - g, forces, u))
             if residuals[-1] <= tolerance or self._stalls(residuals, u, forces):
                 return u, tuple(residuals)
@@ -273,8 +273,8 @@ class CondensedSystem:
                 advice = "is every body supported, or pressed against S? Else try smaller load steps"
                 raise SolveError(text, residuals=tuple(residuals), advice=advice)
             u = u.copy()
-            pairs.sweep(self._blocks, g, u, min(MIN_SWEEPS * 2 ** max(len(residuals) - DOUBLING_STEPS, 0), MAX_SWEEPS))
-            step = self._linear_solve(pairs.stiffness(pairs.tangents(pairs.separation(u))), -self._residual(u, g))
+            pairs.sweep(self._bsr_K, g, u, min(MIN_SWEEPS * 2 ** max(len(residuals) - DOUBLING_STEPS, 0), MAX_SWEEPS))
+            step = self._linear_solve(pairs.stiffness(pairs.tangents(pairs.jumps_with_gaps(u))), -self._residual(u, g))
             long_steps = long_steps + 1 if 0 < limit < np.abs(step).max() else 0
             u = u + (self._step_length(u, step, g) if len(residuals) > DOUBLING_STEPS else 1.0) * step
 
@@ -288,8 +288,8 @@ class CondensedSystem:
         """
         if len(residuals) < 3 or residuals[-1] <= residuals[-2] / 2:
             return False
-        share = self._rounding * float(np.abs(u).max(initial=0.0)) / max(float(np.linalg.norm(forces)), MIN_DIVISOR)
-        return residuals[-1] <= max(STALLED_TOLERANCE, min(share, STATE_TOLERANCE))
+        rounding = self._rounding * float(np.abs(u).max(initial=0.0)) / max(float(np.linalg.norm(forces)), MIN_DIVISOR)
+        return residuals[-1] <= max(STALLED_TOLERANCE, min(rounding, ACCEPTED_RESIDUAL))
 
     def _step_length(self, u: Array, step: Array, g: Array) -> float:
         """Return the factor, at most 1, by which a Newton step is shortened.
@@ -327,7 +327,7 @@ def _force_ratio(r: Array, forces: Array, u: Array) -> float:
     return float(np.linalg.norm(r)) / max(float(np.linalg.norm(forces)), MIN_DIVISOR)
 
 
-def every_second(x: Array, lines: IntArray) -> tuple[IntArray, scipy.sparse.csr_matrix, IntArray]:
+def every_second_point(x: Array, lines: IntArray) -> tuple[IntArray, scipy.sparse.csr_matrix, IntArray]:
     """Choose every second point along curves that are given as lines between points.
 
     Ends and branching points of the curves are always chosen.
@@ -341,16 +341,16 @@ def every_second(x: Array, lines: IntArray) -> tuple[IntArray, scipy.sparse.csr_
             all points; and pairs (.., 2) of chosen points that are now neighbours, numbered from 0 to k - 1.
     """
     chosen = np.bincount(lines.ravel(), minlength=len(x)) != 2
-    chosen[along(x, lines, float(np.ptp(x)))[::2]] = True
-    place, other = np.concatenate([lines, lines[:, ::-1]]).T
+    chosen[curve_order(x, lines, float(np.ptp(x)))[::2]] = True
+    point, neighbour = np.concatenate([lines, lines[:, ::-1]]).T
     # a ring with an odd number of places may begin and end with places that are not chosen
-    chosen |= np.bincount(place, chosen[other], len(x)) < 2
-    kept, number = np.flatnonzero(chosen), np.cumsum(chosen) - 1
-    is_used = chosen[other] & ~chosen[place]
-    place, other = place[is_used], other[is_used]
-    weights = 1.0 / np.linalg.norm(x[place] - x[other], axis=1)
-    entries = np.append(weights / np.bincount(place, weights)[place], np.ones(len(kept)))
-    places = np.append(place, kept), number[np.append(other, kept)]
-    shares = scipy.sparse.csr_matrix((entries, places), shape=(len(x), len(kept)))
-    coarse_lines = shares[np.diff(shares.indptr) == 2].indices.reshape(-1, 2)
-    return kept, shares, np.concatenate([coarse_lines, number[lines[chosen[lines].all(axis=1)]]])
+    chosen |= np.bincount(point, chosen[neighbour], len(x)) < 2
+    chosen_points, number = np.flatnonzero(chosen), np.cumsum(chosen) - 1
+    is_used = chosen[neighbour] & ~chosen[point]
+    point, neighbour = point[is_used], neighbour[is_used]
+    weights = 1.0 / np.linalg.norm(x[point] - x[neighbour], axis=1)
+    entries = np.append(weights / np.bincount(point, weights)[point], np.ones(len(chosen_points)))
+    rows_columns = np.append(point, chosen_points), number[np.append(neighbour, chosen_points)]
+    interpolation = scipy.sparse.csr_matrix((entries, rows_columns), shape=(len(x), len(chosen_points)))
+    coarse_lines = interpolation[np.diff(interpolation.indptr) == 2].indices.reshape(-1, 2)
+    return chosen_points, interpolation, np.concatenate([coarse_lines, number[lines[chosen[lines].all(axis=1)]]])

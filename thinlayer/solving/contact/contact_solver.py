@@ -37,7 +37,7 @@ class ContactSolver(EquilibriumSolver):
     def __init__(self, equations: Equations, like: State | None) -> None:
         self.equations, self.comm, self._like = equations, equations.comm, like
         self.parts = equations.of_kind(ContactPart)
-        self.x, self.b, self._r = (equations.vector() for _ in range(3))
+        self.x, self.b, self._r = (equations.create_vector() for _ in range(3))
         self.is_fixed = np.zeros(self.x.getLocalSize(), bool)
         self.is_fixed[equations.bc_dofs] = True
         self._has_solved = False
@@ -62,7 +62,7 @@ class ContactSolver(EquilibriumSolver):
             SolveError: no convergence.
         """
         equations, x = self.equations, self.x
-        self.reused = self._has_solved
+        self.reused_solver = self._has_solved
         if start is not None:
             start.copy(x)
         elif self._like is not None:
@@ -71,7 +71,7 @@ class ContactSolver(EquilibriumSolver):
         else:
             equations.put_state(equations.interval.old, x)
         has_guess = self.comm.allreduce(int(any(part.nodes.jump(x).any() for part in self.parts))) > 0
-        prescribed_u = equations.vector()
+        prescribed_u = equations.create_vector()
         prescribed_u.array[equations.bc_dofs] = x.array[equations.bc_dofs] = equations.prescribed
         equations.K.mult(prescribed_u, self.b)
         prescribed_u.destroy()
@@ -100,7 +100,7 @@ class ContactSolver(EquilibriumSolver):
         It is the residual of the full balance of forces, not of a condensed one.
         """
         self.equations.residual(self.x, self._r)
-        return self.equations.relative(self._r)
+        return self.equations.relative_norm(self._r)
 
     def close(self) -> None:
         """Free matrices and vectors."""

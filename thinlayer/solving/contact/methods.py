@@ -13,7 +13,7 @@ from thinlayer.solving.contact.paper_relaxation import ContactRelaxation
 SOLVER_OF_METHOD = dict[str, type[ContactSolver]](
     condensed=CondensedContact, multigrid=MultigridContact, relaxation=ContactRelaxation
 )
-MAX_CONDENSED = {2: 4000, 3: 1200}  # dimension -> number of displacements at S up to which "condensed" is the default
+MAX_CONDENSED_DOFS = {2: 4000, 3: 1200}  # dimension -> displacements at S up to which "condensed" is the default
 
 
 def default_method(model: Model) -> str:
@@ -28,18 +28,18 @@ def default_method(model: Model) -> str:
     joint = model.joint
     n_nodes = len(np.unique(joint.surface)) * (1 if joint.rigid_base else 2)
     node_dofs = joint.dim * model.structure.degree ** (joint.dim - 1)
-    is_small = (_most_vertices(model) if _is_network(model) else n_nodes) * node_dofs <= MAX_CONDENSED[joint.dim]
-    suited = (method for method in ("condensed", "multigrid") if not why_unsuited(model, method))
-    chosen = (method for method in suited if not model.layer_terms and (is_small or method != "condensed"))
-    return next(chosen, "newton")
+    is_small = (_max_vertices(model) if _is_network(model) else n_nodes) * node_dofs <= MAX_CONDENSED_DOFS[joint.dim]
+    suited_methods = (method for method in ("condensed", "multigrid") if not why_unsuited(model, method))
+    candidates = (method for method in suited_methods if not model.layer_terms and (is_small or method != "condensed"))
+    return next(candidates, "newton")
 
 
-def _most_vertices(model: Model) -> int:
+def _max_vertices(model: Model) -> int:
     """Return the number of vertices on S of the body that has the most of them."""
     joint = model.joint
     cell, corner = np.nonzero(np.isin(joint.corners, joint.surface))
-    pairs = np.unique(np.column_stack([model.split_mesh.pieces[cell], joint.corners[cell, corner]]), axis=0)
-    return int(np.bincount(pairs[:, 0]).max())
+    piece_vertices = np.unique(np.column_stack([model.split_mesh.pieces[cell], joint.corners[cell, corner]]), axis=0)
+    return int(np.bincount(piece_vertices[:, 0]).max())
 
 
 def _is_network(model: Model) -> bool:
@@ -52,7 +52,7 @@ def _is_linear(model: Model) -> bool:
 
     The only unknowns must then be displacements, with a constant and symmetric stiffness from UFL forms.
     """
-    if model.constraints.T is not None or not all(term.proportional for term in model.terms):
+    if model.constraints.T is not None or not all(term.is_proportional for term in model.terms):
         return False  # with T the unknowns are not the displacements
     traits = [term.law.traits for term in model.terms]
     by_laws = all(each.symmetric and not (each.constrained or each.compiled) for each in traits)
@@ -69,7 +69,7 @@ def why_unsuited(model: Model, method: str) -> str:
     Returns:
         The reason, worded such that it can follow the method's name, as "is for one rank, not 2; ...".
     """
-    user_laws = [type(law).__name__ for law in model.contacts.values() if law.numbers is None]
+    law_names = [type(law).__name__ for law in model.contacts.values() if law.numbers is None]
     if model.contact is None:
         return "is for contact laws; the model has none"
     if method != "multigrid" and model.comm.size > 1:
@@ -81,4 +81,4 @@ def why_unsuited(model: Model, method: str) -> str:
     if not _is_linear(model):
         supports = "and no inclined supports or rigid plates; use method='newton'"
         return f"needs linear bodies without stresses at rest, linear, symmetric parts and layers, {supports}"
-    return f"needs one of the laws of forms.contact, not {user_laws[0]}; use method='newton'" if user_laws else ""
+    return f"needs one of the laws of forms.contact, not {law_names[0]}; use method='newton'" if law_names else ""

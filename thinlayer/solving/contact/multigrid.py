@@ -18,33 +18,33 @@ from thinlayer.solving.contact.contact_tangent import ContactTangent
 from thinlayer.solving.contact.pairs import C_SOURCE, ContactPairs
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import HIERARCHY_OPTIONS
-from thinlayer.solving.part_sum import MIN_DIVISOR, SOLVER_TOLERANCE
+from thinlayer.solving.part_sum import MIN_DIVISOR, SOLVER_RESIDUAL
 from thinlayer.solving.petsc import (
     PREFIX,
     OptionDict,
-    default_options,
-    is_set,
-    options_set,
+    db_options,
     reason_name,
+    set_defaults,
     solve_nonlinear,
+    user_has_set,
 )
-from thinlayer.system.compilation import library
+from thinlayer.system.compilation import compile_library
 from thinlayer.system.ranks import destroy
 
 Reason = PETSc.SNES.ConvergedReason
 Reductions = tuple[float, float]  # factors by which the first and the later linear solves reduce the residual
 # status of nodes (n,), and their tangential jumps minus slip (n, d - 1)
-SlidingState = tuple[npt.NDArray[np.int8], Array]
+StatusAndSlip = tuple[npt.NDArray[np.int8], Array]
 
 NEWTON_TOLERANCE = 1e-10  # residual of the law at which Newton's method stops, relative to the forces
 LOOSE_REDUCTIONS: Reductions = (0.5, 0.4)  # for a start whose status is wrong at many nodes
 STRICT_REDUCTIONS: Reductions = (0.05, 0.1)  # for a start from a guess, and in the last attempt
 # largest residual after a Newton step without sweeps, relative to the target of its linear solve
-EXPECTED_RESIDUAL_RATIO = 3.0
+MAX_UNSWEPT_RATIO = 3.0
 # residual, relative to the external forces, above which forces of bodies that moved far away are no reference
 LARGE_RESIDUAL = 3e-5
 MIN_REDUCTION = 0.05  # least factor by which a linear solve after sweeps reduces a residual below the forces
-LAST_SOLVE_TARGET = 0.7  # target of the last linear solve, relative to NEWTON_TOLERANCE
+LAST_TARGET_RATIO = 0.7  # target of the last linear solve, relative to NEWTON_TOLERANCE
 
 # GMRES with a right preconditioner needs one more cycle of multigrid for the solution than FGMRES
 KRYLOV_OPTIONS = OptionDict(ksp_type="fgmres", ksp_gmres_restart=40, ksp_max_it=120, snes_max_linear_solve_fail=4)
@@ -74,11 +74,11 @@ class MultigridContact(ContactSolver):
 
     def __init__(self, equations: Equations, like: State | None) -> None:
         super().__init__(equations, like)
-        library(C_SOURCE, self.comm)
-        self.nodes = nodes = NodePairs.joined([part.nodes for part in self.parts])
+        compile_library(C_SOURCE, self.comm)
+        self.nodes = nodes = NodePairs.join_seams([part.nodes for part in self.parts])
         self.pairs = ContactPairs(self.parts, self.is_fixed, self.x.getOwnershipRange()[0] // nodes.dim, nodes.shared())
         self._tangent: ContactTangent | None = None
-        self._forces = equations.vector()
+        self._forces = equations.create_vector()
 
     def solve(self, has_guess: bool) -> tuple[int, float]:
         """Solve for the displacements in the attribute `x`, in place.
@@ -93,40 +93,40 @@ class MultigridContact(ContactSolver):
         Raises:
             SolveError: no convergence, for instance because there is no equilibrium.
         """
-        history: list[float] = []
+        residuals: list[float] = []
         nodes, old = self.nodes, self.equations.interval.old.u.x.petsc_vec
         start = nodes.separation(self.x) if has_guess else None
-        gap_vector = self.equations.vector()
+        gap_vector = self.equations.create_vector()
         gap_vector.array[nodes.dofs] = nodes.frames[:, -1] * nodes.gap[:, None]
         self._max_force = float(self.b.norm())
         for u in (old, gap_vector):
             self.equations.K.mult(u, self._forces)
             self._max_force = max(self._max_force, float(self._forces.norm()))
         gap_vector.destroy()
-        with default_options({**HIERARCHY_OPTIONS, **NEWTON_OPTIONS}):
+        with set_defaults({**HIERARCHY_OPTIONS, **NEWTON_OPTIONS}):
             if self._tangent is None:
                 self._tangent = ContactTangent(self.A, nodes, self.pairs, self.equations, start)
             else:  # later solves do not read the hierarchy's options, and must not refuse them
-                for name in options_set():
+                for name in db_options():
                     if name.startswith(("pc_", "mg_")):
                         PETSc.Options().hasName(PREFIX + name)
             attempts = [(start, STRICT_REDUCTIONS), (None, LOOSE_REDUCTIONS)]
             for guess, reductions in attempts[::-1] if start is None else attempts:
-                newton = _NewtonRun(self, self._tangent, reductions)
+                newton_run = _NewtonRun(self, self._tangent, reductions)
                 if guess is None:
                     self.x.set(0.0)
-                reason = newton.run(self.x, guess)
-                history += newton.residuals
-                if not newton.residuals and reason >= 0:  # PETSc itself refuses a first residual that is NaN
+                reason = newton_run.run(self.x, guess)
+                residuals += newton_run.residuals
+                if not newton_run.residuals and reason >= 0:  # PETSc itself refuses a first residual that is NaN
                     raise InputError(f"-{PREFIX}snes_type ksponly ignores the residual; contact needs Newton's method")
                 if reason > 0:
-                    return len(newton.residuals) - 1, history[-1]
-        slow = "FGMRES is slow for slender bodies: " * (reason == Reason.DIVERGED_LINEAR_SOLVE)
-        loads = "smaller load steps, or supports (is a body pulled off S, or pushed harder than friction holds?)"
-        advice = f"{slow}try method='newton', {loads}; -{PREFIX}snes_monitor watches it"
-        steps, last = max(len(history) - 2, 0), history[-1] if history else math.nan
+                    return len(newton_run.residuals) - 1, residuals[-1]
+        slow_text = "FGMRES is slow for slender bodies: " * (reason == Reason.DIVERGED_LINEAR_SOLVE)
+        load_advice = "smaller load steps, or supports (is a body pulled off S, or pushed harder than friction holds?)"
+        advice = f"{slow_text}try method='newton', {load_advice}; -{PREFIX}snes_monitor watches it"
+        steps, last = max(len(residuals) - 2, 0), residuals[-1] if residuals else math.nan
         text = f"after {steps} steps: {reason_name(Reason, reason)}, residual {last:.1e} of the forces"
-        raise SolveError(f"Newton's method for contact failed {text}", residuals=tuple(history), advice=advice)
+        raise SolveError(f"Newton's method for contact failed {text}", residuals=tuple(residuals), advice=advice)
 
     def residual(self, u: PETSc.Vec, out: PETSc.Vec) -> float:
         """Write the residual at displacements `u` into `out`; return its norm relative to the reference forces.
@@ -137,7 +137,7 @@ class MultigridContact(ContactSolver):
         equations = self.equations
         equations.residual(u, out)
         out.array[equations.bc_dofs] = 0.0
-        norms, forces = equations.norms(out.array_r), equations.target(u) / SOLVER_TOLERANCE
+        norms, forces = equations.norms(out.array_r), equations.max_norms(u) / SOLVER_RESIDUAL
         if norms[0] > LARGE_RESIDUAL * self._max_force:  # large forces of a body that moved far away are only rounding
             forces = np.minimum(forces, self._max_force)
         return float((norms / np.maximum(forces, MIN_DIVISOR)).max())
@@ -168,8 +168,8 @@ class _NewtonRun:
         self.residuals: list[float] = []
         self._target = reductions[0]
         self._is_repeated = False  # whether the next call of `_residual` repeats the last one
-        self._at: SlidingState | None = None  # sliding state at the last tangents
-        self._set_rtol = not is_set("ksp_rtol", {})
+        self._state: StatusAndSlip | None = None  # sliding state at the last tangents
+        self._chooses_rtol = not user_has_set("ksp_rtol", {})
 
     def run(self, u: PETSc.Vec, start: Array | None) -> int:
         """Run Newton's method from displacements `u`, which become the solution.
@@ -182,7 +182,7 @@ class _NewtonRun:
         Returns:
             PETSc's number of the reason why the method stopped; positive after convergence.
         """
-        solver, self._start = self.solver, start
+        solver, self._start_jumps = self.solver, start
         u.array[self.bc_dofs] = solver.equations.prescribed
         f = self._f = u.duplicate()
         J = PETSc.Mat().createPython(solver.A.getSizes(), self.tangent, comm=solver.comm)
@@ -196,11 +196,11 @@ class _NewtonRun:
             snes.setUpdate(self._choose_sweeps)
             snes.setNGS(self._sweep)
             snes.setNPCSide(PETSc.PC.Side.RIGHT)
-            sweeps = snes.getNPC()
-            sweeps.setType("ngs")
-            sweeps.setTolerances(max_it=1)
-            sweeps.setNormSchedule(PETSc.SNES.NormSchedule.FINAL_ONLY)
-            sweeps.destroy()  # drops this reference
+            sweep_snes = snes.getNPC()
+            sweep_snes.setType("ngs")
+            sweep_snes.setTolerances(max_it=1)
+            sweep_snes.setNormSchedule(PETSc.SNES.NormSchedule.FINAL_ONLY)
+            sweep_snes.destroy()  # drops this reference
             snes.setFromOptions()
             pc = snes.getKSP().getPC()
             pc.setType("python")
@@ -215,26 +215,26 @@ class _NewtonRun:
             self._is_repeated = False
             self._f.copy(f)
             return
-        self._relative = self.solver.residual(u, f)
+        self._relative_norm = self.solver.residual(u, f)
 
     def _converged(self, snes: PETSc.SNES, step: int, norms: tuple[float, float, float]) -> PETSc.SNES.ConvergedReason:
-        self.residuals.append(self._relative)
+        self.residuals.append(self._relative_norm)
         if not math.isfinite(norms[2]):
             return Reason.DIVERGED_FNORM_NAN
-        return Reason.CONVERGED_FNORM_ABS if self._relative <= NEWTON_TOLERANCE else False
+        return Reason.CONVERGED_FNORM_ABS if self._relative_norm <= NEWTON_TOLERANCE else False
 
     def _choose_sweeps(self, snes: PETSc.SNES, step: int) -> None:
         """Decide whether Gauss-Seidel sweeps precede Newton step number `step`; SNES calls this before each step.
 
         They do if the last step changed the contact status of a node, or reduced the residual too little.
         """
-        self._swept = False
+        self._sweeps_now = False
         if step:
             jumps = self.nodes.separation(snes.getSolution())
-            self._reversed = reversal_changes(self.pairs, jumps, self._at)
-            changed = self._at is None or (self.pairs.status(jumps) != self._at[0]).any() or self._reversed.any()
+            self._sticking = sticking_corrections(self.pairs, jumps, self._state)
+            changed = self._state is None or (self.pairs.status(jumps) != self._state[0]).any() or self._sticking.any()
             on_any_rank = self.solver.comm.allreduce(int(changed)) > 0
-            self._swept = on_any_rank or self._relative > EXPECTED_RESIDUAL_RATIO * self._target
+            self._sweeps_now = on_any_rank or self._relative_norm > MAX_UNSWEPT_RATIO * self._target
             self._linear_ratio = snes.getKSP().getResidualNorm() / snes.getFunctionNorm()
 
     def _sweep(self, _: PETSc.SNES, u: PETSc.Vec, __: PETSc.Vec | None) -> None:
@@ -242,9 +242,9 @@ class _NewtonRun:
 
         SNES calls this before each Newton step. Each rank sweeps its own nodes.
         """
-        self._is_repeated = not self._swept
-        if self._swept:
-            self.tangent.sweep(u, self._f, self._reversed)
+        self._is_repeated = not self._sweeps_now
+        if self._sweeps_now:
+            self.tangent.sweep(u, self._f, self._sticking)
 
     def _linearise(self, snes: PETSc.SNES, u: PETSc.Vec, _: PETSc.Mat, __: PETSc.Mat) -> None:
         """Set up the linear system of a Newton step at displacements `u`; SNES calls this for a new Jacobian.
@@ -252,13 +252,13 @@ class _NewtonRun:
         It sets the contact tangents, the springs of the preconditioner and the tolerance of the linear solve. The
         matrices that PETSc passes are ignored, because their products are computed by the `ContactTangent` of this run.
         """
-        first = not snes.getIterationNumber()
-        tangents = self._first_tangents(u, self._f) if first else self._next_tangents(u)
-        rtol = self.reductions[0] if first else min(0.5, self._target / self._relative)
-        self._old_relative = self._relative
-        self.tangent.update_springs(self._start if first else self.nodes.separation(u))
+        is_first = not snes.getIterationNumber()
+        tangents = self._first_tangents(u, self._f) if is_first else self._next_tangents(u)
+        rtol = self.reductions[0] if is_first else min(0.5, self._target / self._relative_norm)
+        self._old_relative_norm = self._relative_norm
+        self.tangent.update_springs(self._start_jumps if is_first else self.nodes.separation(u))
         self.tangent.linearise(tangents)
-        if self._set_rtol:
+        if self._chooses_rtol:
             snes.getKSP().setTolerances(rtol=rtol)
 
     def _first_tangents(self, u: PETSc.Vec, f: PETSc.Vec) -> Array:
@@ -271,14 +271,14 @@ class _NewtonRun:
             u: displacements before the step.
             f: residual at `u`. It is changed to the residual with contact laws linearised at these jumps.
         """
-        pairs, jumps, start = self.pairs, self.nodes.separation(u), self._start
+        pairs, jumps, start = self.pairs, self.nodes.separation(u), self._start_jumps
         if start is None:
             tangents = pairs.bonded_tangents()
-            tractions = np.einsum("nij,nj->ni", tangents, pairs.offsets(jumps))
+            tractions = np.einsum("nij,nj->ni", tangents, pairs.elastic_jumps(jumps))
         else:
             tangents = pairs.tangents(start)
             tractions = pairs.tractions(start) + np.einsum("nij,nj->ni", tangents, jumps - start)
-            self._at = sliding_state(pairs, start)
+            self._state = status_and_slip(pairs, start)
         self.nodes.add_forces(tractions - pairs.tractions(jumps), f)
         f.array[self.bc_dofs] = 0.0
         return tangents
@@ -291,21 +291,21 @@ class _NewtonRun:
         Args:
             u: displacements before the step.
         """
-        relative = self._relative
-        if self._swept:
+        relative = self._relative_norm
+        if self._sweeps_now:
             self._target = max(self.reductions[1] * min(relative, self._target), MIN_REDUCTION * min(relative, 1.0))
         else:
             # the residual that the law's non-linearity leaves is quadratic in the size of the step
-            nonlinear = relative * math.sqrt(abs(1 - self._linear_ratio**2)) * (relative / self._old_relative) ** 2
+            nonlinear = relative * math.sqrt(abs(1 - self._linear_ratio**2)) * (relative / self._old_relative_norm) ** 2
             self._target = min(self.reductions[1] * relative, nonlinear)
-        self._target = max(self._target, LAST_SOLVE_TARGET * NEWTON_TOLERANCE)
+        self._target = max(self._target, LAST_TARGET_RATIO * NEWTON_TOLERANCE)
         jumps = self.nodes.separation(u)
-        self._at = sliding_state(self.pairs, jumps)
+        self._state = status_and_slip(self.pairs, jumps)
         return self.pairs.tangents(jumps)
 
 
 # ---------------------------------------------------------------- nodes whose slip has reversed
-def sliding_state(pairs: ContactPairs, w: Array) -> SlidingState:
+def status_and_slip(pairs: ContactPairs, w: Array) -> StatusAndSlip:
     """Return the contact status (n,) of n pairs, integers of `Status`, and their tangential jumps (n, d - 1).
 
     The slip at the start of the time step is subtracted from these jumps.
@@ -314,10 +314,10 @@ def sliding_state(pairs: ContactPairs, w: Array) -> SlidingState:
         pairs: n pairs of nodes in d dimensions.
         w: (n, d) jumps of the pairs in the axes of S, initial gaps included.
     """
-    return pairs.status(w), pairs.offsets(w)[:, :-1]
+    return pairs.status(w), pairs.elastic_jumps(w)[:, :-1]
 
 
-def reversal_changes(pairs: ContactPairs, w: Array, at: SlidingState | None) -> Array:
+def sticking_corrections(pairs: ContactPairs, w: Array, last: StatusAndSlip | None) -> Array:
     """Return changes (n, d) of the jumps that make pairs stick if their slip direction has reversed.
 
     The direction is compared with that at the last contact tangents. Changes of all other pairs are zero.
@@ -328,14 +328,14 @@ def reversal_changes(pairs: ContactPairs, w: Array, at: SlidingState | None) -> 
     Args:
         pairs: n pairs of nodes in d dimensions.
         w: (n, d) present jumps of the pairs in the axes of S, initial gaps included.
-        at: result of `sliding_state` at the last contact tangents. None: it is unknown, so that all changes are zero.
+        last: result of `status_and_slip` at the last contact tangents. None: it is unknown, so that all changes are zero.
     """
     out = np.zeros_like(w)
-    if at is None:
+    if last is None:
         return out
-    (status, old), (new_status, now) = at, sliding_state(pairs, w)
-    reverses = (status == Status.SLIDING) & (new_status == Status.SLIDING) & ((old * now).sum(axis=1) < 0)
-    change = old[reverses] - now[reverses]
-    fraction = -(now[reverses] * change).sum(axis=1) / (change**2).sum(axis=1)
-    out[reverses, :-1] = fraction[:, None] * change
+    (status, old_slip), (new_status, slip) = last, status_and_slip(pairs, w)
+    is_reversed = (status == Status.SLIDING) & (new_status == Status.SLIDING) & ((old_slip * slip).sum(axis=1) < 0)
+    change = old_slip[is_reversed] - slip[is_reversed]
+    fraction = -(slip[is_reversed] * change).sum(axis=1) / (change**2).sum(axis=1)
+    out[is_reversed, :-1] = fraction[:, None] * change
     return out

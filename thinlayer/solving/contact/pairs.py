@@ -15,12 +15,12 @@ from forms.base import Array
 from forms.contact import ContactHomotopy, ContactLaw
 from geometry.topology import BoolArray, IntArray
 from thinlayer.parts.contact_part import ContactPart
-from thinlayer.system.compilation import own_library, pointers
+from thinlayer.system.compilation import c_pointers, own_library
 
 C_SOURCE = Path(__file__).with_name("sweeps.c")
 NodalLaw = ContactLaw | ContactHomotopy
 Scalar = TypeVar("Scalar", bound=np.generic)  # type of the entries of an array
-LawValues = Callable[[NodalLaw, Array, Array], npt.NDArray[Scalar]]  # of a law, jumps and slip
+LawFunction = Callable[[NodalLaw, Array, Array], npt.NDArray[Scalar]]  # of a law, jumps and slip
 
 
 class ContactPairs:
@@ -29,7 +29,7 @@ class ContactPairs:
     Args:
         parts: the contact laws, each with its pairs.
         is_fixed: (N,) mask of the constrained displacements among the N of this rank.
-        first: global number of this rank's first node.
+        offset: global number of this rank's first node.
         shared: local numbers of nodes that are left out because pairs of other ranks contain them too.
 
     Attributes:
@@ -46,18 +46,18 @@ class ContactPairs:
     """
 
     def __init__(
-        self, parts: Sequence[ContactPart], is_fixed: BoolArray, first: int = 0, shared: Sequence[int] | IntArray = ()
+        self, parts: Sequence[ContactPart], is_fixed: BoolArray, offset: int = 0, shared: Sequence[int] | IntArray = ()
     ) -> None:
         self._parts, self.d = parts, parts[0].nodes.dim
-        pairs = np.concatenate([part.nodes.pairs for part in parts]) - first
+        pairs = np.concatenate([part.nodes.pairs for part in parts]) - offset
         pairs[(pairs < 0) | (pairs >= len(is_fixed) // self.d) | np.isin(pairs, shared)] = -1
         self.frames = np.concatenate([part.nodes.frames for part in parts])
         self.weights = np.concatenate([part.nodes.weights for part in parts])
         self.gaps = np.zeros((len(pairs), self.d))
         self.gaps[:, -1] = np.concatenate([part.nodes.gap for part in parts])
-        sizes = [len(part.nodes.weights) for part in parts]
-        self._part = np.repeat(np.arange(len(parts)), sizes)
-        self._of_part = np.concatenate([np.arange(n) for n in sizes])
+        pair_counts = [len(part.nodes.weights) for part in parts]
+        self._part_of_pair = np.repeat(np.arange(len(parts)), pair_counts)
+        self._part_row = np.concatenate([np.arange(n) for n in pair_counts])
         self._number_nodes(pairs, ~is_fixed.reshape(-1, self.d))
 
     def subset(self, chosen: IntArray, weights: Array) -> ContactPairs:
@@ -69,7 +69,7 @@ class ContactPairs:
         """
         pairs = copy(self)
         pairs.frames, pairs.gaps, pairs.weights = self.frames[chosen], self.gaps[chosen], weights
-        pairs._part, pairs._of_part = self._part[chosen], self._of_part[chosen]
+        pairs._part_of_pair, pairs._part_row = self._part_of_pair[chosen], self._part_row[chosen]
         pairs._number_nodes(self.pair_nodes[chosen], self.free)
         return pairs
 
@@ -80,24 +80,24 @@ class ContactPairs:
             pairs: (pairs, 2) upper and lower node of each pair, as row numbers of `free`; -1: no node.
             free: (nodes, d) mask of the displacement components that are not constrained, for all candidate nodes.
         """
-        self.nodes, place = np.unique(np.concatenate([[-1], pairs.ravel()]), return_inverse=True)
+        self.nodes, position = np.unique(np.concatenate([[-1], pairs.ravel()]), return_inverse=True)
         self.nodes = self.nodes[1:]
-        self.pair_nodes, self.free = place[1:].reshape(-1, 2) - 1, free[self.nodes]
+        self.pair_nodes, self.free = position[1:].reshape(-1, 2) - 1, free[self.nodes]
         self.dofs = (self.nodes[:, None] * self.d + np.arange(self.d)).ravel()
         pair, side = np.nonzero(self.pair_nodes >= 0)
         node, sign = self.pair_nodes[pair, side], np.where(side, -1, 1)
         # (pairs d, n d) matrix from displacements to jumps in the pairs' frames
         blocks, shape = self.frames[pair] * sign[:, None, None], (len(self.pair_nodes) * self.d, len(self.dofs))
-        begins = np.searchsorted(pair, np.arange(len(self.pair_nodes) + 1))
-        self.jump_matrix = bsr_matrix((blocks, node, begins), shape=shape).tocsr()
-        self._to_nodes = self.jump_matrix.T.tocsr()
+        row_starts = np.searchsorted(pair, np.arange(len(self.pair_nodes) + 1))
+        self.jump_matrix = bsr_matrix((blocks, node, row_starts), shape=shape).tocsr()
+        self._jump_matrix_T = self.jump_matrix.T.tocsr()
         # pairs of each node, node after node, in the format of the sweeps in C
         order = np.lexsort((pair, node))
-        begins = np.searchsorted(node[order], np.arange(len(self.nodes) + 1))
+        row_starts = np.searchsorted(node[order], np.arange(len(self.nodes) + 1))
         columns = pair[order], self.pair_nodes[pair, 1 - side][order], sign[order]
-        self._by_node = [column.astype(np.int32) for column in (begins, *columns)]
+        self._pairs_by_node = [column.astype(np.int32) for column in (row_starts, *columns)]
 
-    def _gather_values(self, values: LawValues[Scalar], w: Array) -> npt.NDArray[Scalar]:
+    def _gather_values(self, values: LawFunction[Scalar], w: Array) -> npt.NDArray[Scalar]:
         """Evaluate a function of a contact law, jumps and slip for all pairs, each with its own law and slip.
 
         Args:
@@ -108,10 +108,10 @@ class ContactPairs:
         Returns:
             Array (pairs, ...) of the function's values.
         """
-        parts = [(part, self._part == k) for k, part in enumerate(self._parts)]
-        return np.concatenate([values(part.law_now, w[mask], part.slip[self._of_part[mask]]) for part, mask in parts])
+        parts = [(part, self._part_of_pair == k) for k, part in enumerate(self._parts)]
+        return np.concatenate([values(part.law_now, w[mask], part.slip[self._part_row[mask]]) for part, mask in parts])
 
-    def separation(self, u: Array) -> Array:
+    def jumps_with_gaps(self, u: Array) -> Array:
         """Return the jumps plus initial gaps (pairs, d), in the axes `frames`.
 
         Args:
@@ -128,15 +128,15 @@ class ContactPairs:
         Args:
             w: (pairs, d) jumps in the axes `frames`, initial gaps included.
         """
-        return self.on_nodes(self.tractions(w))
+        return self.nodal_forces(self.tractions(w))
 
-    def on_nodes(self, t: Array) -> Array:
+    def nodal_forces(self, t: Array) -> Array:
         """Return the nodal forces (n d,) of given tractions on n nodes in d dimensions; zero at constrained components.
 
         Args:
             t: (pairs, d) tractions in the axes `frames`.
         """
-        return np.where(self.free.ravel(), self._to_nodes @ (t * self.weights[:, None]).ravel(), 0.0)
+        return np.where(self.free.ravel(), self._jump_matrix_T @ (t * self.weights[:, None]).ravel(), 0.0)
 
     def tractions(self, w: Array) -> Array:
         """Return the tractions (pairs, d) of the contact laws in d dimensions, in the axes `frames`.
@@ -166,14 +166,14 @@ class ContactPairs:
         """
         return self._gather_values(lambda law, w, slip: law.status(w, slip), w)
 
-    def bonded(self) -> tuple[csr_matrix, Array]:
+    def bonded_springs(self) -> tuple[csr_matrix, Array]:
         """Return the stiffness and the nodal forces at rest of pairs as springs that neither open nor slide.
 
         The stiffness is (n d, n d), the forces are (n d,), for n nodes in d dimensions. The forces at rest are those
         for zero displacements. They are due to initial gaps and to the slip before the time step.
         """
         D = self.bonded_tangents()
-        return self.stiffness(D), self.on_nodes(np.einsum("nij,nj->ni", D, self.offsets(self.gaps)))
+        return self.stiffness(D), self.nodal_forces(np.einsum("nij,nj->ni", D, self.elastic_jumps(self.gaps)))
 
     def stiffness(self, D: Array) -> csr_matrix:
         """Return the stiffness matrix (n d, n d), for n nodes in d dimensions, of springs between the nodes of pairs.
@@ -194,7 +194,7 @@ class ContactPairs:
         indices = rows.ravel(), (column[:, None, None] * d + np.arange(d)).repeat(d, axis=1).ravel()
         return csr_matrix((blocks.ravel(), indices), shape=(len(self.dofs),) * 2)
 
-    def offsets(self, w: Array) -> Array:
+    def elastic_jumps(self, w: Array) -> Array:
         """Return the jumps (pairs, d), less the slip at the start of the time step in tangential components.
 
         Args:
@@ -203,7 +203,7 @@ class ContactPairs:
         return self._gather_values(lambda law, w, slip: np.column_stack([w[:, :-1] - slip, w[:, -1]]), w)
 
     def sweep(
-        self, K: bsr_matrix, g: Array, u: Array, sweeps: int, gaps: Array | None = None, moves: BoolArray | None = None
+        self, K: bsr_matrix, g: Array, u: Array, sweeps: int, gaps: Array | None = None, mobile: BoolArray | None = None
     ) -> int:
         """Improve the displacements `u` in place by Gauss-Seidel sweeps over the nodes.
 
@@ -216,17 +216,17 @@ class ContactPairs:
             u: (n d,) displacements; overwritten.
             sweeps: number of sweeps.
             gaps: (pairs, d) jumps in the axes `frames` that belong to u = 0. None: the initial gaps.
-            moves: (n,) mask of the nodes that may move. None: all nodes.
+            mobile: (n,) mask of the nodes that may move. None: all nodes.
 
         Returns:
             Number of times that the forces of a node could not be balanced. The node then keeps the best displacement
                 found.
         """
         gaps = self.gaps if gaps is None else gaps
-        laws = self._gather_values(lambda law, w, _: np.tile(sweep_parameters(law), (len(w), 1)), gaps)
-        pairs = *self._by_node, self.frames, self.weights, laws, self.offsets(gaps)
-        free, c = self.free if moves is None else self.free & moves[:, None], own_library(C_SOURCE)
-        arrays = pointers(c, K.indptr, K.indices, K.data, g, u, *pairs, free)
+        law_parameters = self._gather_values(lambda law, w, _: np.tile(sweep_parameters(law), (len(w), 1)), gaps)
+        pair_data = *self._pairs_by_node, self.frames, self.weights, law_parameters, self.elastic_jumps(gaps)
+        free, c = self.free if mobile is None else self.free & mobile[:, None], own_library(C_SOURCE)
+        arrays = c_pointers(c, K.indptr, K.indices, K.data, g, u, *pair_data, free)
         return int(c.lib.sweep_pairs(len(self.nodes), self.d, *arrays, sweeps))
 
 
@@ -237,6 +237,6 @@ def sweep_parameters(law: NodalLaw) -> tuple[float, ...]:
     homotopy law is the mean of a contact law and of springs that neither open nor slide. In this mean the springs have
     a weight between 0 and 1. For a contact law itself the weight is 0.
     """
-    law, share = (law.law, law.share) if isinstance(law, ContactHomotopy) else (law, 0.0)
+    law, spring_weight = (law.law, law.spring_weight) if isinstance(law, ContactHomotopy) else (law, 0.0)
     assert law.numbers is not None
-    return *law.numbers, share
+    return *law.numbers, spring_weight

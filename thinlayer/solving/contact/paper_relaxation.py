@@ -18,16 +18,16 @@ from thinlayer.errors import SolveError
 from thinlayer.solving.contact.contact_solver import ContactSolver
 from thinlayer.solving.contact.pairs import C_SOURCE, sweep_parameters
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.part_sum import MACHINE_EPSILON, STATE_TOLERANCE
+from thinlayer.solving.part_sum import ACCEPTED_RESIDUAL, MACHINE_EPSILON
 from thinlayer.solving.petsc import PREFIX
-from thinlayer.system.compilation import own_library, pointers
+from thinlayer.system.compilation import c_pointers, own_library
 
 SWEEPS_PER_TEST = 256  # number of sweeps between two tests of the increments
 MIN_STAGNANT_SWEEPS = 2048  # number of sweeps from which on stagnation is tested
 DIVERGENCE_GROWTH = 1e8  # growth of the changes, relative to the largest of the first sweeps, that means divergence
 STAGNATION_RATIO = 0.999  # stagnation: ratio of the least increments of the later and the earlier half of all sweeps
-TOLERANCE_REDUCTION = 1.5  # divisor of the tolerance of increments if forces do not balance yet
-FIXED_DIAGONAL = 1e20  # diagonal entry of constrained components of contact nodes, relative to the mean stiffness
+TOLERANCE_DIVISOR = 1.5  # divisor of the tolerance of increments if forces do not balance yet
+FIXED_DIAGONAL_RATIO = 1e20  # diagonal entry of constrained components of contact nodes, relative to the mean stiffness
 AXIS_TOLERANCE = 1e-9  # largest difference of the axes of S from coordinate axes
 RELAXATION_OPTIONS = dict[str, tuple[float, float]](  # name -> default and upper bound
     omega=(1.7, 2), omega_contact=(1.0, 2), tolerance=(1e-12, 1e-3), max_sweeps=(200_000, np.inf)
@@ -57,7 +57,7 @@ class SeamSystem(NamedTuple):
     slip: Array
 
 
-class Relaxation(NamedTuple):
+class RelaxationResult(NamedTuple):
     """Result of `relax`: the last iterate, and how the sweeps converged.
 
     Attributes:
@@ -80,7 +80,7 @@ def relax(
     omega_contact: float = 1.0,
     tolerance: float = 1e-8,
     max_sweeps: int = 100_000,
-) -> Relaxation:
+) -> RelaxationResult:
     """Solve a contact problem A u + f(u) = b by the relaxation of section 8 of the paper.
 
     It consists of over-relaxed Gauss-Seidel sweeps. A sweep updates one unknown after another: it computes a new value
@@ -113,29 +113,29 @@ def relax(
             stagnate, grow or are not finite.
     """
     c, A, n, d = own_library(C_SOURCE), system.A, len(system.b), system.contact.shape[1]
-    u_now, steps = np.zeros(n) if u is None else u.copy(), _coded_steps(system.contact, order, n)
-    system_pointers = pointers(c, A.indptr.astype(np.int32), A.indices.astype(np.int32), A.data, system.b, u_now)
+    u_now, codes = np.zeros(n) if u is None else u.copy(), _update_codes(system.contact, order, n)
+    system_pointers = c_pointers(c, A.indptr.astype(np.int32), A.indices.astype(np.int32), A.data, system.b, u_now)
     law_numbers, factors = np.array(sweep_parameters(system.law)), np.array([omega, omega_contact])
-    node_pointers = pointers(c, system.contact.astype(np.int32), system.weights, law_numbers, system.slip, factors)
-    arguments = len(steps), *pointers(c, steps), n, *system_pointers, d, *node_pointers
+    node_pointers = c_pointers(c, system.contact.astype(np.int32), system.weights, law_numbers, system.slip, factors)
+    arguments = len(codes), *c_pointers(c, codes), n, *system_pointers, d, *node_pointers
     (changes, increments), converged = np.empty((2, 0)), False
     while not converged and len(increments) < max_sweeps:
-        chunk = min(SWEEPS_PER_TEST, max_sweeps - len(increments))
-        change, size = np.empty(chunk), np.empty(chunk)
-        n_sweeps = c.lib.relax_sweeps(*arguments, chunk, tolerance, *pointers(c, change, size))
+        max_chunk = min(SWEEPS_PER_TEST, max_sweeps - len(increments))
+        change, u_norms = np.empty(max_chunk), np.empty(max_chunk)
+        n_sweeps = c.lib.relax_sweeps(*arguments, max_chunk, tolerance, *c_pointers(c, change, u_norms))
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            relative = np.where(change > 0, change / size, change)
+            relative = np.where(change > 0, change / u_norms, change)
         changes, increments = np.append(changes, change[:n_sweeps]), np.append(increments, relative[:n_sweeps])
         converged = bool(increments[-1] <= tolerance)
-        diverges = not changes[-1] <= DIVERGENCE_GROWTH * changes[:10].max()
+        is_diverging = not changes[-1] <= DIVERGENCE_GROWTH * changes[:10].max()
         half = len(increments) // 2
         slow = half >= MIN_STAGNANT_SWEEPS // 2 and increments[half:].min() > STAGNATION_RATIO * increments[:half].min()
-        if diverges or slow:
+        if is_diverging or slow:
             break
-    return Relaxation(u_now, converged, increments)
+    return RelaxationResult(u_now, converged, increments)
 
 
-def _coded_steps(contact: Indices, order: Indices | None, count: int) -> Indices:
+def _update_codes(contact: Indices, order: Indices | None, count: int) -> Indices:
     """Return the updates of one sweep in their order, as the integer codes that sweeps.c reads.
 
     A code >= 0 is the number of an unknown away from S. The code -1 - 2 k stands for the normal jump of contact node k.
@@ -178,34 +178,34 @@ class ContactRelaxation(ContactSolver):
             raise InputError("method='relaxation' needs supports on both sides of S or on the lower; use 'condensed'")
         self._fixed = self.is_fixed.copy()
         self._fixed[nodes.dofs] = self._fixed_jumps
-        self._T = self._change_matrix()
+        self._T = self._basis_matrix()
         self._K = local_csr(equations.K)
         self._A = self._T.T @ self._K @ self._T
 
-    def _order(self) -> Indices:
+    def _unknown_order(self) -> Indices:
         """Return the numbers (N,) of the unknowns, sorted by the coordinates of their nodes, of which x varies fastest.
 
         The convergence of the sweeps depends on their order.
         """
         nodes = self.part.nodes
         d, x = nodes.dim, nodes.surface.V.tabulate_dof_coordinates()
-        rows = np.lexsort(np.rint(x[:, :d] / (1e-9 * self.equations.model.joint.size)).T)
-        return np.asarray((rows[:, None] * d + np.arange(d)).ravel(), np.int32)
+        nodes_in_order = np.lexsort(np.rint(x[:, :d] / (1e-9 * self.equations.model.joint.size)).T)
+        return np.asarray((nodes_in_order[:, None] * d + np.arange(d)).ravel(), np.int32)
 
-    def _change_matrix(self) -> scipy.sparse.csr_matrix:
+    def _basis_matrix(self) -> scipy.sparse.csr_matrix:
         """Return the matrix (N, N) that turns the N unknowns into displacements, if initial gaps are zero.
 
         The unknowns are jumps at the upper nodes of S, in the axes of S, and displacements elsewhere.
         """
         nodes, n = self.part.nodes, len(self.is_fixed)
-        upper, others = nodes.dofs, np.setdiff1d(np.arange(n), nodes.dofs)
-        rows = [others, np.repeat(upper, nodes.dim, axis=1).ravel()]
-        columns = [others, np.tile(upper, nodes.dim).ravel()]
-        values = [np.ones(len(others)), nodes.frames.transpose(0, 2, 1).ravel()]
-        if nodes.lower is not None:
-            lower = nodes.pairs[:, 1:] * nodes.dim + np.arange(nodes.dim)
-            rows, columns = [*rows, upper.ravel()], [*columns, lower.ravel()]
-            values.append(np.ones(upper.size))
+        upper_dofs, other_dofs = nodes.dofs, np.setdiff1d(np.arange(n), nodes.dofs)
+        rows = [other_dofs, np.repeat(upper_dofs, nodes.dim, axis=1).ravel()]
+        columns = [other_dofs, np.tile(upper_dofs, nodes.dim).ravel()]
+        values = [np.ones(len(other_dofs)), nodes.frames.transpose(0, 2, 1).ravel()]
+        if nodes.lower_matrix is not None:
+            lower_dofs = nodes.pairs[:, 1:] * nodes.dim + np.arange(nodes.dim)
+            rows, columns = [*rows, upper_dofs.ravel()], [*columns, lower_dofs.ravel()]
+            values.append(np.ones(upper_dofs.size))
         places = np.concatenate(rows), np.concatenate(columns)
         return scipy.sparse.csr_matrix((np.concatenate(values), places), shape=(n, n))
 
@@ -235,24 +235,24 @@ class ContactRelaxation(ContactSolver):
         closing_u = np.zeros(len(prescribed))  # displacements of the upper side that close the gaps
         closing_u[nodes.dofs] = nodes.frames[:, -1] * nodes.gap[:, None]
         diagonal = np.where(fixed, equations.mean_stiffness, 0.0)
-        diagonal[nodes.dofs[moving][self._fixed_jumps[moving]]] *= FIXED_DIAGONAL
+        diagonal[nodes.dofs[moving][self._fixed_jumps[moving]]] *= FIXED_DIAGONAL_RATIO
         b = self._T.T @ (equations.external.array_r + self._K @ closing_u) - self._A @ prescribed
         free = scipy.sparse.diags((~fixed).astype(float))
         A, b = (free @ self._A @ free + scipy.sparse.diags(diagonal)).tocsr(), np.where(fixed, diagonal * prescribed, b)
         contact_data = nodes.dofs[moving], nodes.weights[moving], self.part.law, self.part.slip[moving]
-        system, order, max_sweeps = SeamSystem(A, b, *contact_data), self._order(), int(_option("max_sweeps"))
-        relaxed = partial(relax, system, order=order, omega=_option("omega"), omega_contact=_option("omega_contact"))
+        system, order, max_sweeps = SeamSystem(A, b, *contact_data), self._unknown_order(), int(_option("max_sweeps"))
+        run_relax = partial(relax, system, order=order, omega=_option("omega"), omega_contact=_option("omega_contact"))
         sweeps, u = 0, None  # sweeps until increments met the tolerance
         while True:  # increments may be small before forces balance
-            relaxation = relaxed(u=u, tolerance=tolerance, max_sweeps=max_sweeps)
+            relaxation = run_relax(u=u, tolerance=tolerance, max_sweeps=max_sweeps)
             u, sweeps = relaxation.u, sweeps or len(relaxation.increments)
             x.array[:] = self._T @ u - closing_u
             x.array[equations.bc_dofs] = equations.prescribed
             residual = self.relative_residual()
-            if not relaxation.converged or residual <= STATE_TOLERANCE or tolerance < MACHINE_EPSILON:
+            if not relaxation.converged or residual <= ACCEPTED_RESIDUAL or tolerance < MACHINE_EPSILON:
                 break
-            tolerance /= TOLERANCE_REDUCTION
-        if not (relaxation.converged and residual <= STATE_TOLERANCE):
+            tolerance /= TOLERANCE_DIVISOR
+        if not (relaxation.converged and residual <= ACCEPTED_RESIDUAL):
             last, increments = relaxation.increments[-1], tuple(map(float, relaxation.increments))
             text = f"after {sweeps} sweeps the increment is {last:.1e} and the residual {residual:.1e} of the forces"
             advice = f"try -{PREFIX}relaxation_omega and _omega_contact nearer to 1, another method, or smaller loads"
@@ -284,7 +284,7 @@ def _fixed_components(frames: Array, is_fixed: BoolArray) -> BoolArray:
         InputError: a node is constrained along axes other than those of S.
     """
     cosines = np.abs(frames)
-    aligned = (np.abs(cosines - np.rint(cosines)) < AXIS_TOLERANCE).all(axis=(1, 2))
-    if (~aligned & is_fixed.any(axis=1) & ~is_fixed.all(axis=1)).any():
+    is_aligned = (np.abs(cosines - np.rint(cosines)) < AXIS_TOLERANCE).all(axis=(1, 2))
+    if (~is_aligned & is_fixed.any(axis=1) & ~is_fixed.all(axis=1)).any():
         raise InputError("method='relaxation' needs supports along the axes of S at its nodes; use 'condensed'")
     return np.asarray(np.einsum("nij,nj->ni", cosines > 0.5, is_fixed) > 0)
