@@ -33,7 +33,7 @@ MIN_SHARE = 0.15  # least share of S that each phase, and mixtures, must have
 
 
 @dataclass(frozen=True)
-class PhaseLaw(TractionLaw):
+class JumpPhaseLaw(TractionLaw):
     """Interface law in 2D of a layer of the law `NonMonotone`, with coefficients that may be changed.
 
     The traction at the jump w = w_T + w_N n is mu w_T + K_N w_N n - phase alpha chi n. The phase is from -1 to 1.
@@ -58,7 +58,7 @@ class PhaseLaw(TractionLaw):
     minus_factor: float = 1.0
 
     @classmethod
-    def of(cls, layer: NonMonotone, **changed: float) -> PhaseLaw:
+    def of(cls, layer: NonMonotone, **changed: float) -> JumpPhaseLaw:
         """Return the interface law of `layer`, with those coefficients replaced that are named in `changed`."""
         parameter_names = {"mu": "mu", "alpha": "alpha", "G": "G", "C": "transformation_energy"}
         coefficients = {name: getattr(layer, parameter) for name, parameter in parameter_names.items()}
@@ -77,8 +77,8 @@ class PhaseLaw(TractionLaw):
 
 
 # wrong laws: lambda + mu as in Eqs. (41)-(42); no phase -1, Eq. (43); laminates only across n, G = 1/(lambda + 2 mu)
-PRINTED, ONE_BRANCH = PhaseLaw.of(CASES[""][0], K_N=100.0), PhaseLaw.of(CASES[""][0], minus_factor=0.0)
-SMALL_GAIN = PhaseLaw.of(CASES["across"][0], G=1 / 140)
+PRINTED, ONE_BRANCH = JumpPhaseLaw.of(CASES[""][0], K_N=100.0), JumpPhaseLaw.of(CASES[""][0], minus_factor=0.0)
+SMALL_GAIN = JumpPhaseLaw.of(CASES["across"][0], G=1 / 140)
 
 
 def blocks(h: float, shear: float, pull: float, *, moved: bool = False) -> Problem:

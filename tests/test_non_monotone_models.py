@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed, Stack
 from geometry import block, sandwich
-from studies.phases import CASES, PhaseLaw, blocks
+from studies.phases import CASES, JumpPhaseLaw, blocks
 from studies.problems import phases_on_s
 from tests.closed_forms import NonMonotoneLimit
 from tests.columns_in_time import C as COMPLIANCE
@@ -150,14 +150,14 @@ def test_order_and_wrong_laws():
     """Oblique chi with all phases on S: order 1; a law with lmbda + mu or without phase -1 leaves its error."""
     law, shear, pull = CASES[""]
     where, setup = blocks(1 / 8, shear, pull)
-    on_s = {"right": law, "formula": PhaseLaw.of(law), "lmbda + mu": PhaseLaw.of(law, K_N=LMBDA + MU)}
-    on_s["one branch"] = PhaseLaw.of(law, minus_factor=0.0)
+    on_s = {"right": law, "formula": JumpPhaseLaw.of(law), "lmbda + mu": JumpPhaseLaw.of(law, K_N=LMBDA + MU)}
+    on_s["one branch"] = JumpPhaseLaw.of(law, minus_factor=0.0)
     surface = Surface(Structure(where, **setup).interface(ThinLayer(law, 1.0)))
     plates = Structure(where, **setup)
     full = {eps: solve(plates.full(ThinLayer(law, eps, at=1.0), cells_through=1)) for eps in (1 / 32, 1 / 64)}
     errors = {}
     for name, law_on_s in on_s.items():
-        state = solve(plates.interface(law_on_s if isinstance(law_on_s, PhaseLaw) else ThinLayer(law_on_s, 1.0)))
+        state = solve(plates.interface(law_on_s if isinstance(law_on_s, JumpPhaseLaw) else ThinLayer(law_on_s, 1.0)))
         fields = [(surface.traction, state), (surface.jump, state)]
         sizes = [surface.norm(field(state)) for field, state in fields]
         differences = {e: [surface.norm(f(full[e]) - f(state)) for f, state in fields] for e in full}

@@ -107,8 +107,8 @@ def test_units_and_loads(name, kind, depth):
 
 
 @pytest.mark.parametrize("kind", ["interface", "full"])
-def test_equations_of_pressures_are_scaled_by_the_stiffness_of_bodies(kind):
-    """Bodies are linear. `unit` is a pressure over a length, so that a volume times it is a force."""
+def test_equations_of_pressures_are_scaled_by_the_stiffness_of_layers(kind):
+    """`unit` is a pressure over a length, so that a volume times it is a force."""
 
     def unit(u):
         with Solver(structure(u, LAWS["incompressible"](u), kind)) as solver:

@@ -145,7 +145,7 @@ class Constraints:
         """
         rows = [np.flatnonzero(np.diff(mpc.R.indptr)) for mpc in self.mpcs]
         slaves, counts = np.unique(np.concatenate([np.empty(0, np.int64), *rows]), return_counts=True)
-        names = [mpc.key for mpc, own in zip(self.mpcs, rows, strict=True) if np.isin(own, slaves[counts > 1]).any()]
+        names = [mpc.key for mpc, its in zip(self.mpcs, rows, strict=True) if np.isin(its, slaves[counts > 1]).any()]
         if conflicts := [keys for keys in self.comm.allgather(names) if keys]:
             raise InputError(f"{' and '.join(conflicts[0])} share a node: their motions would not be independent")
         return slaves

@@ -217,13 +217,13 @@ def consistent_tractions(surface: SurfaceMesh, state: State, *, bonds_joined: bo
         np.moveaxis(surface.side_values(f, model, surface.corner_points), 1, -1) for f in (r, bc_marker)
     )
     side_nodes, n_nodes = _side_nodes(surface, bonds_joined)
-    nodal_force, known = np.zeros((n_nodes, d)), np.zeros((n_nodes, d), bool)
-    nodal_force[side_nodes], known[side_nodes] = forces, bc_values < 0.5
+    nodal_force, is_known = np.zeros((n_nodes, d)), np.zeros((n_nodes, d), bool)
+    nodal_force[side_nodes], is_known[side_nodes] = forces, bc_values < 0.5
     has_traction, is_split = np.zeros(n_nodes, bool), side_nodes[0] != side_nodes[1]
     is_tip = surface.nodal_sums(is_split.astype(float)) == 0  # both sides share one node there
     has_traction[side_nodes[1][is_split]] = True
     has_traction[side_nodes[0][is_split & (surface.cells[:, :1] >= 0)]] = True  # the forces of a rigid base are unknown
-    known &= has_traction[:, None]
+    is_known &= has_traction[:, None]
     node_pairs = np.stack([side_nodes.ravel(), np.broadcast_to(surface.nodes, side_nodes.shape).ravel()])
     # elsewhere forces of several seams add up
     has_one_pair = np.bincount(np.unique(node_pairs, axis=1)[0], minlength=n_nodes) == 1
@@ -232,8 +232,8 @@ def consistent_tractions(surface: SurfaceMesh, state: State, *, bonds_joined: bo
     node_areas = np.where(has_traction, np.abs(M) @ np.ones(len(areas)), 1.0)
     tractions = np.zeros((len(areas), d))
     for k in range(d):
-        guess = _first_guess(surface, side_nodes, nodal_force[:, k] / node_areas, known[:, k] & has_one_pair)
-        known_rows = np.flatnonzero(known[:, k])
+        guess = _first_guess(surface, side_nodes, nodal_force[:, k] / node_areas, is_known[:, k] & has_one_pair)
+        known_rows = np.flatnonzero(is_known[:, k])
         guess, scale = np.where(is_tip, 0.0, [guess, areas**-0.5])
         A = scipy.sparse.diags(node_areas[known_rows] ** -0.5) @ M[known_rows] @ scipy.sparse.diags(scale)
         b = (nodal_force[known_rows, k] - M[known_rows] @ guess) * node_areas[known_rows] ** -0.5
@@ -277,18 +277,18 @@ def _traction_to_force_matrix(surface: SurfaceMesh, side_nodes: IntArray, n_node
     return scipy.sparse.csr_matrix((values.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
 
 
-def _first_guess(surface: SurfaceMesh, side_nodes: IntArray, tractions: Array, known: BoolArray) -> Array:
+def _first_guess(surface: SurfaceMesh, side_nodes: IntArray, tractions: Array, is_known: BoolArray) -> Array:
     """Estimate one component of the traction at the m nodes of S (m,), from nodal forces divided by areas.
 
     Args:
         surface: the surface, with n facets of k corners.
         side_nodes: (2, n, k) numbers of the bodies' nodes below and above the corners.
         tractions: (count,) force over area at each of the bodies' nodes.
-        known: (count,) whether this force is known. Nodes of S without such a force get the mean over their neighbours.
+        is_known: (count,) whether this force is known. Nodes of S without such a force get the mean over their neighbours.
     """
     signs = np.array([1.0, -1.0])[:, None, None]
-    n_known = surface.nodal_sums(known[side_nodes].sum(axis=0).astype(float))
-    averages = surface.nodal_sums((signs * tractions[side_nodes] * known[side_nodes]).sum(axis=0)) / np.maximum(
+    n_known = surface.nodal_sums(is_known[side_nodes].sum(axis=0).astype(float))
+    averages = surface.nodal_sums((signs * tractions[side_nodes] * is_known[side_nodes]).sum(axis=0)) / np.maximum(
         n_known, 1.0
     )
     corner_weights = np.minimum(n_known, 1.0)[surface.nodes]

@@ -50,15 +50,15 @@ def layer_parts(model: Model, bc_dofs: Indices, from_bodies: Sequence[Part]) -> 
     Args:
         model: the model.
         bc_dofs: local numbers of this rank's displacement components that supports prescribe.
-        from_bodies: the parts of the bodies, as `body_parts` returns them. Their stiffness scales the equations of the
-            pressures, so that residuals have the unit of forces.
+        from_bodies: the parts of the bodies, as `body_parts` returns them. The largest stiffness of the layers, or of
+            the bodies if layers have none, scales the equations of pressures: residuals have the unit of forces.
     """
     ufl_terms = [p for p in model.layer_terms if not p.law.traits.compiled]
     terms_by_key = {key: [p for p in ufl_terms if p.key == key] for key in dict.fromkeys(p.key for p in ufl_terms)}
     parts: list[Part] = [LawFormPart(f"{key}/forms", model.V, key_terms) for key, key_terms in terms_by_key.items()]
     parts += _compiled_parts(model, model.layer_terms)
     if constrained := [p for p in model.layer_terms if p.law.traits.constrained]:
-        scale = _largest_stiffness(model, from_bodies or parts)
+        scale = _largest_stiffness(model, parts) or _largest_stiffness(model, from_bodies) or 1.0
         joint = model.domain.joint  # its vertices are those of the mesh; `model.joint` is the joint before inflating
         masters = joint.masters if joint.periods else None
         parts += [PressurePart(model.V, p, scale, model.origin, _zero_p_points(model, p), masters) for p in constrained]
@@ -68,19 +68,14 @@ def layer_parts(model: Model, bc_dofs: Indices, from_bodies: Sequence[Part]) -> 
 
 
 def _largest_stiffness(model: Model, parts: Sequence[Part]) -> float:
-    """Return a stiffness, force per displacement, by which the equations of pressures are scaled. Collective.
+    """Return the largest diagonal entry of the stiffness of `parts` before loading, force per displacement. Collective.
 
-    It is the largest diagonal entry of the stiffness of `parts` before loading, non-linear laws in UFL included. It is
-    1 if no part has any stiffness then.
-
-    Args:
-        model: the model, for its space of displacements.
-        parts: the parts of the bodies; without bodies, those of the layers.
+    Non-linear laws in UFL count, too. It is 0 if no part has any stiffness then.
     """
     diagonal_sums = fem.Function(model.V)  # must outlive its PETSc vector
     largest = float(sum_diagonals_at_rest(parts, diagonal_sums.x.petsc_vec).max()[1])
     largest_entries = [part.largest_nonlinear_stiffness() for part in parts if isinstance(part, LawFormPart)]
-    return max(largest, *largest_entries) or 1.0
+    return max([largest, *largest_entries])
 
 
 def _compiled_parts(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:

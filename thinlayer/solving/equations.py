@@ -387,7 +387,7 @@ class Equations(PartSum):
         prescribed_work, supplied = map(float, self.comm.allreduce(np.array(works)))
         outcomes, end = self.end_parts(self.u, self.interval.t)
         end = replace(end, reactions=self.reactions())
-        energies = ("supplied", "before", "dissipated", "remainder", "after")
+        energies = ("supplied_work", "old_energy", "dissipated", "remainder", "new_energy")
         added, before, lost, remainder, after = (sum(getattr(o, name) for o in outcomes.values()) for name in energies)
         audit = Audit(supplied + added, after - before, lost, remainder, after)
         state = State(**vars(end), model=self.model, report=report, audit=audit, prescribed_work=prescribed_work)

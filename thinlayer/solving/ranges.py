@@ -137,9 +137,9 @@ def warn_of_strains(states: Sequence[State]) -> None:
     model = states[0].model
     for term in (term for term in model.bodies if not term.law.traits.linear):
         u = fem.Function(model.V)
-        e, one = term.strain(u), fem.Constant(model.domain.mesh, 1.0)
+        e, unity = term.strain(u), fem.Constant(model.domain.mesh, 1.0)
         squared_strain = compiled(ufl.inner(e, e) * term.weight * term.measure)
-        volume = model.comm.allreduce(fem.assemble_scalar(compiled(one * term.weight * term.measure)))
+        volume = model.comm.allreduce(fem.assemble_scalar(compiled(unity * term.weight * term.measure)))
         strains = {}
         for state in states:
             u.x.array[:] = state.u.x.array

@@ -574,7 +574,7 @@ class SurfaceMesh:
 
 def surface_of(model: Model, seam: str) -> SurfaceMesh:
     """Return the `SurfaceMesh` of the seam `seam` of `model`; it is made once and then taken from the model."""
-    surfaces: dict[str, SurfaceMesh] = vars(model).setdefault("surfaces", {})
+    surfaces: dict[str, SurfaceMesh] = vars(model).setdefault("surface_meshes", {})
     if seam not in surfaces:
         surfaces[seam] = SurfaceMesh(model, seam)
         surfaces[seam].model = proxy(model)  # the model owns the mesh: no reference cycle
