@@ -154,12 +154,12 @@ def test_thin_curved_cells_do_not_fold(cell):
 def test_layers():
     """Layers fill their length and are as large as asked for where they begin, or half of the length if that is less."""
     for first, last, symmetric in ((0.1, 0.1, False), (0.01, 0.2, True), (0.2, 0.01, False), (0.05, 3.0, True)):
-        sizes = np.diff([0.0, *Grading.of(1.0, first, last, symmetric=symmetric).layers])
+        sizes = np.diff([0.0, *Grading.of(1.0, first, last, symmetric=symmetric).cell_ends])
         assert sizes.min() > 0
         assert sizes.sum() == pytest.approx(1.0)
         assert sizes[0] == pytest.approx(first, rel=0.5)
         assert sizes[-1] == pytest.approx(sizes[0] if symmetric else min(last, 0.7), rel=0.5)
-    assert Grading.of(1.0, 0.01, 0.2, backwards=True).layers[0] == pytest.approx(0.2, rel=0.5)
+    assert Grading.of(1.0, 0.01, 0.2, backwards=True).cell_ends[0] == pytest.approx(0.2, rel=0.5)
 
 
 def test_errors():

@@ -74,12 +74,12 @@ def test_the_stations_have_the_energy_of_an_end(dim, nu):
     assert energy(law.stations_at_ends(none)) == pytest.approx(plain, rel=1e-12)
     # with a pressure: the part of shear, which has none, and the flow
     law = Rubber(3.0, 0.7)
-    stations, infinite = law.stations_at_ends(weights._replace(flow=ufl.as_ufl(0.6))), law.stations()
+    stations, infinite = law.stations_at_ends(weights._replace(flow_factor=ufl.as_ufl(0.6))), law.stations()
     only_shear = written(LinearElastic(0.0, 0.7), eps, n, m, jump, gradient, 0, 0.22, 1, 0.8)
     neither = written(LinearElastic(0.0, 0.7), eps, n, m, jump, gradient, 0, 0, 1, 1)
     assert energy(stations) - energy(infinite) == pytest.approx(only_shear - neither, rel=1e-10)
     pressed, *others = stations
-    assert float(pressed.flow(law)(())) == pytest.approx(0.6 / (12 * 0.7), rel=1e-12)
+    assert float(pressed.mobility(law)(())) == pytest.approx(0.6 / (12 * 0.7), rel=1e-12)
     volumes = [float(ufl.tr(s.strain(s.law, faces))(())) for s in (pressed, infinite[0])]
     assert volumes[0] == pytest.approx(volumes[1], rel=1e-12)
     assert not any(s.law.traits.constrained or s.mobility(s.law) for s in others)
@@ -108,7 +108,7 @@ def test_weights_have_the_deficit_of_the_end(cell):
     assert weights.a_N @ area == pytest.approx(strips.opening.c * eps * length, rel=1e-12)
     assert weights.a_T @ area == pytest.approx(strips.shear.c * eps * length, rel=1e-12)
     of_pressure = FacetWeights.of_ends(opposite, Sheet(joint), eps, EndStrips.with_pressure(free_end(0.3)))
-    assert of_pressure.resistance @ area == pytest.approx((1 / free_end(0.3).kappa - 1) * eps * length, rel=1e-12)
+    assert of_pressure.flow_resistance @ area == pytest.approx((1 / free_end(0.3).kappa - 1) * eps * length, rel=1e-12)
     assert not of_pressure.a_N.any()
     np.testing.assert_array_equal(of_pressure.a_T, weights.a_T)
     assert np.linalg.norm(weights.m, axis=1) == pytest.approx(1.0)

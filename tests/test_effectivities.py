@@ -61,7 +61,7 @@ def test_free_ends_are_in_the_estimate_and_without_them_it_is_too_low():
 
 def test_goals_change_as_to_the_meshed_layer():
     _, rows = effectivities(dropped("free ends: nu = 0.3"))
-    assert {row["goal"] for row in rows} == {goal.name for goal in KNOWN["free ends: nu = 0.3"].asked}
+    assert {row["goal"] for row in rows} == {goal.name for goal in KNOWN["free ends: nu = 0.3"].qois}
     for row in rows:
         assert row["effectivity"] == pytest.approx(1, abs=0.005), row["goal"]
         assert row["told"]
@@ -78,7 +78,7 @@ def test_a_rubbery_layer_needs_its_pressure():
 
 def test_displacements_of_meshed_bodies_are_those_of_the_same_point():
     """Full models have their bodies apart: a place of the interface model is another one there."""
-    case = replace(KNOWN["free ends: nu = 0.3"], asked=(goals.Displacement((0.3, 0.4), (0.0, 1.0)),))
+    case = replace(KNOWN["free ends: nu = 0.3"], qois=(goals.Displacement((0.3, 0.4), (0.0, 1.0)),))
     dropped = SolvedCase.from_case(case, COARSE)
     (goal,) = case.qois
     shifted = goals.Displacement((0.3, 0.4 + COARSE / 2), (0.0, 1.0))

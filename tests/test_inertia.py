@@ -59,7 +59,11 @@ def test_reactions_on_s_contain_the_forces_of_inertia():
 
 def test_misspelt_and_missing_methods_of_a_part_are_refused():
     refused(InputError, "did you mean 'failure'", lambda: type("Own", (Newmark,), {"faillure": lambda self: ""}))
-    refused(InputError, "without 'switch'; define both", lambda: type("Own", (Newmark,), {"excess": lambda self: 0.0}))
+    refused(
+        InputError,
+        "without 'switch_phases'; define both",
+        lambda: type("Own", (Newmark,), {"phase_gain": lambda self: 0.0}),
+    )
     assert type("Own", (Newmark,), {"reset": lambda self: None}).failure is Newmark.failure
 
 

@@ -348,7 +348,7 @@ def test_the_energy_above_the_least_is_between_its_bounds(name):
     layers = LayerSubproblem(state.model, dict(state.model.on_seams), 0.0)
     layers.equilibrate_dirichlet(layers.to_layers(state.u.x.array))
     outcomes, _ = layers._equations.end_parts(layers._equations.u, 0.0)
-    in_layers = sum(outcome.new_energy + outcome.dissipated for outcome in outcomes.values())
+    in_layers = sum(outcome.after + outcome.dissipated for outcome in outcomes.values())
     potential = state.energies()["bodies"] + in_layers - state.load_work()
     true = potential - (full.audit.total + full.audit.dissipated - full.load_work())
     energy = result.energy

@@ -167,7 +167,7 @@ class Tried(WeakSprings):
     def __init__(self, sizes):
         self.sizes, self.lengths = sizes, []
 
-    def _residual(self, x):
+    def _residual_norm(self, x):
         self.lengths.append(x)
         return self.sizes[x]
 
@@ -179,7 +179,7 @@ def test_lengths_of_a_step_with_weak_springs():
         ({1.0: 2.0, 0.5: 1.5, 0.25: 1.2, 0.125: 1.1, 0.0625: 1.3, 0.03125: 1.4}, 0.125),  # the least, where none does
     ]:
         springs = Tried(sizes)
-        assert springs._search(0.0, 1.0, 1.0) == (at, sizes[at])
+        assert springs._line_search(0.0, 1.0, 1.0) == (at, sizes[at])
         assert springs.lengths[-1] == at
 
 

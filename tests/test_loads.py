@@ -132,10 +132,10 @@ def test_a_temperature_from_a_table():
     law = NonMonotone(60.0, 40.0, alpha, 0.15, CHI, T=T)
     (laws,) = (part.points for part in Equations(model(law=law)).of_kind(CompiledPart))
     for t, expected in ((0.2, 1.0), (0.7, 1.25)):
-        laws.at_time(t)
+        laws.set_time(t)
         assert laws.material.parameters[:, 2] == pytest.approx(expected, rel=1e-12)
     assert model(law=law).break_times == model(law=Stack((0.5, GLUE), (0.5, law))).break_times == {0.0, 0.4, 1.0}
-    refused(InputError, "T is nan", lambda: laws.at_time(1.1))
+    refused(InputError, "T is nan", lambda: laws.set_time(1.1))
 
 
 # ---------------------------------------------------------------- temperatures and supports

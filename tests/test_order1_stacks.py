@@ -53,8 +53,8 @@ MOMENTS = [(TWO, 0.004963, 0.181034, 0.784821), (THREE, -0.095552, -0.160266, No
 def test_moments(sublayers, A, B, lateral):
     """Means of r Phi_T, of Phi_N and of r, from an independent program; K_N and K_T are those of order 0."""
     law = sublayer_stations(stack(sublayers).sublayers)[0].law
-    assert (law.lateral_tangential, law.normal) == pytest.approx((A, B), abs=5e-7)
-    assert lateral is None or law.lateral == pytest.approx(lateral, abs=5e-7)
+    assert (law.mean_r_phi_t, law.mean_phi_n) == pytest.approx((A, B), abs=5e-7)
+    assert lateral is None or law.mean_r == pytest.approx(lateral, abs=5e-7)
     assert law.mu == pytest.approx(1 / sum(a / mu for a, _, mu in sublayers), rel=1e-14)
     assert law.lmbda + 2 * law.mu == pytest.approx(1 / sum(a / (lam + 2 * mu) for a, lam, mu in sublayers), rel=1e-14)
 

@@ -128,7 +128,7 @@ def test_an_error_of_one_rank_where_others_wait_for_it():
     """A user's function fails on one rank; the other one waits in a collective call that it would come to."""
     observed = "def observed(state):\n if COMM.rank == 1: raise ValueError('one alone')\n return COMM.allreduce(1.0)\n"
     marched = "try: march(interface(), [0.1], observe={'one': observed})\nexcept Exception: pass\n"
-    done = mpirun(2, "-c", f"{MARCH}thinlayer.system.ranks.PATIENCE = 0.3\n{observed}{marched}")
+    done = mpirun(2, "-c", f"{MARCH}thinlayer.system.ranks.MIN_WAIT_SECONDS = 0.3\n{observed}{marched}")
     assert done.returncode == 1
     assert "ValueError: one alone" in done.stderr
     assert "Rank 1 has had this error for " in done.stderr

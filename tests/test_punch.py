@@ -24,7 +24,7 @@ def test_the_punch_comes_nearer_to_its_limit(record):
 
 
 def test_both_cylinders_follow_the_closed_form(record):
-    punch.inflated_joint(record, 0.15)
+    punch.solve_cylinders(record, 0.15)
     assert not record.failures
     assert max(check.value for check in record.checks) < 0.008
     assert len(record.load("cylinder.csv")) == 2 * len(punch.PRESSURES)
@@ -34,5 +34,5 @@ def test_another_strength_fails(record, monkeypatch):
     """Tresca's strength in tension for von Mises' one: k = Y/2."""
     monkeypatch.setattr(punch, "CYLINDER", punch.CYLINDER._replace(k=punch.YIELD_STRENGTH / 2))
     monkeypatch.setattr(punch, "PRESSURES", (0.7, 1.0))
-    punch.inflated_joint(record, 0.3)
+    punch.solve_cylinders(record, 0.3)
     assert len(record.failures) == 3

@@ -37,7 +37,7 @@ class MultiPointConstraint:
         R: (n, m) sparse matrix, for the n displacements of this rank and m motions q, which are lengths. Only rows of
             slaves have entries.
         motion: index of each prescribed motion -> function of the time that returns its value, a length.
-        resultants_at: function of the time that returns the prescribed forces (m,) that do work in motions. They are
+        resultant: function of the time that returns the prescribed forces (m,) that do work in motions. They are
             zero for motions that are prescribed.
     """
 
@@ -45,7 +45,7 @@ class MultiPointConstraint:
     motion_names: Sequence[str]
     R: CsrMatrix
     motion: Mapping[int, Callable[[float], float]]
-    resultants_at: Callable[[float], Array]
+    resultant: Callable[[float], Array]
 
     @property
     def n_motions(self) -> int:
@@ -384,7 +384,7 @@ class Constraints:
 
         Of all such forces they have the least norm.
         """
-        return sum((mpc.R @ self._least_squares(mpc, mpc.resultants_at(t)) for mpc in self.mpcs), np.zeros(self.n))
+        return sum((mpc.R @ self._least_squares(mpc, mpc.resultant(t)) for mpc in self.mpcs), np.zeros(self.n))
 
     def _least_squares(self, mpc: MultiPointConstraint, b: Array) -> Array:
         """Return the solution x (m,) of R^T R x = b (m,), with the R of a multi-point constraint on all ranks."""
@@ -426,7 +426,7 @@ class Constraints:
             t: the time of the forces.
         """
         motions = self._translation_motions(holders, direction)
-        return float(sum(motions[mpc.key] @ mpc.resultants_at(t) for mpc in self.mpcs))
+        return float(sum(motions[mpc.key] @ mpc.resultant(t) for mpc in self.mpcs))
 
     def resultant_weights(self, holders: Sequence[int], direction: Array) -> Array:
         """Return weights g (n,) of forces on the unknowns that give the reaction of chosen supports along a direction.

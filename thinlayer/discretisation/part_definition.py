@@ -45,7 +45,7 @@ class PartDefinition(FormerNames):
         components: components of these displacements that follow, such as "y"; None: all.
     """
 
-    former_names: ClassVar = {"tied": "multi_point_constraint", "held": "bc_dofs_in"}
+    former_names: ClassVar = {"tied": "multi_point_constraint", "held": "bc_dofs_in", "resistance": "rigid_stiffness"}
     key: str
     place: str
     components: ClassVar[Sequence[str] | None] = None
@@ -164,7 +164,7 @@ class PartDefinition(FormerNames):
         """
         constraints, u = model.constraints, state.u.x.array[: model.constraints.n]
         mpcs = [mpc for mpc in constraints.mpcs if mpc.key == self.key]
-        return sum((float(mpc.resultants_at(state.t) @ constraints.fit_motions(mpc, u)) for mpc in mpcs), 0.0)
+        return sum((float(mpc.resultant(state.t) @ constraints.fit_motions(mpc, u)) for mpc in mpcs), 0.0)
 
     def part(self, model: HostModel) -> Any:
         """Return the `thinlayer.parts.part.Part` with the same key that adds the forces; None without forces.

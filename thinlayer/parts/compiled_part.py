@@ -85,7 +85,7 @@ class CompiledPart(Part):
         law: the law.
     """
 
-    stress_size = len(MANDEL_PAIRS)
+    stress_width = len(MANDEL_PAIRS)
 
     def __init__(
         self, key: str, V: fem.FunctionSpace, term: Term, origin: MeshOrigin | None = None, *, symmetric: bool = False
@@ -188,7 +188,7 @@ class CompiledPart(Part):
         stress = self.points.projected(response.full_stress)
         if interval.theta < 1:  # extrapolate from old.t + theta dt to the end of the step
             stress = np.asarray((stress - (1 - interval.theta) * interval.old.stresses[self.key]) / interval.theta)
-        return StepOutcome(before, after, dissipated, remainder, response.memory, supplied_work=supplied, stress=stress)
+        return StepOutcome(before, after, dissipated, remainder, response.memory, supplied=supplied, stress=stress)
 
     def _initial_stored_energy(self) -> float:
         """Return the energy stored at the start of the first step by strains that are prescribed from the outset.

@@ -44,10 +44,10 @@ class ContactPart(Part):
         self.law_now: ContactLaw | ContactHomotopy = law
         self.slip = self.rest()
         law.check_dimension(self.nodes.dim)
-        self.max_gap = self.nodes.comm.allreduce(float(np.abs(self.nodes.gap).max(initial=0.0)), max)
+        self.distance = self.nodes.comm.allreduce(float(np.abs(self.nodes.gap).max(initial=0.0)), max)
         if self.nodes.lower_matrix is not None:
             squared_areas = self.nodes.comm.allreduce(float((self.nodes.weights**2).sum()))
-            self.jump_stiffness = float(max(law.K_N, law.K_T) * np.sqrt(squared_areas))
+            self.cancelling = float(max(law.K_N, law.K_T) * np.sqrt(squared_areas))
 
     def law_traits(self) -> dict[str, PartTraits]:
         return {type(self.law).__name__: self.traits}
@@ -115,7 +115,7 @@ class ContactPart(Part):
         sums = nodes.comm.allreduce(np.array([nodes.weights @ e for e in (stored, dissipated, work_done, gap_work)]))
         after, lost, work = map(float, sums[:3] if law.traits.has_energy else np.full(3, np.nan))
         before, memory = old.stored.get(self.key, 0.0), law.slip_after(w, self.slip)
-        return StepOutcome(before, after, lost, work - (after - before) - lost, memory, supplied_work=float(sums[3]))
+        return StepOutcome(before, after, lost, work - (after - before) - lost, memory, supplied=float(sums[3]))
 
     def error_measure(self, u: fem.Function) -> Array:
         weighted: Array = self.nodes.jump(u.x.petsc_vec) * np.sqrt(self.nodes.weights)[:, None]

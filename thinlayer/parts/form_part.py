@@ -43,15 +43,15 @@ class FormPart(Part):
         K: matrix of the linear forces, which the method `destroy` frees; None: no linear forces.
         F: virtual work of the non-linear forces, a UFL form of u, linear in a test function; None: no such forces.
         energy: stored energy of the forces F(u) and g, a UFL form of u; None: they have no energy.
-        is_stored: whether states store the part's energy under its key.
+        kept: whether states store the part's energy under its key.
         g: virtual work of the constant forces, a UFL form that is linear in a test function; None: no such forces.
     """
 
     def __init__(
         self, key: str, u: fem.Function, K: PETSc.Mat | None = None, F: Expr | None = None,
-        energy: Expr | None = None, *, is_stored: bool = False, g: Expr | None = None,
+        energy: Expr | None = None, *, kept: bool = False, g: Expr | None = None,
     ) -> None:  # fmt: skip
-        self.key, self.K, self._energy, self._is_stored = key, K, energy, is_stored
+        self.key, self.K, self._energy, self._kept = key, K, energy, kept
         V, self._u = u.function_space, u
         self.comm = communicator(V.mesh)
         self._K_u = u.x.petsc_vec.duplicate()
@@ -137,7 +137,7 @@ class FormPart(Part):
             self._u.x.array[:] = u_values
             before, after, remainder = before + F_old, after + F_new, remainder + work_done - (F_new - F_old)
         change.destroy()
-        return StepOutcome(before, after, 0.0, remainder, is_stored=self._is_stored, supplied_work=supplied)
+        return StepOutcome(before, after, 0.0, remainder, kept=self._kept, supplied=supplied)
 
     def _supplied_work(self) -> float:
         """Return the work of the stresses in the strains prescribed during the step; 0 if no strains are prescribed.

@@ -88,7 +88,7 @@ class MeanStressPart(FieldPart):
         return np.asarray(mean_stress.voigt_components(t) * self._volume / mean_stress.size, float)[: self.own_size]
 
     def own_residual(self) -> Array:
-        return np.asarray(self._own.array_r + self._strain_forces_of_step[2] - self.own_load)
+        return np.asarray(self._own.array_r + self._strain_forces_of_step[2] - self.load)
 
     def tangents(self, relative_residual: float) -> list[Block]:
         u, E, theta = DISPLACEMENT_KEY, self.key, self.interval.theta
@@ -104,10 +104,10 @@ class MeanStressPart(FieldPart):
         theta, (new_s, old_s, _) = self.interval.theta, self._strain_forces_of_step
         energy_arguments = (old, self._old, old_s), (now, self._mid, new_s), (u_change, self._change, new_s - old_s)
         before, after, change_energy = (self._energy(*arguments) for arguments in energy_arguments)
-        supplied = self._work_in(self.own_load, self._change) + theta * self._work_in(new_s - old_s, self._mid)
+        supplied = self._work_in(self.load, self._change) + theta * self._work_in(new_s - old_s, self._mid)
         supplied += (1 - theta) * self._work_in(new_s - old_s, self._old)
         u_change.destroy()
-        return StepOutcome(before, after, 0.0, (2 * theta - 1) * change_energy, is_stored=False, supplied_work=supplied)
+        return StepOutcome(before, after, 0.0, (2 * theta - 1) * change_energy, kept=False, supplied=supplied)
 
     def _energy(self, u: PETSc.Vec, E: PETSc.Vec, forces: Array) -> float:
         """Return the energy that the mean strain adds to the bodies' energy, a number.

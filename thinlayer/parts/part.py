@@ -26,7 +26,8 @@ Softening = tuple[str, str]  # name of a law whose stress falls, and the place
 DISPLACEMENT_KEY = "u"  # the key of the unknowns that all parts share
 RENAMED_METHODS = {  # names of version 1.0 -> present names
     "takes_time": "relaxing_law_name", "answers_at_once": "instantaneous_nonlinear_law", "named": "law_traits",
-    "add_fixed": "add_constant_forces", "resisting": "reliable_tangents", "at_time": "set_time"}  # fmt: skip
+    "add_fixed": "add_constant_forces", "resisting": "reliable_tangents", "at_time": "set_time", "excess": "phase_gain",
+    "switch": "switch_phases", "load_at": "own_load_at", "own_start": "own_values_before"}  # fmt: skip
 MISSPELT_SIMILARITY = 0.9  # ratio of two names (difflib) from which on one counts as the other misspelt
 
 
@@ -124,24 +125,24 @@ class StepOutcome:
     The memory are the internal variables, or other values that the part keeps from step to step.
 
     Attributes:
-        old_energy, new_energy: energy stored at the beginning and at the end of the step.
+        before, after: energy stored at the beginning and at the end of the step.
         dissipated: energy dissipated in the step.
-        remainder: error of the step's energy balance: the work of the part's forces plus `supplied_work`, minus the growth
+        remainder: error of the step's energy balance: the work of the part's forces plus `supplied`, minus the growth
             of stored energy, minus `dissipated`. It is caused by the time scheme or by varying parameters.
         memory: memory at the end of the step, of the type that `Part.rest` returns; None: the part has no memory.
-        supplied_work: work done on the part by prescribed strains, in addition to the work of loads and supports.
+        supplied: work done on the part by prescribed strains, in addition to the work of loads and supports.
         stress: (n, components) stresses at the end of the step, at the n points of the memory; None: no stresses.
-        is_stored: whether the state stores `new_energy` under the part's key. False if the state can compute the energy
+        kept: whether the state stores `after` under the part's key. False if the state can compute the energy
             itself, as for laws in UFL forms.
     """
 
-    old_energy: float = 0.0
-    new_energy: float = 0.0
+    before: float = 0.0
+    after: float = 0.0
     dissipated: float = 0.0
     remainder: float = 0.0
     memory: Memory | None = None
-    is_stored: bool = True
-    supplied_work: float = 0.0
+    kept: bool = True
+    supplied: float = 0.0
     stress: Array | None = None
 
 
@@ -220,11 +221,11 @@ class Part(ABC):
         failed: number of points, on all ranks, at which the last evaluation failed.
         K: matrix of the forces that are linear in the displacements; None: there is no such matrix.
         field: unknowns of the part besides the displacements; None: it has none.
-        max_gap: largest prescribed distance between bodies, such as an initial gap. The rounding error of
+        distance: largest prescribed distance between bodies, such as an initial gap. The rounding error of
             displacements is at least that of this length.
-        jump_stiffness: norm of the diagonal of a stiffness that is not in K and acts on differences of displacements, such
+        cancelling: norm of the diagonal of a stiffness that is not in K and acts on differences of displacements, such
             as jumps. The rounding error of forces follows from it.
-        stress_size: number of stress components that states store at each point of the memory.
+        stress_width: number of stress components that states store at each point of the memory.
         interval: the present step.
 
     Raises:
@@ -237,9 +238,9 @@ class Part(ABC):
     failed: int = 0
     K: PETSc.Mat | None = None
     field: fem.Function | None = None
-    max_gap: float = 0.0
-    jump_stiffness: float = 0.0
-    stress_size: int = 0
+    distance: float = 0.0
+    cancelling: float = 0.0
+    stress_width: int = 0
     interval: TimeStep
 
     def __init_subclass__(cls, **options: object) -> None:
@@ -463,22 +464,22 @@ class FieldPart(Part):
     Attributes:
         field: the part's own unknowns, divided by `unit`. This scaling gives their equations the unit of forces.
         unit: factor by which `field` is multiplied before a state stores it.
-        own_load: (own_size,) forces prescribed in the part's own equations; `own_residual` subtracts them.
+        load: (own_size,) forces prescribed in the part's own equations; `own_residual` subtracts them.
         on_S: whether the part's own unknowns are on S; block preconditioners suit them then.
         hint: text for error messages that says why the part may make a linear solve fail; "": none.
     """
 
     field: fem.Function
     unit: float = 1.0
-    own_load: Array
+    load: Array
     on_S: bool = False
     hint: str = ""
 
     def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
-        self.own_load, theta = self.own_load_at(interval.t), interval.theta
+        self.load, theta = self.own_load_at(interval.t), interval.theta
         if theta < 1:
-            self.own_load = theta * self.own_load + (1 - theta) * self.own_load_at(interval.old.t)
+            self.load = theta * self.load + (1 - theta) * self.own_load_at(interval.old.t)
 
     @abstractmethod
     def own_residual(self) -> Array:

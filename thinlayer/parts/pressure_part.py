@@ -210,10 +210,10 @@ class PressurePart(FieldPart):
         self._volume_change.array[:] = self._volume_increment
         work = float(self._volume_change.dot(self._p.x.petsc_vec))
         if self.C is None:
-            return StepOutcome(is_stored=False, supplied_work=work)
+            return StepOutcome(kept=False, supplied=work)
         new, old = self._p_at_end(), self.own_values_before(self.interval.old)
         before, after, change_energy = (self._multiply_C(self.C, p)[1] / 2 for p in (old, new, new - old))
-        return StepOutcome(before, after, remainder=(2 * self.interval.theta - 1) * change_energy, supplied_work=work)
+        return StepOutcome(before, after, remainder=(2 * self.interval.theta - 1) * change_energy, supplied=work)
 
     def own_result(self) -> fem.Function:
         """Return the pressure at the end of the step as a function, for the state.

@@ -118,4 +118,4 @@ class Springs(PartDefinition):
     def part(self, model: HostModel) -> FormPart:
         """Return the springs as a part of the balance of forces of `model`. Collective."""
         u, v = ufl.TrialFunction(model.V), ufl.TestFunction(model.V)
-        return FormPart(self.key, fem.Function(model.V), assemble_plain_matrix(self.work(model, u, v)), is_stored=True)
+        return FormPart(self.key, fem.Function(model.V), assemble_plain_matrix(self.work(model, u, v)), kept=True)

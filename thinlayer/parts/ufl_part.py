@@ -123,7 +123,7 @@ class _UserFormPart(FormPart):
         u, v, linear = fem.Function(model.V), ufl.TestFunction(model.V), part.is_linear(model)
         K = assemble_plain_matrix(part.work(model, ufl.TrialFunction(model.V), v)) if linear else None
         energy = checked_user_form(part.energy(u, model), model) if part.energy and not linear else None
-        super().__init__(part.key, u, K, None if linear else part.work(model, u, v), energy, is_stored=True)
+        super().__init__(part.key, u, K, None if linear else part.work(model, u, v), energy, kept=True)
         if K is not None and model.comm.allreduce(float(K.getDiagonal().array_r.min(initial=0.0)), min) < 0:
             raise InputError(f"the part {part.key!r} has a negative stiffness: its equilibria may be unstable")
         self._has_energy = K is None or K.isSymmetric(SYMMETRY_TOLERANCE * K.norm())
@@ -131,7 +131,7 @@ class _UserFormPart(FormPart):
 
     def commit(self) -> StepOutcome:
         outcome, nan = super().commit(), float("nan")
-        return outcome if self._has_energy else replace(outcome, old_energy=nan, new_energy=nan, remainder=nan)
+        return outcome if self._has_energy else replace(outcome, before=nan, after=nan, remainder=nan)
 
 
 @without_cycles()

@@ -118,7 +118,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         """
         loads = self.equations.loads.copy()
         loads.array[:] -= self.layer_loads
-        return self.equations.forces_on_unknowns(loads, [part.own_load for part in self.equations.field_parts])
+        return self.equations.forces_on_unknowns(loads, [part.load for part in self.equations.field_parts])
 
     @cached_property
     def layer_loads(self) -> Array:

@@ -89,7 +89,7 @@ class Equations(PartSum):
         self._rigid_motions = RigidMotions(model, float(diag.norm()))
         (self.block_of, self.nesting), self.last_body = self._rigid_motions.nested_blocks, [None, *matrices.bodies][-1]
         self.n_blocks = self.nesting.shape[0]
-        self.scale = ForceScale(self.norms(diag.array_r), max(part.jump_stiffness for part in self.parts), self.nesting)
+        self.scale = ForceScale(self.norms(diag.array_r), max(part.cancelling for part in self.parts), self.nesting)
         self.mean_stiffness = float(diag.norm(PETSc.NormType.NORM_1)) / diag.getSize()
         self._reactions = SupportReactions(model, self.parts)
         self._forces, self.loads, self.external = (self.u.x.petsc_vec.duplicate() for _ in range(3))
@@ -227,7 +227,7 @@ class Equations(PartSum):
             strain_displacement = float(np.abs(self.model.strain.tensor_at(interval.t)).max()) * self.model.strain.size
             max_prescribed = max(max_prescribed, strain_displacement)
         # if loads end at zero, so may all forces
-        max_u = max([float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)), *(part.max_gap for part in self.parts)])
+        max_u = max([float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)), *(part.distance for part in self.parts)])
         if self.mean_stiffness:  # about the displacement of an elastic response
             max_u = max(max_u, float(self.loads.norm()) / (self.mean_stiffness * math.sqrt(self.loads.getSize())))
         self.scale.begin(self.norms(self.loads.array_r), max_prescribed, max_u)
@@ -256,7 +256,7 @@ class Equations(PartSum):
 
         They are the forces `external` on the displacements, and the loads of parts on their own unknowns.
         """
-        return self.forces_on_unknowns(self.external, [part.own_load for part in self.field_parts])
+        return self.forces_on_unknowns(self.external, [part.load for part in self.field_parts])
 
     def configuration(self, x: PETSc.Vec) -> Configuration:
         """Return the configuration at the end of the time step: the displacements and other fields of unknowns `x`."""
@@ -387,7 +387,7 @@ class Equations(PartSum):
         prescribed_work, supplied = map(float, self.comm.allreduce(np.array(works)))
         outcomes, end = self.end_parts(self.u, self.interval.t)
         end = replace(end, reactions=self.reactions())
-        energies = ("supplied_work", "old_energy", "dissipated", "remainder", "new_energy")
+        energies = ("supplied", "before", "dissipated", "remainder", "after")
         added, before, lost, remainder, after = (sum(getattr(o, name) for o in outcomes.values()) for name in energies)
         audit = Audit(supplied + added, after - before, lost, remainder, after)
         state = State(**vars(end), model=self.model, report=report, audit=audit, prescribed_work=prescribed_work)

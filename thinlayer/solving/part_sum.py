@@ -233,7 +233,7 @@ class PartSum:
     @property
     def stresses_at_rest(self) -> dict[str, Array]:
         """Zero stresses (points, components), by the parts' keys, of parts whose stresses are stored in states."""
-        memory, widths = self.memory_at_rest, {part.key: part.stress_size for part in self.parts if part.stress_size}
+        memory, widths = self.memory_at_rest, {part.key: part.stress_width for part in self.parts if part.stress_width}
         return {key: np.zeros((len(memory[key]), width)) for key, width in widths.items() if key in memory}
 
     def begin_parts(self, interval: TimeStep) -> None:
@@ -321,7 +321,7 @@ class PartSum:
         if unsaved := [part.key for part in self.parts if part.traits.remembers and part.key not in memory]:
             raise InputError(f"the part {unsaved[0]!r} remembers; let its commit return StepOutcome(..., memory=...)")
         fields = {part.key: part.own_result() for part in self.field_parts}
-        stored = {key: outcome.new_energy for key, outcome in outcomes.items() if outcome.is_stored}
+        stored = {key: outcome.after for key, outcome in outcomes.items() if outcome.kept}
         stresses = {key: outcome.stress for key, outcome in outcomes.items() if outcome.stress is not None}
         return outcomes, Configuration(u.copy(), t, memory, fields, stored, stresses=stresses)
 
@@ -449,7 +449,7 @@ class TangentMatrix:
     def fill(self, blocks: Sequence[Block]) -> PETSc.Mat:
         """Add up matrices of parts, each in the rows and columns of its fields, and return the sum as one matrix.
 
-        The first call fixes the nonzero pattern. Matrices that their parts do not use again (`Block.is_stored`) are
+        The first call fixes the nonzero pattern. Matrices that their parts do not use again (`Block.kept`) are
         destroyed.
 
         Args:
@@ -505,7 +505,7 @@ def augmented_in_place(
     Args:
         comm: communicator.
         K: a matrix with a symmetric nonzero pattern.
-        added: the matrices to add. Those that their parts do not use again (`Block.is_stored`) are destroyed.
+        added: the matrices to add. Those that their parts do not use again (`Block.kept`) are destroyed.
         bc_rows: global numbers of the constrained rows and columns, which become `diagonal` times those of the identity.
         diagonal: diagonal entry of constrained rows.
     """

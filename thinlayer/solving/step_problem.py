@@ -215,7 +215,7 @@ class StepProblem(PartSum):
         outcomes, self.state = self.end_parts(self._u, self._interval.t)
         for key, old in self.energies.items():
             outcome = outcomes[key]
-            self.energies[key] = np.array([outcome.new_energy, old[1] + outcome.dissipated, old[2] + outcome.remainder])
+            self.energies[key] = np.array([outcome.after, old[1] + outcome.dissipated, old[2] + outcome.remainder])
         self._interval = None
 
     def _form_force_norm(self) -> float:
