@@ -82,7 +82,7 @@ class LinearLaw(BulkLaw):
     """Base of laws whose stiffness tensor does not depend on the strain."""
 
     linear = True
-    quadratic = True
+    has_quadratic_energy = True
 
     def energy(self, step: Step) -> Expr:
         """Return the strain energy per unit volume, UFL: e:C:e/2 with the strain e and the stiffness tensor C."""

@@ -130,7 +130,7 @@ class Law(LayerResults):
 
     def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
-        accept_renamed(cls, {"eased": "homotopy"})
+        accept_renamed(cls, {"eased": "homotopy", "quadratic": "has_quadratic_energy"})
         reset_inherited_attributes(cls)
 
     def __post_init__(self) -> None:
@@ -471,7 +471,7 @@ class BulkLaw(Law):
         without this method.
         """
         new = self.advance(step)
-        if self.traits.quadratic:
+        if self.traits.has_quadratic_energy:
             increments = {name: new[name] - step.q[name] for name in new}
             return (2 * step.theta - 1) * self.energy(Step(step.e - step.e_old, step.n, q=increments))
         stored_gain = self.energy(Step(step.e, step.n, q=new)) - self.energy(Step(step.e_old, step.n, q=step.q))

@@ -161,10 +161,10 @@ class PhaseLaw(IsotropicLaw):
         law = super().mapped(change)
         if not self.varies:
             return law.with_parameters({"T": None})
-        new_values = {name: self._mapped_parameter(name, change) for name in PHASE_PARAMETERS}
+        new_values = {name: self._changed_parameter(name, change) for name in PHASE_PARAMETERS}
         return law.with_parameters(new_values | {"T": self.T})
 
-    def _mapped_parameter(self, name: str, change: ChangeParameter) -> ParameterValue | Callable[[Array], Expr]:
+    def _changed_parameter(self, name: str, change: ChangeParameter) -> ParameterValue | Callable[[Array], Expr]:
         parameter, power = getattr(self, name), self.powers.get(name, 0)
         return (lambda T: change(real_values(parameter(T)), power)) if callable(parameter) else change(parameter, power)
 

@@ -67,7 +67,7 @@ class Plastic(IsotropicLaw):
     powers: ClassVar = {"lmbda": 1, "mu": 1, "hardening": 1, "saturation_strain": -1}
     symmetric: ClassVar = False
     internal: ClassVar = {"plastic": (3, 3), "accumulated": ()}
-    quadratic: ClassVar = True
+    has_quadratic_energy: ClassVar = True
     bounded: ClassVar = True
 
     def check(self) -> None:
@@ -185,7 +185,7 @@ class MohrCoulombMonodirectional(Plastic):
     unilateral: bool = choice(False)
 
     @property
-    def quadratic(self) -> bool:  # type: ignore[override]
+    def has_quadratic_energy(self) -> bool:  # type: ignore[override]
         return not self.unilateral
 
     def check(self) -> None:
@@ -324,7 +324,7 @@ class VonMises(KernelLaw, IsotropicLaw):
     memory: ClassVar = 7
     energetic: ClassVar = True
     isotropic: ClassVar = True
-    quadratic: ClassVar = True
+    has_quadratic_energy: ClassVar = True
     bounded: ClassVar = True
     isochoric: ClassVar = True
     source: ClassVar = Path(__file__).with_name("von_mises.c")

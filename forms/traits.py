@@ -104,8 +104,8 @@ def reset_inherited_attributes(cls: type[Law]) -> None:
     if unchecked and all(_is_for_another_stress(cls, name, RESPONSE_ATTRIBUTES) for name in own_energy_methods):
         for name in own_energy_methods:
             _reset(cls, name)
-    if _is_custom(cls, "quadratic") and _mro_index(cls, "energy") < _mro_index(cls, "quadratic"):
-        _reset(cls, "quadratic", False)
+    if _is_custom(cls, "has_quadratic_energy") and _mro_index(cls, "energy") < _mro_index(cls, "has_quadratic_energy"):
+        _reset(cls, "has_quadratic_energy", False)
 
 
 def _is_for_another_stress(cls: type, name: str, responses: tuple[str, ...]) -> bool:
@@ -214,7 +214,7 @@ class Traits:
     Attributes:
         linear: the stress is affine in the strain at the end of a step.
         symmetric: the tangent is symmetric, as for every law with an energy.
-        quadratic: the stored energy is a quadratic function of strain and internal variables.
+        has_quadratic_energy: the stored energy is a quadratic function of strain and internal variables.
         rate: the stress depends on the strain rate, so strains cannot jump in time. Without this trait a law responds
             to a sudden load at once.
         constrained: the pressure p is a separate unknown field; the volumetric strain is p times the law's
@@ -244,7 +244,7 @@ class Traits:
 
     linear: bool = trait_field(all)
     symmetric: bool = trait_field(all, default=True)
-    quadratic: bool = trait_field(all)
+    has_quadratic_energy: bool = trait_field(all)
     rate: bool = trait_field(any)
     constrained: bool = trait_field(any)
     bounded: bool = trait_field(any)

@@ -29,7 +29,7 @@ class ParallelDashpot(IsotropicLaw):
     """Base of laws with an elastic spring and a dashpot in parallel; subclasses define the dashpot's stress."""
 
     rate = True
-    quadratic = True
+    has_quadratic_energy = True
 
     def _viscous_stress(self, step: Step) -> Expr:
         raise NotImplementedError
@@ -86,7 +86,7 @@ class SeriesDashpot(IsotropicLaw):
     """Base of laws with an elastic spring and dashpots in series; subclasses define the relaxation rates in a step."""
 
     internal: ClassVar = {"stress": (3, 3)}
-    quadratic = True
+    has_quadratic_energy = True
 
     @property
     def _bulk_modulus(self) -> Expr:

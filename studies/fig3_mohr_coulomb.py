@@ -51,8 +51,8 @@ class Loads:
         supports: side of the bar -> component -> prescribed displacement, mm.
         yield_text: where the layer should yield, as text in the picture.
         picture_scale: factor of the displacements in the picture of the layer's left end.
-        ratio_range: smallest and largest t_T/u_T on the axis of the picture, 10^3 N/mm^3; ratios at the free ends of the
-            meshed layer lie outside.
+        stiffness_axis_limits: smallest and largest t_T/u_T on the axis of the picture, 10^3 N/mm^3. Ratios at the free
+            ends of the meshed layer lie outside.
     """
 
     pressure: tuple[str, tuple[float, float]]
@@ -60,7 +60,7 @@ class Loads:
     supports: dict[str, dict[str, float]]
     yield_text: str
     picture_scale: float
-    ratio_range: tuple[float, float]
+    stiffness_axis_limits: tuple[float, float]
 
     @property
     def setup(self) -> StructureArguments:
@@ -234,7 +234,7 @@ def draw(record: Record) -> None:
         title = f"{name}: {LOAD_READINGS[name].yield_text}"
         lines = {model: (part["x_mm"], part["ratio"] / 1e3) for model, part in loads_table.split("model").items()}
         lines[f"elastic, mu/eps = {GLUE.mu / EPS / 1e3:.2f}"] = (np.array([0.0, SIDE]), np.full(2, GLUE.mu / EPS / 1e3))
-        panels[title], ranges[title] = lines, LOAD_READINGS[name].ratio_range
+        panels[title], ranges[title] = lines, LOAD_READINGS[name].stiffness_axis_limits
     title = "Mohr-Coulomb layer, eps = 1 mm, C = 0, Omega = 30°, elastic fraction h: two readings of the loads"
     options = {"title": title, "ylim": ranges, "save": record.path("ratio.svg")}
     plotting.curves(panels, "x (mm); gaps: |u_T| below a tenth of its largest", "t_T / u_T (10^3 N/mm³)", **options)

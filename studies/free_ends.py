@@ -284,15 +284,15 @@ def _check_contrasts(record: Record, ratios: Sequence[float], thicknesses: Seque
         soft = EndCase("", _blocks, LinearElastic.shear(100.0 / contrast, nu).scaled(1 / eps))  # E of the blocks is 100
         errors = _error_row(record, soft, CELLS_RUBBER, eps)
         corrected, ignored = ({what: errors[_column_name(what, kind)] for what in QUANTITIES} for kind in EDGE_OPTIONS)
-        factors = {f"{what}_factor": corrected[what] / ignored[what] for what in QUANTITIES}
-        return {"nu": nu, "eps": eps, "E_over_mu": contrast, **corrected, **factors}
+        error_ratios = {f"{what}_factor": corrected[what] / ignored[what] for what in QUANTITIES}
+        return {"nu": nu, "eps": eps, "E_over_mu": contrast, **corrected, **error_ratios}
 
     with patch.object(applicability, "MIN_STIFFNESS_CONTRAST", 0.0):
         table = record.rows("contrasts.csv", cases, row, "nu, eps, E/mu = {}")
-    factors = np.max([table[f"{what}_factor"] for what in QUANTITIES], axis=0)
+    error_ratios = np.max([table[f"{what}_factor"] for what in QUANTITIES], axis=0)
     is_allowed = table["E_over_mu"] >= MIN_STIFFNESS_CONTRAST
-    record.check("largest factor of an error by known ends, where allowed", factors[is_allowed].max(), high=1.0)
-    record.check("largest factor of an error by known ends, elsewhere", factors[~is_allowed].max(), low=2.0)
+    record.check("largest factor of an error by known ends, where allowed", error_ratios[is_allowed].max(), high=1.0)
+    record.check("largest factor of an error by known ends, elsewhere", error_ratios[~is_allowed].max(), low=2.0)
 
 
 def draw(record: Record) -> None:

@@ -150,8 +150,8 @@ def curvature(surface: Surface, state: State) -> float:
     A parabola is fitted to the means of the displacements of both sides of `surface`, the surface S.
     """
     x, v = surface.profile(surface.displacements(state).mean(axis=0))
-    is_near = x[:, 0] < 0.1 * HALF_LENGTH
-    return float(2 * np.polyfit(x[is_near, 0] ** 2, v[is_near, 1], 1)[0])
+    is_near_middle = x[:, 0] < 0.1 * HALF_LENGTH
+    return float(2 * np.polyfit(x[is_near_middle, 0] ** 2, v[is_near_middle, 1], 1)[0])
 
 
 def check_bending(record: Record, h: float) -> None:

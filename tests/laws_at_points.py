@@ -42,4 +42,4 @@ LAWS: dict[str, BulkLaw] = {
     **STACKS,
 }
 BALANCED = [name for name, law in LAWS.items() if not isinstance(law, TractionLaw)]  # those that declare an energy
-QUADRATIC = [name for name in BALANCED if LAWS[name].traits.quadratic]
+QUADRATIC = [name for name in BALANCED if LAWS[name].traits.has_quadratic_energy]

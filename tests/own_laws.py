@@ -31,7 +31,7 @@ class StandardSolid(BulkLaw):
     t_1: float
     powers: ClassVar = {"lmbda": 1, "mu": 1, "mu_1": 1}
     internal: ClassVar = {"viscous": (3, 3)}
-    linear = quadratic = True
+    linear = has_quadratic_energy = True
 
     def advance(self, step):
         x, old = step.dt / self.t_1, step.q["viscous"]
@@ -242,7 +242,7 @@ class AgeingSpring(BulkLaw):
     growth: float
     along: float = 0.0
     powers: ClassVar = {"mu": 1}
-    linear = quadratic = varies = True
+    linear = has_quadratic_energy = varies = True
 
     def at(self, x, t):
         return {"mu": _aged(self.mu, self.growth, x, t) * (1 + self.along * x[0])}
@@ -262,7 +262,7 @@ class AgeingFluid(BulkLaw):
     tau: float
     growth: float = 0.0
     powers: ClassVar = {"mu": 1}
-    linear = quadratic = varies = True
+    linear = has_quadratic_energy = varies = True
     internal: ClassVar = {"flow": (3, 3)}
 
     def at(self, x, t):

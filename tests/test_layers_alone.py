@@ -185,7 +185,7 @@ def test_steps_lead_to_the_meshed_layer_and_half_the_gap_is_the_distance_from_th
             assert bounds.upper - bounds.lower == pytest.approx(iteration.energy_gap(iterate), rel=1e-9)
             missing, v = true - iterate.u, layers.to_layers(true)
             in_bodies = missing @ (iteration._missing_forces(iterate.u) - iteration._missing_forces(true))
-            reactions = [layers.dirichlet_reactions(faces, iterate.load, iterate.side_u) for faces in (v, iterate.v)]
+            reactions = [layers.dirichlet_reactions(u, iterate.load, iterate.side_u) for u in (v, iterate.face_u)]
             difference = reactions[0] - (iterate.F + reactions[1]) / 2
             work = in_bodies + difference @ layers.compliance(difference)[0]
             assert work == pytest.approx(iteration.energy_gap(iterate) / 4, rel=1e-7)
@@ -212,7 +212,7 @@ def test_weights_of_the_other_sign_contradict(monkeypatch):
     bounds = global_local.GlobalLocal.goal_bounds
 
     def turned(self, at_rest, q, iterate, z):
-        interval, weighed = bounds(self, at_rest, q, iterate, z), z.v @ self.residual(iterate)
+        interval, weighed = bounds(self, at_rest, q, iterate, z), z.face_u @ self.residual(iterate)
         return global_local.GoalBounds(*(x - 2 * weighed for x in (interval.estimate, interval.lower, interval.upper)))
 
     structure, layers, wanted = CASES["moved"]

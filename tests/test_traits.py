@@ -22,12 +22,12 @@ def halves(law, other):
 
 def test_stacks_fold_every_trait():
     """Also the stored energy's, that of a plateau, and parameters that vary."""
-    assert halves(LinearElastic(1.0, 1.0), STIFF).traits.quadratic
-    assert not halves(NonMonotone(0.0, 1.0, 1.0, 1.0, ACROSS), STIFF).traits.quadratic
+    assert halves(LinearElastic(1.0, 1.0), STIFF).traits.has_quadratic_energy
+    assert not halves(NonMonotone(0.0, 1.0, 1.0, 1.0, ACROSS), STIFF).traits.has_quadratic_energy
     assert halves(NonMonotone(0.0, 1.0, 1.0, 1.0, ACROSS), STIFF).traits.plateau
     assert halves(AgeingSpring(2.0, 0.5), STIFF).traits.varies
     mixed = halves(KelvinVoigt(1.0, 1.0, 1.0, 1.0), MohrCoulomb(1.0, 1.0, 1.0, 30.0)).traits
-    has = "rate", "remembers", "bounded", "has_homotopy", "compiled", "has_energy", "quadratic", "in_series"
+    has = "rate", "remembers", "bounded", "has_homotopy", "compiled", "has_energy", "has_quadratic_energy", "in_series"
     assert mixed == Traits(**dict.fromkeys(has, True), symmetric=False)
 
 

@@ -79,15 +79,16 @@ class EndStrips(NamedTuple):
         shear: strip in which the layer is less stiff against shear.
         resistance: strip in which the pressure-driven flow along S meets more resistance, or less if its `c` is
             negative.
-        reach_N, reach_T: lengths from the end over which stresses along S (reach_N) and across S (reach_T) are
-            transferred to the faces. 0: at the end itself.
+        transfer_length_axial: length from the end over which stresses along S are transferred to the faces. 0: at the
+            end itself.
+        transfer_length_shear: length from the end over which shear stresses across S are transferred to the faces.
     """
 
     opening: EndStrip
     shear: EndStrip
     resistance: EndStrip
-    reach_N: float
-    reach_T: float
+    transfer_length_axial: float
+    transfer_length_shear: float
 
     @property
     def longest(self) -> float:

@@ -115,8 +115,8 @@ class FileCells(NamedTuple):
         smallest = (jacobian * np.sign(jacobian.sum(axis=1))[:, None]).min(axis=1)
         is_folded = smallest <= MIN_JACOBIAN_RATIO * largest
         self.refuse(is_folded, "are folded (their Jacobian vanishes or changes sign within the cell)")
-        distance = NODE_TOLERANCE * np.ptp(self.points, axis=0).max()
-        pairs = cKDTree(self.points).query_pairs(distance, output_type="ndarray")
+        coincidence_distance = NODE_TOLERANCE * np.ptp(self.points, axis=0).max()
+        pairs = cKDTree(self.points).query_pairs(coincidence_distance, output_type="ndarray")
         pairs_text = "{bad} pairs of nodes at the same place, the first at {at}, do not connect cells: let bodies share"
         how = f"them (gmsh: BooleanFragments, removeDuplicateNodes), or draw gaps > {NODE_TOLERANCE:g} of the mesh"
         refuse(np.ones(len(pairs), bool), self.points[np.sort(pairs[:, 0])], f"{pairs_text} {how}")

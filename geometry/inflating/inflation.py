@@ -105,8 +105,7 @@ def inflate(
         all_fill = junction_cells(joint, lines, polygon_corners, copy_motion, drawn_nodes[: len(copy_motion)])
         motion, drawn_nodes = np.concatenate([motion, all_fill.values]), np.concatenate([drawn_nodes, all_fill.s_nodes])
         fill = _kept_junction_cells(joint, lines, s_lines, polygon_corners, layers.junction_priority, all_fill)
-    owner_seams = np.unique(fill.region)
-    seams, prefix = list(joint.seams), f"{LAYER}/{JUNCTIONS}"
+    owner_seams, seams, prefix = np.unique(fill.region), list(joint.seams), f"{LAYER}/{JUNCTIONS}"
     fill_regions = {prefix if len(owner_seams) == 1 else f"{prefix}/{seams[k]}": seams[k] for k in owner_seams}
     tilted = (fill.director == 0).all(axis=(1, 2))
     first_fill_region = len(joint.regions) + sum(map(len, sublayers.values()))
@@ -115,18 +114,19 @@ def inflate(
     is_used[cells] = True
     new_numbers = np.where(is_used, np.cumsum(is_used) - 1, -1)
     drawn_nodes, cells, copies = drawn_nodes[is_used], new_numbers[cells], copies.renumbered(new_numbers)
-    points = joint.points[drawn_nodes] + motion[is_used]
+    drawn_points = joint.points[drawn_nodes]
+    points = drawn_points + motion[is_used]
     _check_cells(joint, points, cells, len(bands.cells))
     layer_corners = cells[len(joint.cells) :, : joint.corners.shape[1]]
     facets, faces = moved_facets(joint, copies, layers, layer_corners, len(bands.cells), drawn_nodes)
-    regions = (*(name for of_seam in sublayers.values() for name in of_seam), *fill_regions)
+    layer_regions = (*(name for of_seam in sublayers.values() for name in of_seam), *fill_regions)
     aligned = tuple(name for name, seam in fill_regions.items() if seams.index(seam) not in fill.region[tilted])
     director = np.concatenate([bands.director, np.where(tilted[:, None, None], np.eye(joint.dim)[1], fill.director)])
     band = InflatedBand(
-        layers.eps, bodies, regions, sublayers, fill_regions, aligned, faces, joint, joint.points[drawn_nodes], director
+        layers.eps, bodies, layer_regions, sublayers, fill_regions, aligned, faces, joint, drawn_points, director
     )
     region = np.concatenate([joint.region, bands.region, first_fill_region + np.searchsorted(owner_seams, fill.region)])
-    inflated = Joint(points, cells, joint.cell_type, region, joint.regions + regions, facets, joint.seams, band)
+    inflated = Joint(points, cells, joint.cell_type, region, joint.regions + layer_regions, facets, joint.seams, band)
     return with_periods_of(inflated, periods) if periods else inflated
 
 
@@ -303,9 +303,9 @@ def points_on_middle(joint: Joint) -> FloatArray:
     """
     if joint.parted is None:
         return joint.points
-    x = joint.points.copy()
-    x[joint.surface] = joint.faces().mean(axis=0)
-    return x
+    points = joint.points.copy()
+    points[joint.surface] = joint.faces().mean(axis=0)
+    return points
 
 
 def offset_to_middle(joint: Joint) -> FloatArray:

@@ -100,17 +100,17 @@ class CutRectangle(Shape):
         kernel.synchronize()
         facets: dict[str, list[int]] = {}
         for name, pieces in zip((*SIDE_NAMES, *self.seam_names), line_pieces, strict=True):
-            tags = np.array([tag for _, tag in pieces])
-            is_kept = self.is_inside(np.array([kernel.getCenterOfMass(1, tag)[:2] for tag in tags]), tolerance)
-            facets.setdefault(name, []).extend(map(int, tags if name in SIDE_NAMES else tags[is_kept]))
+            line_tags = np.array([tag for _, tag in pieces])
+            is_kept = self.is_inside(np.array([kernel.getCenterOfMass(1, tag)[:2] for tag in line_tags]), tolerance)
+            facets.setdefault(name, []).extend(map(int, line_tags if name in SIDE_NAMES else line_tags[is_kept]))
         for name in (name for name in self.seams if not facets[name]):
             raise InputError(f"the fault {name!r} lies outside the block")
-        tags = np.array([tag for _, tag in surfaces])
-        middles = np.array([kernel.getCenterOfMass(2, tag)[:2] for tag in tags])
+        surface_tags = np.array([tag for _, tag in surfaces])
+        middles = np.array([kernel.getCenterOfMass(2, tag)[:2] for tag in surface_tags])
         order = np.lexsort(np.round(middles / self.size_rules.span, COORDINATE_DECIMALS).T[::-1])
         if self.part_points is not None:
             order = np.argsort(cKDTree(self.part_points).query(middles)[1])
-        bodies = {f"{self.body_word} {k + 1}": [int(tag)] for k, tag in enumerate(tags[order])}
+        bodies = {f"{self.body_word} {k + 1}": [int(tag)] for k, tag in enumerate(surface_tags[order])}
         return Drawing(bodies, facets, [], {}, self.seams)
 
     def require_apart(self, noun: str, remedy: str) -> Self:

@@ -130,8 +130,8 @@ class BrokenMesh:
         if isinstance(element, tuple):
             family, degree, *shape = element
             element = basix.ufl.element(family, self.mesh.basix_cell(), degree, shape=shape[0] if shape else None)
-        body_tags = np.unique(np.concatenate([np.unique(self._tag_of), *self.comm.allgather(np.unique(self._tag_of))]))
-        body_index = np.searchsorted(body_tags, self._tag_of)
+        distinct_tags = np.unique(np.concatenate(self.comm.allgather(np.unique(self._tag_of))))
+        body_index = np.searchsorted(distinct_tags, self._tag_of)
         n_entities = partial(cpp.mesh.cell_num_entities, self.mesh.topology.cell_type)
         components = [np.tile(body_index, (n_entities(dim), 1)).T for dim in range(self._dim)]
         return broken_space(self.comm, SharedDofs.of_components(self.comm, self.mesh, element, components))

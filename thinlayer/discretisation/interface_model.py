@@ -163,14 +163,14 @@ class InterfaceModel(Model):
         zero, if the bodies do not meet on S, or if a thickness varies. Return None too if the bodies cannot move apart
         without strain.
         """
-        eps = np.zeros(len(self.joint.surface_rows))
+        facet_eps = np.zeros(len(self.joint.surface_rows))
         for layer in self.layers.values():
             if layer.thin_layer and layer.thin_layer.order:
-                eps[layer.sheet.facets] = np.nan if layer.thin_layer.profile else layer.eps
-        if self._middle or not eps.any() or np.isnan(eps).any():
+                facet_eps[layer.sheet.facets] = np.nan if layer.thin_layer.profile else layer.eps
+        if self._middle or not facet_eps.any() or np.isnan(facet_eps).any():
             return None
         try:
-            return body_translations(self.joint, eps)[self.joint.split_mesh.pieces]
+            return body_translations(self.joint, facet_eps)[self.joint.split_mesh.pieces]
         except InputError:  # bodies cannot move apart in one piece
             return None
 
@@ -224,9 +224,9 @@ class InterfaceModel(Model):
         def base_displacement(v: Expr) -> Expr:  # the base moves and rotates as the facets of the body above it do
             return sides.upper(v + ufl.dot(ufl.grad(v), 2 * self._middle.offset) if self._middle else v) / 2
 
-        v_base = base_displacement if layer.name in self.joint.base_seams else None
-        weight = self._thickness(layer, sides) * sides.factor
-        return LoadRegion(sides.measure, weight, sides.upper, lambda v: (sides.upper(v) + sides.lower(v)) / 2, v_base)
+        base_argument = base_displacement if layer.name in self.joint.base_seams else None
+        upper, lower, weight = sides.upper, sides.lower, self._thickness(layer, sides) * sides.factor
+        return LoadRegion(sides.measure, weight, upper, lambda v: (upper(v) + lower(v)) / 2, base_argument)
 
 
 def _law_on_surface(domain: Domain, joint: Joint, name: str, upper: InterfaceSide, law: BulkLaw) -> BulkLaw:

@@ -121,8 +121,8 @@ def from_voigt(e: Expr) -> Expr:
     The shears in e are twice the components of the tensor.
     """
     d = {3: 2, 6: 3}[e.ufl_shape[0]]
-    positions = VOIGT_POSITIONS_OF_DIM[d].tolist()
-    return ufl.as_tensor([[e[positions[i][j]] / (1 if i == j else 2) for j in range(d)] for i in range(d)])
+    voigt_index = VOIGT_POSITIONS_OF_DIM[d].tolist()
+    return ufl.as_tensor([[e[voigt_index[i][j]] / (1 if i == j else 2) for j in range(d)] for i in range(d)])
 
 
 @dataclass(frozen=True)

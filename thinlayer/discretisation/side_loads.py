@@ -141,13 +141,12 @@ def _transfer_factors(end: StraightEnd, rim: Rim, layer: SeamLayer) -> FloatArra
     midpoints = points[rim.vertices].mean(axis=1)
     end_factor = kinematics.factors_at(midpoints[end.contains(midpoints)]).mean()
     l_N, l_T = strips.opening.length, strips.shear.length
-    shares = [share_of_strip(eps * reach) for reach in (strips.reach_N, strips.reach_T, 2 * ANTIPLANE_LOAD_DISTANCE)]
+    lengths = strips.transfer_length_axial, strips.transfer_length_shear, 2 * ANTIPLANE_LOAD_DISTANCE
+    shares = [share_of_strip(eps * length) for length in lengths]
     force_factors = [eps * end.length * end_factor * share / (share @ weighted_areas) for share in shares]
-    jump_factors = (
-        constants.inward_displacement / l_N * share_of_strip(eps * l_N),
-        constants.c_T / l_T * share_of_strip(eps * l_T),
-    )
-    return np.stack([*force_factors, *jump_factors], axis=1)
+    opening_factor = constants.inward_displacement / l_N * share_of_strip(eps * l_N)
+    shear_factor = constants.c_T / l_T * share_of_strip(eps * l_T)
+    return np.stack([*force_factors, opening_factor, shear_factor], axis=1)
 
 
 def _transferred_load(factors: Expr, m: Expr, sides: Interface, based: bool) -> LoadRegion:

@@ -164,6 +164,7 @@ class FacetWeights:
         fields = sides.upper(cellwise_function(domain, ("DG", 0, (4 + joint.dim,)), values[:, None]))
         m = ufl.as_vector([fields[4 + k] for k in range(joint.dim)])
         distance = fields[3] - ufl.dot(m, sides.upper(ufl.SpatialCoordinate(mesh)))
-        reaches = [fem.Constant(mesh, eps * length) if length else None for length in (strips.reach_N, strips.reach_T)]
+        lengths = strips.transfer_length_axial, strips.transfer_length_shear
+        reaches = [fem.Constant(mesh, eps * length) if length else None for length in lengths]
         f_N, f_T = (1.0 if r is None else ufl.max_value(0.0, ufl.min_value(1.0, distance / r)) for r in reaches)
         return EndWeights(m, fields[0], fields[1], f_N, f_T, fields[2])

@@ -137,7 +137,7 @@ class Structure:
             self.body_laws = self._laws_by_body(body)
             eigenstrains = values_by_body(eigenstrain, joint, "eigenstrain")
             self.eigenstrains = {name: value for name, value in eigenstrains.items() if value is not None}
-            for law, C in zip(self.body_laws_at_extremes, self.body_tangents, strict=True):
+            for law, C in zip(self.body_laws_at_extremes, self.extreme_body_tangents, strict=True):
                 require_stable(law, C, slots=self.kinematics.strain_indices(joint.dim))
         self.data_hash = require_same(
             comm, joint=joint, body=body, supports=_ordered_pairs(supports), tractions=tractions, body_force=body_force,
@@ -274,7 +274,7 @@ class Structure:
         return Sheet(self.joint)
 
     @cached_property
-    def body_tangents(self) -> list[Array | None]:
+    def extreme_body_tangents(self) -> list[Array | None]:
         """Tangents (6, 6) at zero strain, in Mandel's notation, of `body_laws_at_extremes`; None where not known."""
         n = self.sheet.mean_normal
         return [declared_or_computed_tangent(self.kinematics.law(law), n) for law in self.body_laws_at_extremes]

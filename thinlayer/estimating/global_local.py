@@ -73,17 +73,17 @@ class BodyEquilibrium(NamedTuple):
 
     Attributes:
         u: (m,) displacements, or z.
-        v: (n,) displacements of the layers' faces, or z there; zero at other unknowns of the layers.
+        face_u: (n,) displacements of the layers' faces, or z there; zero at other unknowns of the layers.
         F: (n,) forces on the faces that the bodies need for equilibrium.
         load: (n,) loads on the layers; for z, the derivative of the goal by the layers' unknowns.
         side_u: (n,) prescribed displacements of the layers' lateral sides; for z, their values in the adjoint problem.
         directions: four arrays for each conjugate-gradient step that led to the iterate. They are the changes d of u
-            (m,), of v (n,) and of F (n,), and (K_b + E) d at the faces (n,).
+            (m,), of face_u (n,) and of F (n,), and (K_b + E) d at the faces (n,).
         energy_gain: twice the decrease of the energy by these steps.
     """
 
     u: Array
-    v: Array
+    face_u: Array
     F: Array
     load: Array
     side_u: Array
@@ -96,7 +96,7 @@ class BodyEquilibrium(NamedTuple):
         Conjugate-gradient steps from both then agree, too. The result is the same on all ranks, as every rank has the
         values on all faces.
         """
-        pairs = ((self.v, other.v), (self.F, other.F), (self.load, other.load), (self.side_u, other.side_u))
+        pairs = ((self.face_u, other.face_u), (self.F, other.F), (self.load, other.load), (self.side_u, other.side_u))
         return all(np.abs(a - b).max(initial=0.0) <= ITERATE_TOLERANCE * np.abs(a).max(initial=0.0) for a, b in pairs)
 
 
@@ -253,7 +253,7 @@ class GlobalLocal:
     def _resultant(self, iterate: BodyEquilibrium) -> tuple[float, float]:
         """Return the largest resultant of the forces on the layers in `iterate`, and a bound of its rounding error."""
         total, layers = iterate.F + iterate.load, self.layers
-        rounding = FORCE_ROUNDING * float(np.abs(layers.K.diagonal()).sum() * np.abs(iterate.v).max())
+        rounding = FORCE_ROUNDING * float(np.abs(layers.K.diagonal()).sum() * np.abs(iterate.face_u).max())
         return np.abs(layers.R.T @ total).max(initial=0.0), RESULTANT_TOLERANCE * float(np.abs(total).sum()) + rounding
 
     # ---------------------------------------------------------------- iterates
@@ -274,13 +274,13 @@ class GlobalLocal:
         The weights are the derivative of `goal` by the displacements, at the state of the interface model. The adjoint
         solution is in equilibrium with them in the bodies, except on S.
         """
-        q, g = goal.dual(self.adjoint)
+        (q, g), (layer_q, layer_g) = goal.dual(self.adjoint), goal.layer_weights(self.layers)
         if self.model.linear and goal.is_linear(self.model):
-            self.adjoint.check_goal(goal.name, goal.value, q, g, on_layers=bool(goal.in_layers(self.layers)[0].any()))
+            self.adjoint.check_goal(goal.name, goal.value, q, g, on_layers=bool(layer_q.any()))
         b = q.array_r[: self.n].copy()
         z = self.adjoint.weights(q, g).u.x.array[: self.n].copy()
         with self._transposed():
-            return b, self._with_couples(z, self._face_forces(b - self._resistance(z)), *goal.in_layers(self.layers))
+            return b, self._with_couples(z, self._face_forces(b - self._resistance(z)), layer_q, layer_g)
 
     @contextmanager
     def _transposed(self) -> Iterator[None]:
@@ -302,21 +302,21 @@ class GlobalLocal:
 
     def layer_unknowns(self, iterate: BodyEquilibrium) -> Array:
         """Return the unknowns (n,) of the meshed layers in equilibrium with the face displacements of `iterate`."""
-        return self.layers.dirichlet_displacements(iterate.v, iterate.load, iterate.side_u)
+        return self.layers.dirichlet_displacements(iterate.face_u, iterate.load, iterate.side_u)
 
     def residual(self, iterate: BodyEquilibrium) -> Array:
         """Return the residual (n,) of `iterate`: the forces on the layers' faces that meshed layers do not balance.
 
         It is r = F - (E u - l) in the notation of the module.
         """
-        return iterate.F - self.layers.dirichlet_reactions(iterate.v, iterate.load, iterate.side_u)
+        return iterate.F - self.layers.dirichlet_reactions(iterate.face_u, iterate.load, iterate.side_u)
 
     def cg_step(self, old: BodyEquilibrium) -> BodyEquilibrium:
         """Return the iterate after one conjugate-gradient step from `old` towards the structure with meshed layers."""
-        layers, r, zero = self.layers, self.residual(old), np.zeros_like(old.v)
+        layers, r, zero = self.layers, self.residual(old), np.zeros_like(old.face_u)
         d, F = self._displacements_under(r)
         new = self._with_couples(d, F, zero, zero)
-        d, v, F = new.u, new.v, new.F - r
+        d, v, F = new.u, new.face_u, new.F - r
         Kd = layers.dirichlet_reactions(v, zero, zero) - F
         for d_old, v_old, F_old, Kd_old in old.directions:
             ratio = (v_old @ Kd) / (v_old @ Kd_old)
@@ -325,29 +325,29 @@ class GlobalLocal:
             return old
         step_length = (r @ v) / curvature
         directions, energy_gain = (*old.directions, (d, v, F, Kd)), old.energy_gain + float(step_length * (r @ v))
-        u, v, F = old.u + step_length * d, old.v + step_length * v, old.F + step_length * F
-        return old._replace(u=u, v=v, F=F, directions=directions, energy_gain=energy_gain)
+        u, v, F = old.u + step_length * d, old.face_u + step_length * v, old.F + step_length * F
+        return old._replace(u=u, face_u=v, F=F, directions=directions, energy_gain=energy_gain)
 
     def _linearised(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
         """Linearise the layers at the face displacements of `iterate`, and return the iterate with their loads.
 
         Its earlier directions are dropped, as they belong to another tangent.
         """
-        self.layers.equilibrate_dirichlet(iterate.v)
+        self.layers.equilibrate_dirichlet(iterate.face_u)
         return iterate._replace(load=self.layers.load, directions=())
 
-    def _equilibrate_bodies(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
-        """Return `iterate` after one linear solve that brings its bodies into equilibrium except on S.
+    def _equilibrate_bodies(self, start: BodyEquilibrium) -> BodyEquilibrium:
+        """Return the iterate after one linear solve from `start` that brings the bodies into equilibrium except on S.
 
-        If all parts except the layers' laws are linear, the iterate is returned unchanged.
+        If all parts except the layers' laws are linear, `start` itself is returned.
         """
         if not self._nonlinear:
-            return iterate
-        missing = self._missing_forces(iterate.u)
-        missing[self.layers.to_interface(iterate.F)[0]] = 0.0
+            return start
+        missing = self._missing_forces(start.u)
+        missing[self.layers.to_interface(start.F)[0]] = 0.0
         d = self.adjoint.displacements(np.arange(self.n), missing)
-        v, F = iterate.v + self.layers.to_layers(d), iterate.F - self._face_forces(self._resistance(d))
-        return iterate._replace(u=iterate.u + d, v=v, F=F, energy_gain=iterate.energy_gain + self._work(missing, d))
+        v, F = start.face_u + self.layers.to_layers(d), start.F - self._face_forces(self._resistance(d))
+        return start._replace(u=start.u + d, face_u=v, F=F, energy_gain=start.energy_gain + self._work(missing, d))
 
     def _work(self, forces: Array, d: Array) -> float:
         """Return the work of nodal forces `forces` (m,) in small displacements `d` (m,), summed over all ranks.
@@ -375,16 +375,16 @@ class GlobalLocal:
         else:
             text = f"estimate: the interface law is too far from its layer: {MAX_CG_STEPS} steps hardly lead to it"
             raise SolveError(text, advice=MESH_ADVICE)
-        du, dv, new = cg_end.u - iterate.u, cg_end.v - iterate.v, iterate
+        du, dv, new = cg_end.u - iterate.u, cg_end.face_u - iterate.face_u, iterate
 
         def decrease(step_length: float) -> float:
             nonlocal new
-            u = iterate.u + step_length * du
+            u, face_u = iterate.u + step_length * du, iterate.face_u + step_length * dv
             missing = self._missing_forces(u)
-            new = self._linearised(cg_end._replace(u=u, v=iterate.v + step_length * dv, F=self._face_forces(missing)))
-            return self._work(missing, du) - float(self.layers.dirichlet_reactions(new.v, new.load, new.side_u) @ dv)
+            new = self._linearised(cg_end._replace(u=u, face_u=face_u, F=self._face_forces(missing)))
+            return self._work(missing, du) - float(self.layers.dirichlet_reactions(face_u, new.load, new.side_u) @ dv)
 
-        if (start := cg_end.energy_gain - iterate.energy_gain) > GAIN_TOLERANCE * abs(iterate.F @ iterate.v):
+        if (start := cg_end.energy_gain - iterate.energy_gain) > GAIN_TOLERANCE * abs(iterate.F @ iterate.face_u):
             line_search_fraction(decrease, start)
         return new
 
@@ -401,8 +401,8 @@ class GlobalLocal:
             return iterate
         limit = RESIDUAL_TOLERANCE * norm(self.residual(iterate)) + RESULTANT_TOLERANCE * norm(iterate.F)
         for _ in range(MAX_NEWTON_STEPS):
-            old, iterate = iterate, self.newton_step(iterate)
-            gain, tolerance = iterate.energy_gain - old.energy_gain, GAIN_TOLERANCE * abs(float(iterate.F @ iterate.v))
+            old_gain, iterate = iterate.energy_gain, self.newton_step(iterate)
+            gain, tolerance = iterate.energy_gain - old_gain, GAIN_TOLERANCE * abs(float(iterate.F @ iterate.face_u))
             if gain <= max(ENERGY_TOLERANCE * iterate.energy_gain, tolerance) and norm(self.residual(iterate)) <= limit:
                 return iterate
         text = f"estimate: the structure with its layers is not found in {MAX_NEWTON_STEPS} of Newton's steps"
@@ -444,7 +444,7 @@ class GlobalLocal:
         layers, du = self.layers, iterate.u - u
         try:
             self._require_balance(iterate)
-            w = layers.equilibrate_dirichlet(iterate.v)
+            w = layers.equilibrate_dirichlet(iterate.face_u)
             w_neumann = layers.equilibrate_neumann(w, iterate.F)
             gap = layers.bregman_divergence(w, w_neumann)[1]
             law_bounds = layers.bregman_divergence(layers.equilibrate_dirichlet(layers.to_layers(u)), w_neumann)
@@ -496,8 +496,8 @@ class GlobalLocal:
         (displacements, work), (_, work_z) = map(self.layers.compliance, (r, r_z))
         half_width = math.sqrt(work) * math.sqrt(work_z) / 2 if max(work, work_z) < math.inf else math.inf
         estimate = self.goal_estimate(at_rest, q, last, z)
-        middle = float(estimate + r_z @ displacements / 2)
-        rounding = float(self.equations.scale.force_rounding(np.abs(last.v).max())[0]) * math.sqrt(self._dot(z.u, z.u))
+        middle, largest_u = float(estimate + r_z @ displacements / 2), np.abs(last.face_u).max()
+        rounding = float(self.equations.scale.force_rounding(largest_u)[0]) * math.sqrt(self._dot(z.u, z.u))
         return GoalBounds(estimate, middle - half_width, middle + half_width, rounding)
 
     def goal_estimate(self, at_rest: float, q: Array, last: BodyEquilibrium, z: BodyEquilibrium) -> float:
@@ -537,7 +537,8 @@ class GlobalLocal:
 
     def states(self, last: BodyEquilibrium) -> tuple[State, State]:
         """Return a state of the interface model and a state of the meshed layers, both for the last iterate `last`."""
-        return replace(self.state, u=self._field(last.u)), self.layers.state(self.layers.equilibrate_dirichlet(last.v))
+        w = self.layers.equilibrate_dirichlet(last.face_u)
+        return replace(self.state, u=self._field(last.u)), self.layers.state(w)
 
     def run(
         self, goals: Mapping[str, Goal], values: Mapping[str, float], bounds: dict[str, GoalBounds], width: float | None

@@ -75,7 +75,7 @@ class Goal(ABC):
         """
         return self.value(replace(state, u=fem.Function(model.V)), model)
 
-    def in_layers(self, layers: DirichletLayers) -> tuple[Array, Array]:
+    def layer_weights(self, layers: DirichletLayers) -> tuple[Array, Array]:
         """Return what the layers contribute to Q, if they are meshed by themselves: zero for most goals.
 
         The contribution is q . w - g . r, with the unknowns w of the layers, and the reactions r of supports at their
@@ -170,7 +170,7 @@ class Compliance(Goal):
     def at_rest(self, state: State, model: InterfaceModel) -> float:
         return 0.0  # the reactions contain it
 
-    def in_layers(self, layers: DirichletLayers) -> tuple[Array, Array]:
+    def layer_weights(self, layers: DirichletLayers) -> tuple[Array, Array]:
         return layers.nodal_loads, layers.values
 
 
@@ -233,7 +233,7 @@ class Reaction(DirectedGoal):
     def at_rest(self, state: State, model: InterfaceModel) -> float:
         return model.constraints.prescribed_resultant(model.held_indices(self.place), self.unit(model), state.t)
 
-    def in_layers(self, layers: DirichletLayers) -> tuple[Array, Array]:
+    def layer_weights(self, layers: DirichletLayers) -> tuple[Array, Array]:
         return np.zeros_like(layers.load), layers.support_force_weights(self.place, self.unit(layers.model))
 
 

@@ -99,14 +99,14 @@ def _read_law(
     law_class: Any = laws_by_name()[name]  # mypy does not see that classes can be hashed, as `scalar_field_names` needs
     parameters = {f.name: f for f in fields(law_class) if f.init}
     elastic_keys = ELASTIC_KEYS if "lmbda" in parameters else ("E", "G", "mu") if "mu" in parameters else ()
-    other_keys = [key for key in parameters if key not in elastic_keys]
+    non_elastic_keys = [key for key in parameters if key not in elastic_keys]
     number_keys = {*elastic_keys, *scalar_field_names(law_class)}
-    readers = {key: TomlTable.number if key in number_keys else _read_parameter for key in (*elastic_keys, *other_keys)}
-    allowed_text = f"{name} has {', '.join([ELASTIC_PAIRS_TEXT, *other_keys] if elastic_keys else other_keys)}"
-    hints = {**{key: allowed_text for key in other_keys if parameters[key].default is MISSING}, **required}
+    readers = {k: TomlTable.number if k in number_keys else _read_parameter for k in (*elastic_keys, *non_elastic_keys)}
+    allowed_text = f"{name} has {', '.join([ELASTIC_PAIRS_TEXT] * bool(elastic_keys) + non_elastic_keys)}"
+    hints = {**{key: allowed_text for key in non_elastic_keys if parameters[key].default is MISSING}, **required}
     entries = section.entries({"law": TomlTable.text, **extra_readers, **readers}, hints, f"key of {name}")
     moduli = {key: entries[key] for key in elastic_keys if key in entries}
-    arguments = {key: entries[key] for key in other_keys if key in entries}
+    arguments = {key: entries[key] for key in non_elastic_keys if key in entries}
     if elastic_keys:
         arguments |= _lame_moduli(section, name, moduli) if "lmbda" in parameters else _shear(section, name, moduli)
     return _make_law(section, lambda: law_class(**arguments)), entries

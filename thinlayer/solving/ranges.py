@@ -56,7 +56,7 @@ def warn_of_model(model: Model, durations: Sequence[float] = ()) -> None:
         durations: times since the loads began, > 0, at which results are wanted. (): the loads are sudden.
     """
     setup = model.structure
-    for law, C in zip(setup.body_laws_at_extremes, setup.body_tangents, strict=True):
+    for law, C in zip(setup.body_laws_at_extremes, setup.extreme_body_tangents, strict=True):
         lmbda, mu = average_lame(C) if C is not None else (0.0, 1.0)
         nu = lmbda / (2 * (lmbda + mu))
         if setup.degree == 1 and nu > LOCKING_NU and model.volume_strain_degree(law) is None:
@@ -246,9 +246,10 @@ def _thickness_remarks(model: Model, layer: SeamLayer, sublayers: list[SublayerM
     if thin_layer.eps > height:
         text = f"{layer} is {thin_layer.eps:.4g} thick, the thinner body {height:.4g} high: its law is for thin layers"
         yield "thick", f"{text}; mesh the layer (structure.full), or check eps"
-    if thin_layer.order == 1 or not sublayers or any(C is None for C in model.structure.body_tangents):
+    body_tangents = model.structure.extreme_body_tangents
+    if thin_layer.order == 1 or not sublayers or any(C is None for C in body_tangents):
         return
-    softer = min(in_plane_modulus(C, layer.initial_tangents.n) for C in model.structure.body_tangents if C is not None)
+    softer = min(in_plane_modulus(C, layer.initial_tangents.n) for C in body_tangents if C is not None)
     layer_modulus = max(sublayer.E_plane for sublayer in sublayers)
     if layer_modulus > softer > 0:
         text = f"{layer} is {layer_modulus / softer:.3g} times as hard as the softer body (moduli in the plane of S)"

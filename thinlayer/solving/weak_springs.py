@@ -176,7 +176,7 @@ class WeakSprings:
         self._norms = equations.norms(self._r.array_r)
         return float(np.linalg.norm(self._norms[1:] / np.maximum(self._reference_forces[1:], MIN_DIVISOR)))
 
-    def _is_solved(self, x: Array) -> bool:
+    def _is_converged(self, x: Array) -> bool:
         """Whether the last residual is small compared with the forces of the springs at unknowns `x` (n,).
 
         It must be so in each block of unknowns of `ForceScale`.
@@ -198,7 +198,7 @@ class WeakSprings:
             self._solve_linear(A, self._r, self._d)
             x, residual = self._line_search(x, -self._d.array_r, max(residuals[-N_COMPARED_RESIDUALS:]))
             residuals.append(residual)
-            if self._is_solved(x):
+            if self._is_converged(x):
                 return x
         return None
 

@@ -232,18 +232,16 @@ class EquilibriumPath:
         du_difference.array[:] = self._direction[:-1] - self._direction[-1] * self._du_dt.array_r
         du_difference.array[equations.bc_dofs] = 0.0
         self._matrix.mult(du_difference, self._r)
-        A_d1 = self._r.array_r.copy()
+        dA_d1 = self._r.array_r.copy()
         point = self._point(last)
         self._residual_size(last, point)
         residual = self._r.array_r.copy()
         self._residual_size(last, point + step * new_direction)
-        A_d2 = (residual - self._r.array_r) / step  # (A_2 - A_1) d_2 = -A_1 d_2, as A_2 d_2 = 0
+        dA_d2 = (residual - self._r.array_r) / step  # (A_2 - A_1) d_2 = -A_1 d_2, as A_2 d_2 = 0
         sizes = [float(np.abs(vector[:-1]).max(initial=0.0)) for vector in (self._direction, point)]
-        rounded = np.array(
-            [equations.scale.force_rounding(equations.comm.allreduce(max_size, max))[0] for max_size in sizes]
-        )
+        rounded = np.array([equations.scale.force_rounding(equations.comm.allreduce(size, max))[0] for size in sizes])
         tolerance = FORCE_CHANGE_TOLERANCE * equations.scale.forces[0] / arc_length
-        *squared_norms, product = equations.comm.allreduce(np.array([A_d1 @ A_d1, A_d2 @ A_d2, A_d1 @ A_d2]))
+        *squared_norms, product = equations.comm.allreduce(np.array([dA_d1 @ dA_d1, dA_d2 @ dA_d2, dA_d1 @ dA_d2]))
         # rounding of residuals; forces may be zero
         return 0.0 if (np.sqrt(squared_norms) < np.maximum(tolerance, rounded / [1.0, step])).any() else float(product)
 

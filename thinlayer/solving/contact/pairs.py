@@ -94,8 +94,8 @@ class ContactPairs:
         # pairs of each node, node after node, in the format of the sweeps in C
         order = np.lexsort((pair, node))
         row_starts = np.searchsorted(node[order], np.arange(len(self.nodes) + 1))
-        columns = pair[order], self.pair_nodes[pair, 1 - side][order], sign[order]
-        self._pairs_by_node = [column.astype(np.int32) for column in (row_starts, *columns)]
+        pair_arrays = pair[order], self.pair_nodes[pair, 1 - side][order], sign[order]
+        self._pairs_by_node = [array.astype(np.int32) for array in (row_starts, *pair_arrays)]
 
     def _gather_values(self, values: LawFunction[Scalar], w: Array) -> npt.NDArray[Scalar]:
         """Evaluate a function of a contact law, jumps and slip for all pairs, each with its own law and slip.
