@@ -518,7 +518,10 @@ class BulkLaw(Law):
         return self
 
     def condensed(self, C: Array) -> Array:
-        """Return the tangent (6, 6) of this law, given that of the three-dimensional law `law_3d`, `C` (6, 6)."""
+        """Return the tangent (6, 6) of this law, given the tangent `C` (6, 6) of its three-dimensional law `law_3d`.
+
+        A law of plane stress condenses out the strains out of the plane, whose stresses vanish. Other laws return `C`.
+        """
         return C
 
     def scaled(self, ratio: float) -> Self:
@@ -612,8 +615,9 @@ class PlaneStressLaw(WrappedLaw):
     def condensed(self, C: Array) -> Array:
         """Return the tangent (6, 6) of plane stress, given the tangent `C` (6, 6) of the three-dimensional law.
 
-        The in-plane components are a Schur complement of C. The others are those of the isotropic tensor nearest to C,
-        with the modulus lmbda of plane stress.
+        The strains out of the plane are condensed out, as their stresses vanish: the in-plane components are a Schur
+        complement of C. The other components are those of the isotropic tensor nearest to C, with the modulus lmbda of
+        plane stress.
         """
         lmbda, mu = average_lame(C)
         lmbda *= 2 * mu / (lmbda + 2 * mu) if lmbda + 2 * mu > 0 else 0.0

@@ -372,12 +372,13 @@ def acoustic_tensor(C: Array, n: Array) -> Array:
 def declared_or_computed_tangent(law: BulkLaw, n: Array) -> Array | None:
     """Return the tangent (6, 6) of a law for small strains, in Mandel's order; None if it is not known.
 
-    If the law does not declare it (`BulkLaw.stiffness`), it is computed from the stress. It is not computed for laws
-    for which it may be negative or is not defined (`is_checked_at_rest`).
+    It is the one that the law declares (`BulkLaw.stiffness`). If the law declares none and `is_checked_at_rest` is True
+    for it, the tangent is computed from the stress. For other laws it may be negative or undefined.
 
     Args:
         law: the law, with numbers for parameters.
-        n: unit normal (d,) of the layer in d dimensions.
+        n: unit normal (d,) of the layer in d dimensions, on which the stress of some laws depends. It has components
+            along the axes of the joint, as the tangent has.
     """
     return tangent_at_rest(law, n) if is_checked_at_rest(law) else law.stiffness(n)
 

@@ -159,7 +159,7 @@ class Interface:
         Args:
             u: displacement, UFL on the mesh.
             eps: thickness of the layer.
-            grad_eps: gradient (d,) of the thickness along S; None: it is uniform.
+            grad_eps: gradient (d,) of the thickness eps along S, UFL; None: eps is uniform.
         """
         projector = ufl.Identity(len(self.n)) - ufl.outer(self.director, self.n)
         grad_upper, grad_lower = (ufl.dot(side.gradient(u), projector) for side in (self.upper, self.lower))
@@ -176,7 +176,7 @@ class Term:
     """Virtual work of one law as an integral over a UFL measure, in d dimensions.
 
     Attributes:
-        law: the law, with parameters scaled to the thickness of the layer.
+        law: the law, with the parameters that it has at the thickness of the layer (`BulkLaw.scaled`).
         strain: function that returns the strain (3, 3), UFL, of a displacement.
         weight: factor, UFL, on the measure.
         measure: dx of a body or a meshed layer; dS or ds of S.
@@ -243,7 +243,7 @@ def layer_term(law: BulkLaw, measure: ufl.Measure, n: Expr, kinematics: Kinemati
     """Return the term of a layer's law in the cells of the meshed layer, or of one of its sublayers.
 
     Args:
-        law: the law, with parameters scaled to the thickness of the layer.
+        law: the law, with the parameters that it has at the thickness of the layer (`BulkLaw.scaled`).
         measure: dx of these cells.
         n: unit normal of the layer, (d,).
         kinematics: kinematics of the mesh.
@@ -276,19 +276,20 @@ def s_terms(
     Order 0: one term with the strain sym([u] (x) n)/eps, and eps as weight.
 
     Order 1: one term for each of the law's stations (`BulkLaw.stations`). Its weight is eps times the weight of the
-    station. By default the stations are two Gauss points z = -+1/(2 sqrt 3) of a strain e0 + z e1 that is linear in the
-    height z eps. Here e0 = sym([u] (x) n)/eps + sym(grad_S <u>), with the mean <u> of both sides, and e1 = sym(grad_S
-    [u]). If the energy is quadratic in the strain, the energies of the two terms add up to the integral over the
-    thickness, eps e0:C:e0/2 + eps/12 e1:C:e1/2.
+    station. Let z be the distance from the middle of the layer, divided by eps: -1/2 at the lower face, 1/2 at the
+    upper one. By default the strain is e0 + z e1, and the stations are the two Gauss points z = -+1/(2 sqrt 3). Here e0
+    = sym([u] (x) n)/eps + sym(grad_S <u>), with the mean <u> of both sides, and e1 = sym(grad_S [u]). If the energy
+    is quadratic in the strain, the two terms have the energies eps e0:C:e0/2 + eps/12 e1:C:e1/2. This is the integral
+    over the thickness.
 
     Args:
-        law: the law of the layer's material, with parameters scaled to the thickness.
+        law: the law of the layer's material, with the parameters that it has at the thickness eps (`BulkLaw.scaled`).
         sides: the two sides of S.
-        eps: the thickness.
+        eps: the thickness, UFL.
         order: order of the interface law in eps, 0 or 1.
         prescribed_strain: strain (3, 3), uniform through the layer, that is added to that of the displacements; None:
             zero.
-        grad_eps: gradient (d,) of the thickness along S; None: it is uniform.
+        grad_eps: gradient (d,) of the thickness eps along S, UFL; None: eps is uniform.
         ends: reductions of the stiffness near free ends, for laws with `end_strips`; None: no reductions.
 
     Raises:

@@ -329,7 +329,8 @@ def _local_facets(
         rows: row numbers in `joint.table` of the given facets.
 
     Returns:
-        (n,) local numbers of the n facets that this rank has, ascending, and (n,) the position of each in `rows`.
+        (n,) local numbers of the n facets that this rank has, in ascending order. And, in the same order, (n,) the
+        position of each of them in `rows`.
     """
     create_connectivity(mesh, joint.dim - 1)
     cells, local = positions(originals, len(joint.cells))[joint.table.cells[rows]], joint.table.local[rows]

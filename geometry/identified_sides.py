@@ -29,7 +29,7 @@ class Periods:
 
     @property
     def side_names(self) -> tuple[str, ...]:
-        """Names of the facet sets of all sides."""
+        """Names of the facet sets of all sides that are identified in pairs by periodicity."""
         return tuple(name for pair in self.sides for name in pair)
 
     def vectors(self, points: FloatArray) -> FloatArray:

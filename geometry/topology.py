@@ -309,8 +309,8 @@ def facet_normals(points: FloatArray, nodes: IntArray, cell_type: str) -> FloatA
 class Splitting:
     """A mesh that is cut along some facets, and the components into which the cut divides the cells around each entity.
 
-    An entity is a vertex, edge, face or cell. A component is a group of cells around it that uncut facets there
-    connect.
+    An entity is a vertex, edge, face or cell. Cells around it are in one component if uncut facets that contain the
+    entity link them.
 
     Attributes:
         cells: (n_cells, k) numbers of the k nodes of each cell, vertices first.
@@ -354,7 +354,8 @@ class Splitting:
     def entity_keys(self) -> list[IntArray]:
         """For each dimension from 0 an array (n_cells, m): numbers of the m entities of each cell in the cut mesh.
 
-        An entity that the cut divides has a different number in each component. No number occurs in two dimensions.
+        An entity that the cut divides has a different number in each component. Entities of different dimensions have
+        different numbers.
         """
         out, start = [], 0
         for dim in range(len(self._topology)):
@@ -365,11 +366,11 @@ class Splitting:
         return out
 
     def components(self, dim: int) -> Indices:
-        """Return (n_cells, m) number of the component, around each of a cell's m entities, that contains the cell.
+        """Return (n_cells, m) for each cell and each of its m entities the number of the component that has the cell.
 
-        A component is a group of cells around the entity that uncut facets there connect. Components of each entity are
-        numbered from 0, in the order of the lowest cell number in each. All cells around an entity that is not divided
-        have 0.
+        Cells around an entity are in one component if uncut facets that contain the entity link them. The components at
+        each entity are numbered from 0, in the order of the lowest cell number in each. All cells around an entity that
+        the cut does not divide have 0.
 
         Args:
             dim: dimension of the entities, such as 1 for edges.
@@ -404,10 +405,10 @@ class Splitting:
 
     @cached_property
     def at_nodes(self) -> Indices:
-        """(n_cells, k) number of the component, around each of a cell's k nodes, that contains the cell.
+        """(n_cells, k) For each cell and each of its k nodes, the number of the component there that has the cell.
 
-        A component is a group of cells around the node that uncut facets there connect. Components of each node are
-        numbered from 0.
+        Cells around a node are in one component if uncut facets that contain the node link them. The components at each
+        node are numbered from 0.
         """
         dofs = lagrange(self.cell_type, geometry_degree(self.cell_type, self.cells.shape[1])).entity_dofs
         components = np.zeros(self.cells.shape, np.int32)
@@ -420,16 +421,16 @@ class Splitting:
 
     @property
     def at_vertices(self) -> Indices:
-        """(n_cells, k) number of the component, around each of a cell's k vertices, that contains the cell.
+        """(n_cells, k) For each cell and each of its k vertices, the number of the component there that has the cell.
 
-        A component is a group of cells around the vertex that uncut facets there connect. Components of each vertex are
-        numbered from 0.
+        Cells around a vertex are in one component if uncut facets that contain the vertex link them. The components at
+        each vertex are numbered from 0.
         """
         return self.at_nodes[:, : self._corners.shape[1]]
 
     @cached_property
     def pieces(self) -> IntArray:
-        """(n_cells,) number of the connected piece of the cut mesh that contains each cell.
+        """(n_cells,) For each cell, the number of the connected piece of the cut mesh that contains it.
 
         Pieces are numbered from 0, in the order of the lowest cell number in each.
         """

@@ -57,7 +57,12 @@ def run(record: Record) -> None:
 
 
 def stiffness_label(lmbda: float) -> str:
-    """Return the text "lambda = 3 mu = 15·10^k N/mm³" for the layer's stiffness `lmbda` (N/mm^3)."""
+    """Return the label "lambda = 3 mu = 15·10^k N/mm³" of a layer in a picture.
+
+    Args:
+        lmbda: Lame's modulus of the layer divided by its thickness, N/mm^3. In `MODULI` it is 15 times a power of ten,
+            10^k. The label has no power if k is 0.
+    """
     exponent = round(math.log10(lmbda / 15))
     return f"lambda = 3 mu = 15{f'·10^{exponent}' if exponent else ''} N/mm³"
 

@@ -84,37 +84,37 @@ def tan_omega() -> float:
 
 # ---------------------------------------------------------------- paths
 def tangential_jumps(steps: int, end: float) -> Array:
-    """Return the tangential jumps w_T, over the thickness, at the ends of equal steps from zero.
+    """Return the tangential jumps w_T, divided by the thickness, after each of `steps` equal steps from zero.
 
-    `steps` is the number of steps. `end` is the shear after the last one: mu w_T over the pressure at the start, with
-    the shear modulus mu.
+    `end` is the shear after the last step: mu w_T divided by `PRESSURE`, with the shear modulus mu.
     """
     return np.linspace(0, end * PRESSURE / MU, steps + 1, dtype=np.float64)[1:]
 
 
 def fixed_jump_path(steps: int, end: float = END_SHEAR) -> list[dict[str, float]]:
-    """Return a path on which a layer is closed, then sheared at a constant normal jump.
+    """Return a path on which a layer is closed in one step, then sheared at this normal jump.
 
     Args:
         steps: number of steps of the shear.
-        end: shear after the last step: mu w_T over the pressure at the start, with the shear modulus mu.
+        end: shear after the last step: mu w_T divided by `PRESSURE`, with the shear modulus mu.
 
     Returns:
-        For each step the prescribed jumps {"w_T": value, "w_N": value}, over the thickness.
+        The closing and then the steps of the shear. Each step prescribes {"w_T": value, "w_N": value}: the tangential
+        and the normal jump, divided by the thickness.
     """
     return [{"w_T": 0.0, "w_N": CLOSING_JUMP}, *({"w_T": w, "w_N": CLOSING_JUMP} for w in tangential_jumps(steps, end))]
 
 
 def fixed_stress_path(steps: int, end: float = END_SHEAR) -> list[dict[str, float]]:
-    """Return a path on which a layer is compressed, then sheared under a constant normal stress.
+    """Return a path on which a layer is compressed in one step, then sheared under this normal stress.
 
     Args:
         steps: number of steps of the shear.
-        end: shear after the last step: mu w_T over the pressure at the start, with the shear modulus mu.
+        end: shear after the last step: mu w_T divided by `PRESSURE`, with the shear modulus mu.
 
     Returns:
-        For each step the prescribed tangential jump, over the thickness, and normal traction, {"w_T": value, "t_N":
-        value}.
+        The compression and then the steps of the shear. Each step prescribes {"w_T": value, "t_N": value}: the
+        tangential jump divided by the thickness, and the normal traction.
     """
     return [{"w_T": 0.0, "t_N": -PRESSURE}, *({"w_T": w, "t_N": -PRESSURE} for w in tangential_jumps(steps, end))]
 
@@ -122,7 +122,7 @@ def fixed_stress_path(steps: int, end: float = END_SHEAR) -> list[dict[str, floa
 def radial_path(steps: int) -> list[dict[str, float]]:
     """Return a path on which closing and shear of a layer grow in proportion, in `steps` equal steps.
 
-    Each step is {"w_T": value, "w_N": value}, prescribed jumps over the thickness.
+    Each step prescribes {"w_T": value, "w_N": value}: the tangential and the normal jump, divided by the thickness.
     """
     return [{"w_T": w, "w_N": -w / np.tan(np.radians(PATH_DIRECTION))} for w in tangential_jumps(steps, END_SHEAR)]
 
@@ -130,8 +130,9 @@ def radial_path(steps: int) -> list[dict[str, float]]:
 def unloaded_path(steps: int) -> list[dict[str, float]]:
     """Return a path on which a layer is sheared under a constant normal stress, opened, and sheared further.
 
-    It is opened by the fraction `LOOSENED_SHARE` of its closing. Each of these three parts has steps/2 steps. A step
-    prescribes "w_T" and either "w_N" (jumps over the thickness) or "t_N" (normal traction).
+    It is opened by the fraction `LOOSENED_SHARE` of its closing. Each of these three parts has steps/2 steps, after a
+    first step of compression. A step prescribes the tangential jump "w_T" and either the normal jump "w_N" or the
+    normal traction "t_N". Jumps are divided by the thickness.
     """
     first = fixed_stress_path(steps // 2, END_SHEAR / 2)
     w_T, w_N = drive(MohrCoulomb(LMBDA, MU, 0.0, OMEGA), first).jumps[-1]

@@ -140,7 +140,8 @@ def top_loaded(joint: Joint, top: LoadInput, **more: Unpack[StructureArguments])
     Args:
         joint: joint with the facet sets "BOTTOM" and "TOP".
         top: traction on top.
-        more: further arguments of `Structure`; `body`, `supports` and `tractions` replace those named above.
+        more: further arguments of `Structure`. If `body`, `supports` or `tractions` is among them, it replaces the one
+            above.
     """
     setup: StructureArguments = {"body": FOURIER_BODY, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": top}}
     return Structure(joint, **setup | more)
@@ -154,14 +155,15 @@ def free_blocks(
     h_S: float = 1 / 32,
     **more: Unpack[StructureArguments],
 ) -> Structure:
-    """Make a structure of two blocks, 1 wide, with free sides, clamped below, under a traction on top.
+    """Make a structure of two blocks, 1 wide, with free sides, clamped below, under a traction on top (`top_loaded`).
 
     Args:
         h_ends: cell size at the ends of S.
         load: traction on top.
         heights: heights of the lower and the upper block.
         h_S: cell size on S.
-        more: further arguments of `Structure`; `body`, `supports` and `tractions` replace those of `top_loaded`.
+        more: further arguments of `Structure`. If `body`, `supports` or `tractions` is among them, it replaces that of
+            `top_loaded`.
     """
     return top_loaded(sandwich(1.0, *heights, h=1 / 8, h_S=h_S, h_ends=h_ends, cell="quadrilateral"), load, **more)
 

@@ -92,24 +92,26 @@ class EndStrips(NamedTuple):
 
     @property
     def longest(self) -> float:
-        """Length of the longest strip that has any effect, divided by the thickness."""
+        """Length of the longest strip in which the law is changed (`c` is not zero), divided by the thickness."""
         return max(strip.length for strip in (self.opening, self.shear, self.resistance) if strip.c)
 
     @classmethod
     def of_end(cls, end: FreeEnd) -> EndStrips:
-        """Return the strips that reproduce the missing forces near a free end, and their first moments.
+        """Return the strips of a law without a pressure field: one for openings, and one for shear.
 
-        The strip for openings is at most `MAX_OPENING_LENGTH` long; the first moment is too small if this bound is
-        active.
+        A free end reduces the forces that the layer bears. The losses of stiffness in the strips reduce the forces, and
+        their first moments about the end, by as much. The strip for openings is at most `MAX_OPENING_LENGTH` long. If
+        this bound is active, the first moment is reduced by less.
         """
         l_N = min(2 * end.m_N / end.c_N, MAX_OPENING_LENGTH) if end.c_N else MAX_OPENING_LENGTH
         return cls(EndStrip(end.c_N, l_N), _shear_strip(end), EndStrip(), 2 * end.rho_N, 2 * end.c_T)
 
     @classmethod
     def with_pressure(cls, end: FreeEnd) -> EndStrips:
-        """Return the strips for a law with a pressure on S, which is zero at the free end.
+        """Return the strips of a law with a pressure field on S: one for shear, and one for the resistance to flow.
 
-        This pressure makes the law less stiff against openings near the end, so that no strip for openings is needed.
+        There is no strip for openings. The pressure is zero at the free end, which already makes the law less stiff
+        against openings there.
         """
         return cls(EndStrip(), _shear_strip(end), EndStrip(1 / end.kappa - 1), 0.0, 2 * end.c_T)
 

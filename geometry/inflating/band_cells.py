@@ -149,7 +149,7 @@ class FacetLines(NamedTuple):
     """Numbers and directions of the lines of nodes through the thickness at the nodes of each facet of S.
 
     Attributes:
-        line_numbers: (n_S, k) number, in `NodeLines`, of the line at each of the k nodes of each facet.
+        line_numbers: (n_S, k) number, in `NodeLines`, of the line through each of the k nodes of each facet.
         is_reversed: (n_S, k) whether this line leads from the facet's upper side to its lower side.
     """
 
@@ -158,9 +158,10 @@ class FacetLines(NamedTuple):
 
 
 def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) -> tuple[NodeLines, FacetLines]:
-    """Return the lines of nodes through the layers, and which of them each facet of S has at its nodes.
+    """Return the lines of nodes through the layers, and for each node of each facet of S which line begins there.
 
-    A line connects the copies of a node on the two sides of a facet of S. Facets between the same two copies share it.
+    A line connects the two copies of a node on the two sides of a facet of S. Facets with the same two copies share the
+    line.
 
     Args:
         joint: the joint as drawn, before S is opened.
@@ -171,8 +172,9 @@ def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) 
         All lines of nodes, and the lines at the nodes of each facet of S.
 
     Raises:
-        InputError: one body is on both sides of S at a vertex; two seams share a line but their levels differ; the
-            upper side changes along a seam, in 3D or with levels that are not symmetric.
+        InputError: at a node of S the same body lies on both sides. Or two seams share a line but have different
+            levels. Or the upper side changes along a seam, and its levels are not symmetric. Or, in 3D, the upper side
+            changes at a line.
     """
     below, above = copies.below.ravel(), copies.above.ravel()
     line_keys = np.column_stack([joint.surface.ravel(), np.minimum(below, above), np.maximum(below, above)])

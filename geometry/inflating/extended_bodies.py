@@ -106,8 +106,9 @@ def extended_motion(
 
     Args:
         joint: the joint as drawn, before S is opened, in d dimensions.
-        body_cells: (n_cells, k) numbers of the k nodes of its cells, where each body has its own copies of nodes of S.
-        n_nodes: number of nodes with copies.
+        body_cells: (n_cells, k) numbers of the k nodes of each cell of the joint. Each body has its own copies of the
+            nodes on S.
+        n_nodes: number of all nodes, copies included.
         face_nodes: (n,) numbers of the nodes between bodies and layers.
         motions: (n, d) prescribed motion of these nodes, lengths.
         fixed_nodes: numbers of nodes that do not move, such as nodes of periodic sides.

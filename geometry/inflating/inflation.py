@@ -294,9 +294,9 @@ def with_gaps(joint: Joint, eps: Sizes, *, profile: Profiles = None) -> Joint:
 
 
 def points_on_middle(joint: Joint) -> FloatArray:
-    """Return (n_points, d) coordinates of a joint's points, with those on S midway between bodies that moved apart.
+    """Return (n_points, d) coordinates of a joint's points, where those on S lie midway between its two sides.
 
-    All other points are those of `joint.points`; so are all points of a joint whose bodies have not moved apart.
+    Points that are not on S are those of `joint.points`. If the bodies have not moved apart, all points are.
 
     Args:
         joint: the joint, in d dimensions; its seams must not meet.
@@ -309,13 +309,14 @@ def points_on_middle(joint: Joint) -> FloatArray:
 
 
 def offset_to_middle(joint: Joint) -> FloatArray:
-    """Return the vectors from the nodes on S, in each cell, to the middle between bodies that moved apart.
+    """Return for each cell the vectors from its nodes on S to the middle of the gap between bodies that moved apart.
 
     Args:
         joint: the joint, such as that of `with_gaps`, in d dimensions.
 
     Returns:
-        (n_cells, k, d) vectors at the k nodes of each cell, lengths; zero at nodes that are not on S.
+        (n_cells, k, d) vectors at the k nodes of each cell, lengths; zero at nodes that are not on S. The middle lies
+        halfway between the lower and the upper side of S.
     """
     offsets, face_points = np.zeros_like(joint.cell_points), joint.faces()
     for cells, side_points in zip(joint.surface_cells.T, face_points, strict=True):

@@ -143,10 +143,13 @@ class BoxGrid:
         return {name: self.facets_at(axis, end) for name, (axis, end) in SIDE_PLANES.items() if axis < len(self.axes)}
 
     def _plane_cells(self, numbers: IntArray) -> IntArray:
-        """Return (n, k) points of each of the n rectangles, or triangles that halve them, in a plane of the grid.
+        """Return the numbers of the corners of all rectangles in a plane of the grid, or of the triangles in it.
 
         Args:
             numbers: (n_x, n_y) numbers of the points in the plane, by their positions along its two axes.
+
+        Returns:
+            (n, 4) corners of the n rectangles, or (n, 3) corners of the n triangles: two in each rectangle.
         """
         shifts = slice(None, -1), slice(1, None)
         o, x, y, xy = (numbers[shifts[i], shifts[j]].ravel() for i, j in ((0, 0), (1, 0), (0, 1), (1, 1)))

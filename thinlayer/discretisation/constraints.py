@@ -349,7 +349,8 @@ class Constraints:
     def unknowns(self, u: Array) -> Array:
         """Return the unknowns y (n,) of displacements u (n,).
 
-        If u violates a multi-point constraint, the motions are those that fit u by least squares.
+        The motions q of a multi-point constraint u = R q are among the unknowns. If u violates the constraint, they are
+        those that fit u by least squares.
         """
         y = u.copy()
         y[self.slaves] = 0.0
@@ -558,10 +559,10 @@ def create_aij(A: CsrMatrix, comm: MPI.Intracomm, sizes: object = None) -> PETSc
     """Make a PETSc matrix of which this rank has the rows `A` (CSR).
 
     Args:
-        A: rows of this rank, with global columns.
+        A: rows of this rank, with global column numbers.
         comm: MPI communicator of the matrix.
-        sizes: ((local rows, all rows), (local columns, all columns)). PETSc computes sizes that are None. By default
-            all sizes are those of A.
+        sizes: ((local rows, all rows), (local columns, all columns)). PETSc computes sizes that are None. By default A
+            is the whole matrix, on a communicator of one rank.
     """
     csr = (*(array.astype(PETSc.IntType, copy=False) for array in (A.indptr, A.indices)), A.data)
     return PETSc.Mat().createAIJ(sizes or A.shape, csr=csr, comm=comm)

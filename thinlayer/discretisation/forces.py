@@ -41,8 +41,8 @@ class LoadRegion:
             cells it is the value on one side of S.
         work_argument: function from a displacement, in UFL, to that with which the load does work. For a layer
             without cells this is the mean over the thickness.
-        base_argument: function from a motion of the bodies, in UFL, to what a base that moves with them adds to this
-            mean. None: there is no rigid base.
+        base_argument: function from a displacement of the bodies, in UFL, to what the rigid base adds to this mean if
+            it moves with them. None: there is no rigid base.
     """
 
     measure: ufl.Measure
@@ -190,8 +190,11 @@ class Forces:
     def work_on_bases(self, v: Expr) -> dict[str, Expr]:
         """Return, for each rigid base, the virtual work of the loads that act directly on the base.
 
+        A rigid base is a rigid body below a seam, in place of a body of the mesh. Half of the load of a layer on it
+        acts directly on the base.
+
         Args:
-            v: displacement, in UFL, of a motion of the bodies in which the rigid bases move with them.
+            v: displacement of the bodies, in UFL. The base below each facet of S moves and rotates as the facet does.
 
         Returns:
             A dictionary from the name of the base's seam to a UFL form, linear in v. It takes its time from the model's

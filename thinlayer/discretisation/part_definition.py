@@ -41,8 +41,8 @@ class PartDefinition(FormerNames):
 
     Attributes:
         key: name of the part's memory and energy in states and in files, unique among the parts of a model.
-        place: for a part with a multi-point constraint, name of the facet set whose displacements follow its motions.
-        components: components of these displacements that follow, such as "y"; None: all.
+        place: for a part with a multi-point constraint, name of the facet set whose displacements it constrains.
+        components: components of these displacements that it constrains, such as "y"; None: all.
     """
 
     former_names: ClassVar = {"tied": "multi_point_constraint", "held": "bc_dofs_in", "resistance": "rigid_stiffness"}
@@ -140,7 +140,7 @@ class PartDefinition(FormerNames):
     def bc_dofs_in(self, model: HostModel, V: fem.FunctionSpace) -> Indices:
         """Return the local degrees of freedom of V, ghosts included, on which the part acts as a support does.
 
-        Collective. By default they are the displacements that its multi-point constraint makes follow its motions.
+        Collective. By default they are the displacements that its multi-point constraint determines.
         """
         if not self.has_constraint:
             return np.empty(0, np.int32)
@@ -150,7 +150,10 @@ class PartDefinition(FormerNames):
         return np.unique(nodes[:, None] * d + np.array(axes, int)).astype(np.int32)
 
     def multi_point_constraint(self, model: HostModel) -> MultiPointConstraint:
-        """Return the multi-point constraint by which displacements follow the motions of the part. Collective."""
+        """Return the multi-point constraint u = R q between displacements u and the part's own unknowns q. Collective.
+
+        The unknowns q are called motions. Examples are the translations and the rotation of a rigid plate.
+        """
         raise NotImplementedError
 
     def load_work(self, model: HostModel, state: Configuration) -> float:

@@ -131,10 +131,11 @@ class EigenstrainContext:
 
     Attributes:
         name: name of the body or layer in messages.
-        law: law of the body or layer for `kinematics`; its parameters are numbers or functions of the place.
+        law: law of the body or layer, for example its plane-stress form if the mesh is in plane stress. Its parameters
+            are numbers or functions of the place.
         n: mean unit normal of S, (d,) in d dimensions.
-        kinematics: strains of displacements.
-        at: coordinates and time.
+        kinematics: rule by which strains follow from displacements: plane strain or stress, axisymmetric or 3D.
+        at: coordinates and time, the arguments of values that are functions.
     """
 
     name: str

@@ -50,7 +50,9 @@ LoadPiece = tuple[Expr, LoadRegion]  # force, and the region where it acts
 
 @dataclass(frozen=True)
 class SideLoad:
-    """A traction on the side of a layer, its own boundary at an end of S; its interface law is of order 1.
+    """A traction on the side of a layer whose interface law is of order 1.
+
+    The side is the layer's own boundary at an end of S. It joins the two faces of the layer.
 
     Attributes:
         what: name of the load in error messages.

@@ -269,10 +269,10 @@ class GlobalLocal:
         return self._linearised(start)
 
     def weights_and_adjoint(self, goal: Goal) -> tuple[Array, BodyEquilibrium]:
-        """Return the nodal weights (m,) of a goal, at this rank's displacements, and its adjoint solution.
+        """Return the weights of a goal and its adjoint solution.
 
-        The weights are the derivative of `goal` by the displacements, at the state of the interface model. The adjoint
-        solution is in equilibrium with them in the bodies, except on S.
+        The weights (m,) are the derivatives of `goal` by the m displacements of this rank, at the state of the
+        interface model. If they act as loads, the adjoint solution is in equilibrium in the bodies, except on S.
         """
         (q, g), (layer_q, layer_g) = goal.dual(self.adjoint), goal.layer_weights(self.layers)
         if self.model.linear and goal.is_linear(self.model):
@@ -421,7 +421,8 @@ class GlobalLocal:
     def energy_gap(self, iterate: BodyEquilibrium) -> float:
         """Return twice an upper bound of the energy of `iterate` above the solution's energy (Prager and Synge).
 
-        It is r . E^+ r in the notation of the module.
+        It is r . E^+ r. Here r is the residual of the iterate, forces on the layers' faces. E^+ is the pseudo-inverse
+        of the layers' stiffness E, condensed to the faces.
         """
         return self.layers.compliance(self.residual(iterate))[1]
 

@@ -22,7 +22,7 @@ def layer_forces(state: State, bonds_joined: bool = False) -> fem.Function:
     Args:
         state: the state.
         bonds_joined: whether the shape functions, of degree 1, are continuous across seams with a `Bond`. If so, the
-            forces between bonded bodies cancel. Across other seams they always jump.
+            forces between bonded bodies cancel. Across other seams the shape functions are never continuous.
 
     Returns:
         A vector function of degree 1, whose nodal values are the forces r_i.

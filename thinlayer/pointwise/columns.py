@@ -59,13 +59,18 @@ class SwitchingLaw(Protocol):
     """
 
     def excess(self, phase: Array, drive: Array, bound: Array) -> Array:
-        """Return, for each of n columns, the energy of its phase minus the least energy of other phases, over `bound`.
+        """Return (n,) for each column the energy of its phase minus the least energy of the others, divided by `bound`.
 
-        The result is (n,), without unit. A column switches if its number is positive.
+        The numbers have no unit. A column with a positive number switches its phase.
+
+        Args:
+            phase: (n,) present phases.
+            drive: (n,) driving forces, energies per volume.
+            bound: (n,) energies of the transformation per volume.
         """
 
     def switched(self, phase: Array, drive: Array, bound: Array) -> Array:
-        """Return the phase (n,) of lowest energy of each of n columns."""
+        """Return (n,) for each column the phase of lowest energy; the arguments are those of `excess`."""
 
 
 class Switching:
@@ -93,10 +98,10 @@ class Switching:
         return [np.rint(phase), drive, bound]  # a mean of equal numbers has rounding errors
 
     def phase_gain(self, memory: Array) -> float:
-        """Return the largest energy that a column would lose by a change of phase, as a number without unit.
+        """Return the largest energy that a column would lose by changing its phase, divided by the transformation energy.
 
-        The energy is divided by that of the transformation, a parameter of the law. If the number is positive, a column
-        must switch. It is the same on all ranks. Collective.
+        The transformation energy is a parameter of the law. If the result is positive, a column must switch. The result
+        is the same on all ranks. Collective.
 
         Args:
             memory: (points, values) internal variables.

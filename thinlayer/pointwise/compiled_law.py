@@ -23,11 +23,13 @@ C_SOURCE = Path(__file__).with_name("response.c")
 
 
 class CompiledLaw:
-    """Law that is compiled to a C function, evaluated at all quadrature points of this rank. Collective.
+    """Law that is compiled to a C function, evaluated at all quadrature points of this rank.
+
+    Creating an object is collective, as compiling is. Its methods are not.
 
     Attributes:
-        memory_size: number of internal values at a point. Besides internal variables these are, if needed, strains at the
-            point: 3 out of the plane for each sublayer in plane stress, and 3 across each sublayer of a stack.
+        memory_size: number of internal values at a point. Besides internal variables these are, if needed, strains at
+            the point: 3 out of the plane for each sublayer in plane stress, and 3 across each sublayer of a stack.
         parameters: (n,) parameters of the first sublayer, then of the next ones; (points, n) if they vary in place or
             time.
     """

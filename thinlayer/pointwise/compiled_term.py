@@ -75,7 +75,8 @@ class CompiledTerm(Quadrature):
             joint.
 
     Attributes:
-        B: matrix from displacements to strains. Each point has m rows, one for each of the m Mandel components `mandel`.
+        B: matrix from displacements to strains. Each point has m rows, one for each of the m Mandel components
+            `mandel`.
         material: the compiled law.
         switching: phases of a law that are fixed in a solve and switch after it; None for other laws.
         constant_matrices: matrices of the tangent that do not change; the result of `stiffness` does not contain them.
@@ -218,8 +219,8 @@ class CompiledTerm(Quadrature):
     def tangent_at_rest(self) -> Array:
         """Return the tangents (points, m, m) before loading, for m Mandel components, with parameters of time 0.
 
-        For laws that depend on strain rates, the rates are zero. If parameters vary, they keep their values of time 0,
-        and the method is collective.
+        For laws that depend on strain rates, the rates are zero. If parameters vary in place or time, the method is
+        collective. It then also sets them to their values at time 0, which hold until the next `set_time`.
         """
         zero = np.zeros((self.count, len(self.mandel)))
         self.set_time(0.0)

@@ -41,13 +41,13 @@ class MeshOrigin:
         comm: communicator for the sums and messages of laws at quadrature points.
         x: (d,) UFL coordinates in the joint as drawn.
         numbers: function (topological dimension, local numbers of cells or facets) -> their numbers in the joint.
-        layer_columns: function without arguments that returns two arrays about the layer's columns, the cells above each
-            other through the thickness. The first has the number of the column of each cell (-1 outside the layer), or
-            of each facet. The second has the centres (columns, d) of the columns.
+        layer_columns: function without arguments that returns two arrays about the layer's columns, the cells above
+            each other through the thickness. The first has the number of the column of each cell (-1 outside the
+            layer), or of each facet. The second has the centres (columns, d) of the columns.
         x_on_s: (d,) UFL coordinates on S in the joint as drawn, to be restricted to a side; None: S lies on facets of
             the mesh, and `x` is used.
-        middle_points: (n_points, d) coordinates of the mesh's points, where points of S are moved midway between its sides;
-            None: S lies on facets of the mesh.
+        middle_points: (n_points, d) coordinates of the mesh's points, where points of S are moved midway between its
+            sides; None: S lies on facets of the mesh.
     """
 
     comm: MPI.Intracomm
@@ -278,12 +278,12 @@ class Quadrature:
 
     @cached_property
     def columns(self) -> Columns:
-        """Columns of the layer, with the points in each; on S each facet is a column.
+        """Columns of the layer, with the points in each: the cells above each other through the thickness.
 
-        In the meshed layer a column consists of the cells above each other through the thickness.
+        On S each facet is a column.
 
         Raises:
-            InputError: a meshed layer without a joint.
+            InputError: the law acts in the cells of a layer, but there is no `origin` that knows the columns.
         """
         if self.origin:
             numbers, centres = self.origin.layer_columns()

@@ -70,8 +70,9 @@ class Record:
 
     Use it in a `with` statement. At its start the folder is locked, so that other runs there are refused. Files of an
     earlier run are moved to a subfolder previous-1, previous-2, ... They are moved back if the statement ends with an
-    InputError before any file is written. A file that no run.json lists is moved there, too, before a file of the same
-    name is written. At the end run.json says whether the study is done, or why it is not. Only rank 0 writes files.
+    InputError before any file is written. A file that no run.json lists is moved to such a subfolder, too, before a
+    file of the same name is written. At the end run.json says whether the study is done, or why it is not. Only rank 0
+    writes files.
 
     Attributes:
         study: name of the study.

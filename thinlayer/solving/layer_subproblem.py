@@ -45,9 +45,9 @@ RANK_TOLERANCE = 1e-9  # least singular value of independent motions, over the l
 class DirichletLayers:
     """Meshed layers without bodies, with prescribed displacements of their faces, in a time step.
 
-    The faces of a layer are its lower and upper side, where it meets the bodies. Its sides join the faces at the ends
-    of S. The n unknowns of the layers are displacements, then other fields such as pressures. All arrays (n,) have one
-    entry for each unknown; forces on the layers are such arrays, too.
+    The faces of a layer are its lower and upper side, where it meets the bodies. Its lateral sides join the faces at
+    the ends of S. The n unknowns of the layers are displacements, then other fields such as pressures. All arrays (n,)
+    have one entry for each unknown; forces on the layers are such arrays, too.
 
     Attributes:
         model: the model of the meshed layers.
@@ -55,7 +55,7 @@ class DirichletLayers:
         load: (n,) forces for which the linearised residual at unknowns w is K w - load. They include the effect of
             prescribed strains.
         nodal_loads: (n,) nodal forces of the loads on the layers, without prescribed strains.
-        values: (n,) prescribed displacements of the layers' sides; zero elsewhere.
+        values: (n,) prescribed displacements of the layers' lateral sides; zero elsewhere.
         on_face: (n,) mask of the displacements of the faces, including those that supports constrain.
 
     Args:
@@ -132,12 +132,13 @@ class DirichletLayers:
     def dirichlet_displacements(self, v: Array, load: Array, side_displacements: Array) -> Array:
         """Return the n unknowns of the linearised layers in equilibrium, for given displacements of their faces.
 
-        A layer's faces are its lower and upper side, where it meets the bodies. Its sides join them at the ends of S.
+        A layer's faces are its lower and upper side, where it meets the bodies. Its lateral sides join them at the ends
+        of S.
 
         Args:
             v: (n,) displacements of the faces; all other entries are ignored.
             load: (n,) forces on the layers.
-            side_displacements: (n,) prescribed displacements of the sides; all other entries are ignored.
+            side_displacements: (n,) prescribed displacements of the lateral sides; all other entries are ignored.
 
         Returns:
             Unknowns (n,): displacements, then other fields such as pressures.
@@ -164,8 +165,8 @@ class DirichletLayers:
         Args:
             w: (n,) initial unknowns. If the laws are linear, they are returned unchanged.
             forces: (n,) forces that the residual must equal.
-            get_factor: function that returns the factor of a submatrix of the present K. Unknowns outside this submatrix do
-                not change.
+            get_factor: function that returns the factor of a submatrix of the present K. Unknowns outside this
+                submatrix do not change.
         """
         if self.model.linear:
             return w
@@ -329,14 +330,16 @@ class LayerSubproblem(DirichletLayers):
 
     # ---------------------------------------------------------------- E and its inverse
     def dirichlet_reactions(self, v: Array, load: Array, side_displacements: Array) -> Array:
-        """Return the forces (n,) on the faces of the linearised layers at given face displacements.
+        """Return the forces (n,) that bodies must exert on the faces of the linearised layers to hold them in place.
 
-        Forces are zero where supports constrain the faces.
+        All other unknowns of the layers are in equilibrium. The forces are zero where supports constrain the faces. A
+        layer's faces are its lower and upper side; its lateral sides join them at the ends of S.
 
         Args:
-            v: (n,) displacements of the faces; all other entries are ignored.
+            v: (n,) displacements at which the faces are held. Entries of the n unknowns that are not on faces are
+                ignored.
             load: (n,) forces on the layers.
-            side_displacements: (n,) prescribed displacements of the sides; all other entries are ignored.
+            side_displacements: (n,) prescribed displacements of the lateral sides; all other entries are ignored.
         """
         return self.free_face_values(self.K @ self.dirichlet_displacements(v, load, side_displacements) - load)
 
@@ -434,8 +437,8 @@ def line_search_fraction(decrease: Callable[[float], float], initial: float) -> 
     """Shorten a Newton step until the energy does not rise steeply at its end; return the fraction of it that remains.
 
     Args:
-        decrease: function of a fraction of the step. It returns the decrease of the energy, per unit of the fraction, at
-            the end of the shortened step.
+        decrease: function of a fraction of the step. It returns the decrease of the energy, per unit of the fraction,
+            at the end of the shortened step.
         initial: value of `decrease` at the fraction 0; it must be positive.
 
     Returns:

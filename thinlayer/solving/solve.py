@@ -272,7 +272,9 @@ class Solver(AbstractContextManager["Solver"]):
         return self.equations.rest_state(t)
 
     def solve_sudden(self, t: float) -> State:
-        """Return the state at time `t` if the loads at this time act suddenly on the model at rest. Collective.
+        """Return the equilibrium right after the loads of time `t` act suddenly on the model at rest. Collective.
+
+        Inertia is neglected. No time passes, so that nothing creeps or relaxes.
 
         Raises:
             SolveError: no convergence, or no unique solution.

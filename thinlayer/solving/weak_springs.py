@@ -166,7 +166,9 @@ class WeakSprings:
     def _residual_norm(self, x: Array) -> float:
         """Compute the residual at unknowns `x` (n,), with the forces of the springs, and return its relative norm.
 
-        In each block of unknowns of `ForceScale`, it is relative to the reference force at the start of the search.
+        In each block of unknowns of `ForceScale` except the whole model, the norm of the residual is divided by a
+        reference force. The result is the root of the sum of squares over the blocks. The reference force is that of
+        `ForceScale` or, if it is larger, the norm of the residual at the beginning of `soften`.
         """
         equations = self.equations
         self._x.array[:] = x
@@ -208,8 +210,8 @@ class WeakSprings:
         Args:
             x: (n,) unknowns before the step.
             d: (n,) increment of the unknowns by the full step.
-            bound: norm below which the residual should fall. If no length of the step achieves that, the length with the
-                least residual is taken.
+            bound: norm below which the residual should fall. If no length of the step achieves that, the length with
+                the least residual is taken.
 
         Returns:
             Unknowns (n,) after the step, and the norm of their residual.

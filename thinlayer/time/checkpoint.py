@@ -166,16 +166,16 @@ class Checkpoint:
         """Read a march from the files in the folder.
 
         Args:
-            resume: whether the march is to be resumed. "anyway": also if it is another march; its files then keep the
-                data that identify it.
-            n_last: how many states are read, counted from the end of the march; 0: all.
+            resume: whether the march is to be resumed. "anyway": also if the files are of another march. They then keep
+                the data that identify that march.
+            n_last: number of states to read, the last ones of the march; 0: all.
 
         Returns:
             The table, number of a row -> its state, and the data from which the length of the next step follows. None:
             there is no march, or `resume` is False.
 
         Raises:
-            InputError: the files belong to another march, or march.json is damaged; or the march is to be resumed, and
+            InputError: the files belong to another march, or march.json is damaged. Or the march is to be resumed, and
                 the file of a state is damaged.
         """
         content = on_root(self.comm, lambda: self._read_march(resume))
@@ -193,7 +193,7 @@ class Checkpoint:
         To be called on rank 0 only.
 
         Args:
-            resume: whether the march is to be resumed; "anyway": also if it is another march.
+            resume: whether the march is to be resumed; "anyway": also if the file is of another march.
 
         Raises:
             InputError: the file is damaged or has the format of another version; it is of another march; or its table
