@@ -275,9 +275,9 @@ LONG_TIME_STEP = 1e30  # length of a time step in which rates are practically ze
 def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
     """Return the tangent d stress/d strain (6, 6) of a law for small strains from the unstrained state.
 
-    The tangent is in Mandel's order. For a law with internal variables it is the instantaneous tangent, for a law with
-    a rate that at zero rates. For an incompressible layer the stress excludes the pressure. A law that does not declare
-    its stiffness has its stress differentiated, which takes some milliseconds.
+    The tangent is in Mandel's order. For a law with internal variables it is the instantaneous tangent. For a law that
+    depends on strain rates it is the tangent at zero rates. For an incompressible layer the stress excludes the
+    pressure. If the law does not declare its stiffness, its stress is differentiated, which takes some milliseconds.
 
     Args:
         law: the law, with numbers for parameters.

@@ -366,11 +366,11 @@ class Splitting:
         return out
 
     def components(self, dim: int) -> Indices:
-        """Return (n_cells, m) for each cell and each of its m entities the number of the component that has the cell.
+        """Return (n_cells, m) the number of the component that contains each cell, for each of the cell's m entities.
 
-        Cells around an entity are in one component if uncut facets that contain the entity link them. The components at
-        each entity are numbered from 0, in the order of the lowest cell number in each. All cells around an entity that
-        the cut does not divide have 0.
+        The components at an entity are groups of the cells around it. Cells are in one group if uncut facets that
+        contain the entity link them. The components at each entity are numbered from 0, in the order of the lowest cell
+        number in each. All cells around an entity that the cut does not divide have 0.
 
         Args:
             dim: dimension of the entities, such as 1 for edges.
@@ -405,10 +405,10 @@ class Splitting:
 
     @cached_property
     def at_nodes(self) -> Indices:
-        """(n_cells, k) For each cell and each of its k nodes, the number of the component there that has the cell.
+        """(n_cells, k) Number of the component that contains each cell, for each of the cell's k nodes.
 
-        Cells around a node are in one component if uncut facets that contain the node link them. The components at each
-        node are numbered from 0.
+        The components at a node are groups of the cells around it. Cells are in one group if uncut facets that contain
+        the node link them. The components at each node are numbered from 0.
         """
         dofs = lagrange(self.cell_type, geometry_degree(self.cell_type, self.cells.shape[1])).entity_dofs
         components = np.zeros(self.cells.shape, np.int32)
@@ -421,10 +421,10 @@ class Splitting:
 
     @property
     def at_vertices(self) -> Indices:
-        """(n_cells, k) For each cell and each of its k vertices, the number of the component there that has the cell.
+        """(n_cells, k) Number of the component that contains each cell, for each of the cell's k vertices.
 
-        Cells around a vertex are in one component if uncut facets that contain the vertex link them. The components at
-        each vertex are numbered from 0.
+        The components at a vertex are groups of the cells around it. Cells are in one group if uncut facets that
+        contain the vertex link them. The components at each vertex are numbered from 0.
         """
         return self.at_nodes[:, : self._corners.shape[1]]
 

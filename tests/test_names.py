@@ -81,6 +81,8 @@ def test_former_methods_are_deprecated():
     with pytest.warns(DeprecationWarning, match="Own.eased is deprecated since thinlayer 1.1; call it homotopy"):
         law = type("Own", (LinearElastic,), {"eased": lambda self, ease: LinearElastic(9.0, 8.0)})
     assert law(1.0, 2.0).homotopy(0.5) == LinearElastic(9.0, 8.0)
+    with pytest.warns(DeprecationWarning, match="Own.quadratic is deprecated .*; call it has_quadratic_energy"):
+        assert not type("Own", (LinearElastic,), {"quadratic": False}).has_quadratic_energy
     structure = Structure(block(1.0, 1.0, 0.5), body=LinearElastic(1.0, 2.0), supports={})
     model = structure.interface(ThinLayer(LinearElastic(0.3, 0.2), 0.1))
     with pytest.warns(DeprecationWarning, match="Coordinates.given is deprecated since thinlayer 1.1; use coefficient"):

@@ -79,7 +79,7 @@ class NodeLines:
     cells of degree 2 also have a level in the middle of each cell.
 
     Attributes:
-        first_inner: number of the first node inside a line; the copies at the ends of lines have smaller numbers.
+        first_inner: lowest number of a node inside a line; the copies at the ends of lines have lower numbers.
         ends: (n, 2) numbers of the first and of the other copy of each line.
         feet: (n,) the node of S that both are copies of.
         seam_no: (n,) position in `Joint.seams` of the seam of each line.
@@ -94,7 +94,7 @@ class NodeLines:
 
     @cached_property
     def last_level(self) -> IntArray:
-        """(n,) last level of each line."""
+        """(n,) number of the last level of each line, at which its other copy is."""
         return np.array([len(heights) - 1 for heights in self.heights])[self.seam_no]
 
     @cached_property
@@ -158,7 +158,7 @@ class FacetLines(NamedTuple):
 
 
 def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) -> tuple[NodeLines, FacetLines]:
-    """Return the lines of nodes through the layers, and for each node of each facet of S which line begins there.
+    """Return the lines of nodes through the layers, and for each node of each facet of S the line through it.
 
     A line connects the two copies of a node on the two sides of a facet of S. Facets with the same two copies share the
     line.

@@ -182,9 +182,9 @@ class NodePairs:
     def add_forces(self, t: Array, out: PETSc.Vec) -> None:
         """Add to `out` the nodal forces that do the virtual work of tractions t (n, d) in the jumps.
 
-        The tractions are components along the nodes' local axes, and have their usual sign: the upper side exerts t on
-        the lower side. The nodal forces are along t on the upper nodes and along -t on the lower ones. They are the
-        forces that balance the tractions: loads minus these forces are the residual.
+        The tractions are components along the nodes' local axes; the upper side exerts t on the lower side. The nodal
+        forces are internal forces, opposite to those that the sides exert on each other. They are along t on the upper
+        nodes and along -t on the lower ones.
         """
         forces = np.einsum("nji,nj->ni", self.frames, t * self.weights[:, None])
         np.add.at(out.array.reshape(-1, self.dim), self.upper, forces)  # where S branches, nodes share an upper side

@@ -30,7 +30,7 @@ class Columns:
         self._column_weights = self.column_sums(weights)
 
     def column_sums(self, values: Array) -> Array:
-        """Return the sum of `values` (points,) over the points of each column, as an array (count,).
+        """Return the sum of `values` (points,) over the points of each column, as an array (n_columns,).
 
         The result is the same on all ranks.
         """
@@ -40,7 +40,7 @@ class Columns:
         return sums
 
     def column_means(self, values: Array) -> Array:
-        """Return the mean of `values` (points,) over the points of each column, as an array (count,).
+        """Return the mean of `values` (points,) over the points of each column, as an array (n_columns,).
 
         Points have the weights of the quadrature rule. The result is the same on all ranks.
         """
@@ -98,7 +98,7 @@ class Switching:
         return [np.rint(phase), drive, bound]  # a mean of equal numbers has rounding errors
 
     def phase_gain(self, memory: Array) -> float:
-        """Return the largest energy that a column would lose by changing its phase, divided by the transformation energy.
+        """Return the largest energy that a column would lose by changing phase, divided by the transformation energy.
 
         The transformation energy is a parameter of the law. If the result is positive, a column must switch. The result
         is the same on all ranks. Collective.

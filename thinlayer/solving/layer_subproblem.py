@@ -172,7 +172,7 @@ class DirichletLayers:
             return w
 
         def energy_decrease(fraction: float) -> float:
-            """Return the rate, per unit of `fraction`, at which the energy falls along `step`, at w + share * step."""
+            """Return the rate, per unit of `fraction`, at which the energy falls along `step`, at w + fraction step."""
             return float(step @ (forces - self.residual(w + fraction * step)))
 
         for _ in range(MAX_NEWTON_STEPS):
@@ -191,7 +191,7 @@ class DirichletLayers:
         """Return the vector g (n,) for which -g . r is the force of a support along a direction.
 
         Here r is the residual of the layers, at n unknowns. Entries of g are nonzero only at supports of the layers'
-        sides.
+        lateral sides.
 
         Args:
             place: name of the support's facet set, or coordinates of its point.
@@ -265,14 +265,14 @@ class LayerSubproblem(DirichletLayers):
         return _SubmatrixFactor(self.K, (self.free_faces | self._inner) & ~self._pins, symmetric=self.model.symmetric)
 
     def work(self, w: Array, z: Array) -> Array:
-        """Return the work of the stresses in virtual displacements, minus that of the loads, as shares of all nodes.
+        """Return the work of the stresses in virtual displacements, minus that of the loads, divided among all nodes.
 
         Args:
             w: (n,) unknowns at which the stresses are computed.
             z: (n,) virtual displacements.
 
         Returns:
-            Array (k,) with one share for each of the layers' k displacement components. Their sum is the work.
+            Array (k,) with the part of the work of each of the layers' k displacement components. The sum is the work.
         """
         self.residual(w)
         strained, nodal_work = fem.Function(self.model.V), fem.Function(self.model.V)
@@ -350,8 +350,8 @@ class LayerSubproblem(DirichletLayers):
     def compliance(self, r: Array) -> tuple[Array, float]:
         """Return the face displacements (n,) of the linearised layers under face forces, and the work of these forces.
 
-        The work is infinite if rounding errors hide it. They may do so in bending: a layer of length L and thickness
-        eps is then about (L/eps)^4 times as soft as under tension across it.
+        The work is returned as infinite if rounding errors are too large. They may be so in bending. A layer of length
+        L and thickness eps is then about (L/eps)^4 times as soft as under tension across it.
 
         Args:
             r: (n,) face forces, without a resultant on any piece of the layers.
@@ -442,7 +442,7 @@ def line_search_fraction(decrease: Callable[[float], float], initial: float) -> 
         initial: value of `decrease` at the fraction 0; it must be positive.
 
     Returns:
-        A fraction of at most 1, at which `decrease` is at least -start/2.
+        A fraction of at most 1, at which `decrease` is at least -initial/2.
 
     Raises:
         SolveError: there is no such fraction.

@@ -179,7 +179,7 @@ class WeakSprings:
         return float(np.linalg.norm(self._norms[1:] / np.maximum(self._reference_forces[1:], MIN_DIVISOR)))
 
     def _is_converged(self, x: Array) -> bool:
-        """Whether the last residual is small compared with the forces of the springs at unknowns `x` (n,).
+        """Return whether the last residual is small compared with the forces of the springs at unknowns `x` (n,).
 
         It must be so in each block of unknowns of `ForceScale`.
         """

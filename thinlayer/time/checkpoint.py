@@ -98,7 +98,7 @@ class Checkpoint:
         """Write the states that are not in files yet, and replace the files of the table.
 
         Files of states that are not in `states` are removed. If `first` is 0, all files of an earlier march are removed
-        before.
+        first.
 
         Args:
             table: table of the march so far.
