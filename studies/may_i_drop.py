@@ -254,7 +254,7 @@ def _layer_work(solved: SolvedCase, at: Array) -> Array:
     v, q, x = fem.Function(model.V), ufl.TestFunction(Q), model.V.tabulate_dof_coordinates()[:, :2]
     nodes = np.flatnonzero(np.abs(x[:, 1]) <= solved.eps / 2 * (1 + 1e-9))
     face_displacements = layers.to_layers(solved.estimate.state.u.x.array)
-    probe = Probe(layers.state(layers.dirichlet_displacements(face_displacements, layers.load, layers.values)))
+    probe = Probe(layers.state(layers.dirichlet_displacements(face_displacements, layers.load, layers.side_u)))
     all_points = comm.allgather(x[nodes])  # a probe needs the same points on all ranks
     offset = sum(len(points) for points in all_points[: comm.rank])
     v.x.array.reshape(-1, 2)[nodes] = probe.displacement(np.concatenate(all_points))[offset : offset + len(nodes)]

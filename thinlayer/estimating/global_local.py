@@ -264,7 +264,7 @@ class GlobalLocal:
         linearised at the iterate's face displacements.
         """
         u = self.state.u.x.array[: self.n].copy()
-        start = self._with_couples(u, self._face_forces(self._missing_forces(u)), self.layers.load, self.layers.values)
+        start = self._with_couples(u, self._face_forces(self._missing_forces(u)), self.layers.load, self.layers.side_u)
         self._start_forces = start.F
         return self._linearised(start)
 

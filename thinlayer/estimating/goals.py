@@ -171,7 +171,7 @@ class Compliance(Goal):
         return 0.0  # the reactions contain it
 
     def layer_weights(self, layers: DirichletLayers) -> tuple[Array, Array]:
-        return layers.nodal_loads, layers.values
+        return layers.nodal_loads, layers.side_u
 
 
 def _rms_traction(surface: Surface, state: State) -> float:

@@ -220,13 +220,13 @@ class Estimate:
         assert isinstance(model, InterfaceModel)
         layers = {name: error.layer for name, error in self.layers.items()}
         fine = DirichletLayers(LayerModel(model, layers, coarse.n_cells_through, at_ends), self.state.t)
-        coarse_w = coarse.dirichlet_displacements(coarse.to_layers(self.better.u.x.array), coarse.load, coarse.values)
+        coarse_w = coarse.dirichlet_displacements(coarse.to_layers(self.better.u.x.array), coarse.load, coarse.side_u)
         coarse_w_z, goal_values = coarse.dirichlet_displacements(z.face_u, z.load, z.side_u), []
         fine_vectors = coarse.interpolate_to_refined(coarse_w, fine), coarse.interpolate_to_refined(coarse_w_z, fine)
         for subproblem, w, w_z in ((coarse, coarse_w, coarse_w_z), (fine, *fine_vectors)):
-            load_z, values_z = self._goals[goal].layer_weights(subproblem)
-            w = subproblem.dirichlet_displacements(w, subproblem.load, subproblem.values)
-            w_z = subproblem.dirichlet_displacements(w_z, load_z, values_z)
+            load_z, side_u_z = self._goals[goal].layer_weights(subproblem)
+            w = subproblem.dirichlet_displacements(w, subproblem.load, subproblem.side_u)
+            w_z = subproblem.dirichlet_displacements(w_z, load_z, side_u_z)
             goal_values.append(load_z @ w - w_z @ (subproblem.K @ w - subproblem.load))
         return float(self.goals[goal].better + goal_values[1] - goal_values[0])
 

@@ -55,7 +55,7 @@ class DirichletLayers:
         load: (n,) forces for which the linearised residual at unknowns w is K w - load. They include the effect of
             prescribed strains.
         nodal_loads: (n,) nodal forces of the loads on the layers, without prescribed strains.
-        values: (n,) prescribed displacements of the layers' lateral sides; zero elsewhere.
+        side_u: (n,) prescribed displacements of the layers' lateral sides; zero elsewhere.
         on_face: (n,) mask of the displacements of the faces, including those that supports constrain.
 
     Args:
@@ -68,7 +68,7 @@ class DirichletLayers:
         self._equations = equations = Equations(model)  # on this rank only: freed with the layers
         self._x, self._out = equations.create_vector(), equations.create_vector()
         self._n_u, n = equations.n_displacements, self._x.getLocalSize()
-        self.nodal_loads, self.values, self._at_sides = np.zeros(n), np.zeros(n), np.zeros(n, bool)
+        self.nodal_loads, self.side_u, self._at_sides = np.zeros(n), np.zeros(n), np.zeros(n, bool)
         self._at_sides[equations.bc_dofs] = True
         self.begin(self.rest_state(t), t)
         domain, d = model.domain, model.joint.dim
@@ -96,7 +96,7 @@ class DirichletLayers:
         """Begin a time step of the layers from the configuration `old` to time `t`, and linearise them at `old`."""
         equations = self._equations
         equations.begin(TimeStep(old, t, t - old.t, 1.0))
-        self.nodal_loads[: self._n_u], self.values[equations.bc_dofs] = equations.loads.array_r, equations.prescribed
+        self.nodal_loads[: self._n_u], self.side_u[equations.bc_dofs] = equations.loads.array_r, equations.prescribed
         equations.put_state(old, self._x)
         self.linearise(self._x.array_r.copy())
 
@@ -156,7 +156,7 @@ class DirichletLayers:
         Raises:
             SolveError: no convergence, or the layer softens.
         """
-        w = self.dirichlet_displacements(v, self.load, self.values)
+        w = self.dirichlet_displacements(v, self.load, self.side_u)
         return self._solve_newton(w, np.zeros(len(v)), lambda: self._dirichlet)
 
     def _solve_newton(self, w: Array, forces: Array, get_factor: Callable[[], _SubmatrixFactor]) -> Array:
