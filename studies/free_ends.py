@@ -60,9 +60,10 @@ class EndCase:
             the structure.
         law: law of the layer.
         is_inner: function of the coordinates that is true at points far from the ends, where errors are measured.
-        min_order: least allowed rate of convergence, between the two smallest thicknesses, if the law corrects the ends.
-        slow: errors ("traction", "jump", "work") whose rate must not exceed 1.3 if the law ignores the ends. Errors that
-            are not listed may change sign.
+        min_order: least allowed rate of convergence, between the two smallest thicknesses, if the law corrects the
+            ends.
+        slow: errors ("traction", "jump", "work") whose rate must not exceed 1.3 if the law ignores the ends. Errors
+            that are not listed may change sign.
     """
 
     name: str

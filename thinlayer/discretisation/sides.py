@@ -109,7 +109,8 @@ class FacetWeights:
 
     Attributes:
         a_N, a_T: (n,) relative loss of stiffness against openings and against shear, the mean over each facet.
-        flow_resistance: (n,) relative increase of the resistance to a flow along S under pressure, mean over each facet.
+        flow_resistance: (n,) relative increase of the resistance to a flow along S under pressure, mean over each
+            facet.
         m: (n, d) unit normal in S of the nearest end, outward, in d dimensions; zero where there is none.
         offset: (n,) value of m . x at points x of the nearest end, a length.
         sheet, eps, strips: the seam, its thickness and the strips along ends, from which the weights are made.

@@ -78,8 +78,8 @@ class Goal(ABC):
     def layer_weights(self, layers: DirichletLayers) -> tuple[Array, Array]:
         """Return what the layers contribute to Q, if they are meshed by themselves: zero for most goals.
 
-        The contribution is q . w - g . r, with the unknowns w of the layers, and the reactions r of supports at their
-        lateral sides.
+        The contribution is q . w - g . r. Here w are the unknowns of the layers, and r the reactions of supports at
+        their lateral sides.
 
         Args:
             layers: the meshed layers, with n unknowns.

@@ -344,8 +344,8 @@ class Equations(PartSum):
         Args:
             x: vector whose values at constrained unknowns the solution shall have; None: zero values.
             b: right-hand side, to which the forces due to these values are added; None if `x` is None.
-            in_place: whether, to save memory, the tangent may be made in place from the matrix of the bodies. Within the
-                block that matrix may then serve only for a factorisation. Without effect if `x` is given.
+            in_place: whether, to save memory, the tangent may be made in place from the matrix of the bodies. Within
+                the block that matrix may then serve only for a factorisation. Without effect if `x` is given.
         """
         only_u = x is None and self._T is None and not self.field_parts
         first, *others = self.blocks(self._relative_residual) if in_place and only_u else [Block(None)]

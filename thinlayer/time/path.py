@@ -206,8 +206,8 @@ class EquilibriumPath:
         """Return a number whose sign says whether a new direction of the path must be reversed beyond a kink of a law.
 
         It is negative if the direction must be reversed, positive if not, and 0 if there is no kink. It serves for
-        corners of the path sharper than 90 degrees. There the angle with the last increment, by which `set_direction` and
-        Crisfield (1981) choose a sign, does not decide.
+        corners of the path sharper than 90 degrees. There the angle with the last increment, by which `set_direction`
+        and Crisfield (1981) choose a sign, does not decide.
 
         The residual R is continuous at a kink. Let 1 be the branch before the kink, and 2 the branch beyond it. Then
         the derivatives A = [K, dR/dt] of R on them differ by a matrix c n^T. Here n is the normal of the boundary
