@@ -14,13 +14,13 @@ from ufl.indexed import Indexed
 
 from forms.base import Array, InputError, require
 from forms.law import BulkLaw, Law, Step, checked_stress, explained_errors, require_shape
-from forms.law_tangents import evaluate, law_identity, symbolic_law
+from forms.law_tangents import equations_key, evaluate, symbolic_law
 from forms.parameter_fields import ParameterField, ParameterValue
 from forms.tensors import Expr, mandel_vector
 
-SAMPLE_STRAINS = (0.01, 0.3)  # sizes of the strains at which laws are evaluated
+STRAIN_SIZES = (0.01, 0.3)  # sizes of the strains at which laws are evaluated
 ROUNDING_TOLERANCE = 1e-8  # relative difference that counts as rounding
-MIN_NORMAL_NUMBER = 1e-290  # magnitude below which products of numbers have lost digits
+MIN_ACCURATE_NUMBER = 1e-290  # magnitude below which products of numbers have lost digits
 ASYMMETRY_MESSAGE = "{}: the tangent is not symmetric (by {:.1e} of its size); declare symmetric = False, or correct it"
 _CHECKED_LAWS: set[tuple[object, ...]] = set()  # laws that have passed, with their parameter values
 
@@ -59,7 +59,7 @@ def check(law: Law, d: int | None = 3) -> None:
         law_3d: BulkLaw = sublayer.law_3d
         value_bytes = [np.asarray(_numeric_value(value)).tobytes() for value in law_3d.parameters().values()]
         key = (type(law_3d), d, repr(law_3d.choices()), *value_bytes)
-        if law_identity(law_3d) is None and key not in _CHECKED_LAWS:
+        if equations_key(law_3d) is None and key not in _CHECKED_LAWS:
             require_consistent(law_3d, d)
             _CHECKED_LAWS.add(key)
 
@@ -81,21 +81,21 @@ def require_consistent(law: BulkLaw, d: int | None = 3) -> None:
         return
     numeric_law, name, method = law.mapped(_numeric_value), type(law).__name__, law.methods[0]
     d = 3 if law.traits.compiled else d
-    point = symbolic_law(numeric_law, d=d)
-    expressions = _method_expressions(point.law, point.step)
+    symbolic = symbolic_law(numeric_law, d=d)
+    expressions = _method_expressions(symbolic.law, symbolic.step)
     if isinstance(expressions[method], Zero) and not law.traits.compiled:
         raise InputError(f"{name}.{method} is zero, whatever the strain; a law of this kind needs a stiffness")
     stress_vector = mandel_vector(expressions[method])
-    all_expressions: dict[str, Expr] = {**expressions, "tangent": ufl.diff(stress_vector, point.strain)}
+    all_expressions: dict[str, Expr] = {**expressions, "tangent": ufl.diff(stress_vector, symbolic.strain)}
     if law.traits.has_energy and law.traits.symmetric and not (law.traits.rate or law.internal):
-        all_expressions["error"] = ufl.diff(expressions["energy"], point.strain) - stress_vector
+        all_expressions["error"] = ufl.diff(expressions["energy"], symbolic.strain) - stress_vector
     with explained_errors(law, method):
         all_expressions = {key: expand_derivatives(expression) for key, expression in all_expressions.items()}
 
     def value_at(key: str, inputs: Array) -> Array | None:
-        return _evaluated(all_expressions[key], {point.symbols: inputs})
+        return _evaluated(all_expressions[key], {symbolic.symbols: inputs})
 
-    for strain_size in SAMPLE_STRAINS:
+    for strain_size in STRAIN_SIZES:
         e, sample = _random_inputs(numeric_law, strain_size, d or 3)
         _require_no_branches(law, d, sample, value_at)
         for key in expressions:
@@ -103,8 +103,8 @@ def require_consistent(law: BulkLaw, d: int | None = 3) -> None:
             if tensor is not None and tensor.ndim == 2 and (skew := _relative_difference(tensor, tensor.T)):
                 text = f"{name}.{key} is not symmetric: by {skew:.1e} of its size"
                 raise InputError(f"{text}; use ufl.sym, or a vector (3,)")
-        samples = [np.concatenate([strain, sample[6:]]) for strain in (e, -e, 3 * e[::-1])]
-        tangents = [C for inputs in samples if (C := value_at("tangent", inputs)) is not None]
+        input_samples = [np.concatenate([strain, sample[6:]]) for strain in (e, -e, 3 * e[::-1])]
+        tangents = [C for inputs in input_samples if (C := value_at("tangent", inputs)) is not None]
         for C in tangents:
             if law.traits.linear and _relative_difference(C, tangents[0]):
                 text = f"{name} declares linear = True, but its stress is not affine in the strain"
@@ -114,8 +114,8 @@ def require_consistent(law: BulkLaw, d: int | None = 3) -> None:
                 raise InputError(ASYMMETRY_MESSAGE.format(name, skew) + note)
         error, stress = (value_at(key, sample) if "error" in all_expressions else None for key in ("error", method))
         if error is not None and stress is not None and np.abs(error).max() > ROUNDING_TOLERANCE * np.abs(stress).max():
-            difference = f"it is {np.abs(error).max() / (np.abs(stress).max() or 1.0):.1e} of the stress away"
-            text = f"{name}: the derivative of the energy by the strain is not the stress, {difference}"
+            difference_text = f"it is {np.abs(error).max() / (np.abs(stress).max() or 1.0):.1e} of the stress away"
+            text = f"{name}: the derivative of the energy by the strain is not the stress, {difference_text}"
             raise InputError(f"{text}; correct one of them, or write symmetric = False if the stress has no energy")
 
 
@@ -169,15 +169,15 @@ def _require_no_branches(law: BulkLaw, d: int | None, sample: Array, value_at: C
         value_at: function of a method's name and a vector of inputs. It evaluates the method of the law with symbols,
             and returns None where this is impossible.
     """
-    normal_start, stress = 12 + law.memory, value_at(law.methods[0], sample)
+    normal_offset, stress = 12 + law.memory, value_at(law.methods[0], sample)
     energy_scale = 0.0 if stress is None else float(np.abs(stress).max() * np.abs(sample[:6]).max())
     scales = {"energy": energy_scale, "dissipation": energy_scale}  # scale of rounding errors where an energy is zero
     for dt, theta, field_value in ((0.1, 1.0, 1.0), (0.0, 0.5, 0.0)):
         numeric_law = law.mapped(partial(_numeric_value, field_value=field_value))
-        inputs = np.concatenate([sample[: normal_start + 3], [dt, theta], numeric_law.parameter_values()])
+        inputs = np.concatenate([sample[: normal_offset + 3], [dt, theta], numeric_law.parameter_values()])
         try:
-            point = symbolic_law(numeric_law, inputs, d)
-            expressions = _method_expressions(point.law, point.step)
+            symbolic = symbolic_law(numeric_law, inputs, d)
+            expressions = _method_expressions(symbolic.law, symbolic.step)
         except Exception:  # for example a division by zero
             continue
         for key, expression in expressions.items():
@@ -192,7 +192,7 @@ def _relative_difference(a: Array, b: Array, scale: float = 0.0) -> float:
 
     The difference is divided by the largest of all |a|, |b| and `scale`.
     """
-    difference, largest = np.abs(a - b).max(), max(np.abs(a).max(), np.abs(b).max(), scale, MIN_NORMAL_NUMBER)
+    difference, largest = np.abs(a - b).max(), max(np.abs(a).max(), np.abs(b).max(), scale, MIN_ACCURATE_NUMBER)
     return float(difference / largest) if difference > ROUNDING_TOLERANCE * largest else 0.0
 
 

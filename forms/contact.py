@@ -161,8 +161,8 @@ class ContactLaw(Law):
             slip_direction = trial_t[slides] / norm[slides, None]
             projector = np.eye(d - 1) - slip_direction[:, :, None] * slip_direction[:, None, :]
             tangents[slides, : d - 1, : d - 1] = (self.K_T * bound[slides] / norm[slides])[:, None, None] * projector
-            bound_rate = -self.K_N * np.where(p > 0, self.threshold_rate(p), 0.0)[slides]
-            tangents[slides, : d - 1, -1] = slip_direction * bound_rate[:, None]
+            bound_slope = -self.K_N * np.where(p > 0, self.threshold_rate(p), 0.0)[slides]
+            tangents[slides, : d - 1, -1] = slip_direction * bound_slope[:, None]
         return tangents
 
     def bonded(self, n: int, d: int) -> Array:
@@ -230,9 +230,9 @@ class ContactLaw(Law):
             lmbda, mu: Lame moduli of the layer divided by its thickness, stress per length.
             others: the law's other parameters, by name.
         """
-        parameter_names = [f.name for f in fields(cls) if f.name not in ("K_N", "K_T")]
-        for name in (name for name in others if name not in parameter_names):
-            raise InputError(f"{cls.__name__}.of_layer has no {name!r}; known: lmbda, mu, {', '.join(parameter_names)}")
+        other_names = [f.name for f in fields(cls) if f.name not in ("K_N", "K_T")]
+        for name in (name for name in others if name not in other_names):
+            raise InputError(f"{cls.__name__}.of_layer has no {name!r}; known: lmbda, mu, {', '.join(other_names)}")
         LinearElastic(lmbda, mu)  # raises InputError for moduli out of range
         return cls(K_N=lmbda + 2 * mu, K_T=mu, **others)
 

@@ -434,9 +434,9 @@ class Bar:
         sigma = np.asarray((delta - phase * self.free_elongation) / (self.l * self.R), float)
         U = np.asarray(self.l * (sigma + self.alpha * phase) / self.kbar, float)
         energy = self.l * self.R * sigma**2 / 2 + phase_fraction * self.sigma_m * self.free_elongation
-        phase_0_stable = (phase_fraction == 1) | (np.abs(sigma) <= self.sigma_up)
-        phase_1_stable = (phase_fraction == 0) | (np.sign(phase) * sigma >= self.sigma_up - self.alpha)
-        return BarResponse(phase, sigma, U, energy, phase_0_stable & phase_1_stable)
+        is_phase_0_stable = (phase_fraction == 1) | (np.abs(sigma) <= self.sigma_up)
+        is_phase_1_stable = (phase_fraction == 0) | (np.sign(phase) * sigma >= self.sigma_up - self.alpha)
+        return BarResponse(phase, sigma, U, energy, is_phase_0_stable & is_phase_1_stable)
 
     def layout_responses(self, delta: Array | float, n: int) -> BarResponse:
         """Return the responses of a bar whose layer has n equal elements, with 0, 1, ..., n of them in phase 1.
@@ -485,8 +485,8 @@ class Bar:
         Returns:
             Elongation of the bar and stress at each vertex, (4, 2).
         """
-        half_stress_drop = mixing * self.alpha / 2
-        sigma = np.array([0, self.sigma_up - half_stress_drop, self.sigma_up - self.alpha + half_stress_drop])
+        mixing_offset = mixing * self.alpha / 2
+        sigma = np.array([0, self.sigma_up - mixing_offset, self.sigma_up - self.alpha + mixing_offset])
         delta = self.l * self.R * sigma + np.array([0, 0, self.free_elongation])
         end_delta = 2 * delta.max() if end_elongation is None else end_elongation
         return np.column_stack([[*delta, end_delta], [*sigma, (end_delta - self.free_elongation) / (self.l * self.R)]])

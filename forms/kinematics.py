@@ -24,13 +24,13 @@ class Kinematics:
         x: coordinates on the mesh, UFL (d,); None if no mesh is set (`on_mesh` returns a copy with a mesh).
         name: value of `plane` in `Structure(plane=...)` that selects these kinematics.
         has_rigid_rotations: whether rigid rotations cause no strain.
-        degree: polynomial degree of `factor` in the coordinates.
+        factor_degree: polynomial degree of `factor` in the coordinates.
     """
 
     x: Expr | None = None
     name: ClassVar[str] = "strain"
     has_rigid_rotations: ClassVar[bool] = True
-    degree: ClassVar[int] = 0
+    factor_degree: ClassVar[int] = 0
 
     def on_mesh(self, mesh: ufl.Mesh) -> Self:
         """Return a copy of these kinematics that uses the coordinates of `mesh`."""
@@ -74,7 +74,7 @@ class Kinematics:
         """Return the values (...) of `factor` at places with the coordinates `x` (..., d)."""
         return np.ones(x.shape[:-1])
 
-    def node_areas(self, corners: Array, shape_integrals: Array) -> Array:
+    def corner_areas(self, corners: Array, shape_integrals: Array) -> Array:
         """Return the areas (n, k) of S that belong to each of the k corners of n facets.
 
         They are the integrals of the corners' shape functions of degree 1, times `factor`.
@@ -138,7 +138,7 @@ class Axisymmetric(Kinematics):
 
     name = "axisymmetric"
     has_rigid_rotations = False
-    degree = 1
+    factor_degree = 1
 
     def strain_indices(self, d: int) -> tuple[int, ...]:
         return (0, 1, 2, 3)

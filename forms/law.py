@@ -23,14 +23,14 @@ from forms.parameter_fields import (
     ParameterRangeError,
     ParameterValue,
     as_parameter_field,
-    extreme_places,
+    extreme_indices,
     failure_text,
     parameter_numbers,
     place_text,
 )
 from forms.stations import AnyStation, gauss_stations
 from forms.tensors import Expr, average_lame, condensed_tangent, isotropic_tensor
-from forms.traits import VARIABLE_SIZES, Traits, accept_renamed, require_declarations, reset_inherited_attributes
+from forms.traits import VARIABLE_SIZES, Traits, accept_renamed, require_valid_declarations, reset_inherited_attributes
 
 if TYPE_CHECKING:
     from forms.ends.weights import EndStrips, EndWeights
@@ -150,7 +150,7 @@ class Law(LayerResults):
         if not self.fields:  # parameters that are functions need places, see `check_at`
             self.check()
         _ = self.traits  # raises InputError for wrong declarations of the class
-        require_declarations(self)
+        require_valid_declarations(self)
 
     def _check_number(self, name: str, value: object, may_be_none: bool, scalar: bool) -> None:
         is_function = isinstance(value, ParameterField) or (callable(value) and name in self.functions)
@@ -323,7 +323,7 @@ class Law(LayerResults):
         if not self.fields:
             return
         values, n = list(self.fields_at(x).values()), x.shape[1]
-        at = sorted({*extreme_places(values, with_differences=True), *range(0, n, max(n // MAX_CHECKED_PLACES, 1))})
+        at = sorted({*extreme_indices(values, with_differences=True), *range(0, n, max(n // MAX_CHECKED_PLACES, 1))})
         for k, law in zip(at, self.at_places(x[:, at]), strict=True):
             try:
                 law.check()
@@ -341,7 +341,7 @@ class Law(LayerResults):
         """
         if not self.fields:
             return [self]
-        extreme_x = x[:, extreme_places(list(self.fields_at(x).values()))]
+        extreme_x = x[:, extreme_indices(list(self.fields_at(x).values()))]
         self.check_at(extreme_x)
         return list(self.at_places(extreme_x))
 
@@ -377,7 +377,7 @@ class BulkLaw(Law):
         return super()._traits_of_methods() | {
             "has_energy": cls.energy is not BulkLaw.energy,
             "has_homotopy": cls.homotopy is not BulkLaw.homotopy,
-            "in_series": not (declared_traits.constrained or declared_traits.switches),
+            "stackable": not (declared_traits.constrained or declared_traits.switches),
             "in_ufl": True,
             "compiled": declared_traits.rate or bool(self.internal) or declared_traits.varies,
         }
@@ -532,7 +532,7 @@ class BulkLaw(Law):
         return self.mapped(lambda value, power: (value if callable(value) else np.asarray(value, float)) * ratio**power)
 
 
-def _delegated(name: str) -> Any:
+def _law_property(name: str) -> Any:
     """Return a property, for the class `WrappedLaw`, that reads the attribute or method `name` of the wrapped law."""
     return property(attrgetter(f"law.{name}"))
 
@@ -550,11 +550,11 @@ class WrappedLaw(BulkLaw):
     def __post_init__(self) -> None:
         """Check nothing, since the wrapped law has been checked when it was made."""
 
-    powers, internal, break_times, fields = map(_delegated, ("powers", "internal", "break_times", "fields"))
-    fields_at, at, parameters = map(_delegated, ("fields_at", "at", "parameters"))
-    check, check_dimension = map(_delegated, ("check", "check_dimension"))
-    statuses, status_at, plastic_strain = map(_delegated, ("statuses", "status_at", "plastic_strain"))
-    share_columns, shares, mean_shares = map(_delegated, ("share_columns", "shares", "mean_shares"))
+    powers, internal, break_times, fields = map(_law_property, ("powers", "internal", "break_times", "fields"))
+    fields_at, at, parameters = map(_law_property, ("fields_at", "at", "parameters"))
+    check, check_dimension = map(_law_property, ("check", "check_dimension"))
+    statuses, status_at, plastic_strain = map(_law_property, ("statuses", "status_at", "plastic_strain"))
+    share_columns, shares, mean_shares = map(_law_property, ("share_columns", "shares", "mean_shares"))
 
     def choices(self) -> tuple[tuple[str, object], ...]:
         return ("law", type(self.law)), *self.law.choices()

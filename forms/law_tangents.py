@@ -112,7 +112,7 @@ def _parameter_shape(value: ParameterValue) -> tuple[int, ...]:
     return tuple(value.ufl_shape) if isinstance(value, Expr) else np.asarray(value).shape
 
 
-def law_identity(law: BulkLaw) -> tuple[object, ...] | None:
+def equations_key(law: BulkLaw) -> tuple[object, ...] | None:
     """Return a key that is equal for two laws of this package that have the same equations.
 
     The values of their parameters may differ. None for user-defined laws, whose methods may depend on other data.
@@ -129,10 +129,10 @@ def reads_input(law: BulkLaw, name: str) -> bool:
         law: a law in UFL.
         name: the input in question: "n", the unit normal of the layer, or "dt", the length of the step.
     """
-    point = symbolic_law(law)
-    symbol = ufl.Constant(_SYMBOL_MESH, shape=getattr(point.step, name).ufl_shape)
-    step = point.step._replace(**{name: symbol})
-    outputs = [point.law.stress(point.law.law_step(step)), *point.law.advance(step).values()]
+    symbolic = symbolic_law(law)
+    symbol = ufl.Constant(_SYMBOL_MESH, shape=getattr(symbolic.step, name).ufl_shape)
+    step = symbolic.step._replace(**{name: symbol})
+    outputs = [symbolic.law.stress(symbolic.law.law_step(step)), *symbolic.law.advance(step).values()]
     return any(symbol is node for output in outputs for node in traverse_unique_terminals(ufl.as_ufl(output)))
 
 
@@ -196,8 +196,8 @@ def _evaluate_node(node: Expr, operands: list[Values]) -> Values:
     if isinstance(node, (Indexed, ComponentTensor, IndexSum)):
         return _evaluate_indexing(node, *operands)
     if not isinstance(node, Sum):  # operands of a sum have the same free indices
-        pairs, free_indices = zip(operands, node.ufl_operands, strict=True), [*node.ufl_free_indices]
-        operands = [_broadcast(values, operand, len(node.ufl_shape), free_indices) for values, operand in pairs]
+        operand_pairs, free_indices = zip(operands, node.ufl_operands, strict=True), [*node.ufl_free_indices]
+        operands = [_broadcast(values, operand, len(node.ufl_shape), free_indices) for values, operand in operand_pairs]
     function = NUMPY_FUNCTIONS.get(type(node)) or np.vectorize(lambda *values: _evaluate_scalar(node, values))
     return np.asarray(function(*operands))
 
@@ -217,8 +217,8 @@ def _evaluate_indexing(node: Expr, values: Values, indices: Iterable[Expr]) -> V
         return _einsum(values[selection], applied_indices + operand_indices, free_indices)
     if isinstance(node, ComponentTensor):
         return _einsum(values, operand_indices, applied_indices + free_indices)
-    shape_axes = [-1 - k for k in range(len(node.ufl_shape))]
-    return _einsum(values, shape_axes + operand_indices, shape_axes + free_indices)
+    shape_labels = [-1 - k for k in range(len(node.ufl_shape))]
+    return _einsum(values, shape_labels + operand_indices, shape_labels + free_indices)
 
 
 def _einsum(values: Values, axes: list[int], kept: list[int]) -> Values:
@@ -318,13 +318,13 @@ def _first_step_tangent(law: BulkLaw, n: Array, dt: float) -> Array | None:
         return None
     try:
         numeric_law = law_3d.mapped(lambda value, _: np.asarray(getattr(value, "value", value), float))
-        point = symbolic_law(numeric_law, d=3 if law_3d.traits.compiled else len(n))
-        stress = in_mandel(point.law.stress(point.law.law_step(point.step)))
-        tangent: Expr = expand_derivatives(ufl.diff(stress, point.strain))
+        symbolic = symbolic_law(numeric_law, d=3 if law_3d.traits.compiled else len(n))
+        stress = in_mandel(symbolic.law.stress(symbolic.law.law_step(symbolic.step)))
+        tangent: Expr = expand_derivatives(ufl.diff(stress, symbolic.strain))
         with warnings.catch_warnings(action="ignore"):  # UFL warns of roots of negative numbers
             fixed = np.concatenate([np.zeros(6 + law_3d.memory), np.pad(n, (0, 3 - len(n))), [dt, 1.0]])
             inputs = [np.concatenate([e, fixed, numeric_law.parameter_values()]) for e in (PROBE_STRAIN, -PROBE_STRAIN)]
-            C = np.mean([evaluate(tangent, {point.symbols: values}) for values in inputs], axis=0)
+            C = np.mean([evaluate(tangent, {symbolic.symbols: values}) for values in inputs], axis=0)
     except Exception:  # a part of the law has no numerical value; the model reports such errors
         return None
     return law.condensed(np.asarray(C)) if np.isfinite(C).all() else None

@@ -133,8 +133,8 @@ class PhaseLaw(IsotropicLaw):
             where: function from the index of a place to a text that tells the place, for messages.
         """
         for name, values in parameters.items():
-            invalid_places = np.flatnonzero(~((values > 0) & np.isfinite(values)))
-            for k in invalid_places[np.argsort(values[invalid_places])][:1]:
+            invalid_indices = np.flatnonzero(~((values > 0) & np.isfinite(values)))
+            for k in invalid_indices[np.argsort(values[invalid_indices])][:1]:
                 self.require(False, name + where(k), "> 0", f"{values[k]:g}")
 
     @property
@@ -264,8 +264,8 @@ class NonMonotone(PhaseLaw):
         return ufl.conditional(ufl.lt(m, 0), -1.0, 1.0) * self._phase_fraction(m)
 
     def stress(self, step: Step) -> Expr:
-        phase = self._signed_fraction(self._driving_force(step.mid, step.n))
-        return lame_stress(self.lmbda, self.mu, step.mid) - phase * self._transformation_stress(step.n)
+        signed_fraction = self._signed_fraction(self._driving_force(step.mid, step.n))
+        return lame_stress(self.lmbda, self.mu, step.mid) - signed_fraction * self._transformation_stress(step.n)
 
     def advance(self, step: Step) -> dict[str, Expr]:
         return {"phase": self._signed_fraction(self._driving_force(step.e, step.n)), "stored": self.energy(step)}
@@ -273,8 +273,8 @@ class NonMonotone(PhaseLaw):
     def energy(self, step: Step) -> Expr:
         m = self._driving_force(step.e, step.n)
         theta, g = self._phase_fraction(m), self._mixing_gain
-        phase_energy = theta * (abs(m) - self.transformation_energy) + theta * (1 - theta) * g / 2
-        return isotropic_energy(self.lmbda, self.mu, step.e) - phase_energy
+        phase_gain = theta * (abs(m) - self.transformation_energy) + theta * (1 - theta) * g / 2
+        return isotropic_energy(self.lmbda, self.mu, step.e) - phase_gain
 
 
 @dataclass(frozen=True, eq=False)

@@ -134,7 +134,7 @@ def place_text(x: Array, k: int) -> str:
     return f"x = ({', '.join(f'{c:g}' for c in x[:, k])})"
 
 
-def extreme_places(values: Sequence[Array], *, with_differences: bool = False) -> list[int]:
+def extreme_indices(values: Sequence[Array], *, with_differences: bool = False) -> list[int]:
     """Return the indices of the places where a quantity, or the ratio of two, is smallest or largest.
 
     Args:

@@ -226,7 +226,7 @@ class MohrCoulombMonodirectional(Plastic):
         volume.
         """
         n, p = three_dimensional(step.n), step.q["accumulated"]
-        e = step.mid - step.q["plastic"]  # needs only the traction: compiles 50 times faster than with _trial
+        e = step.mid - step.q["plastic"]  # needs only the traction: compiles 50 times faster than with _trial_stress
         e_N = ufl.dot(n, ufl.dot(e, n))
         t_N, t_T = self.lmbda * ufl.tr(e) + 2 * self.mu * e_N, 2 * self.mu * (ufl.dot(e, n) - e_N * n)
         t_N = ufl.min_value(t_N, 0) if self.unilateral else t_N
@@ -236,16 +236,16 @@ class MohrCoulombMonodirectional(Plastic):
         is_plastic = ufl.gt(squared_norm, ufl.max_value(bound, 0) ** 2)
         norm = ufl.sqrt(ufl.conditional(is_plastic, squared_norm, 1))
         excess = ufl.conditional(is_plastic, norm - bound, 1)
-        slip = ufl.min_value(self._slip_size(p, excess), norm / self.mu)  # beyond the apex no shear traction remains
-        slip = ufl.conditional(is_plastic, slip, 0)
-        return slip / norm * ufl.sym(ufl.outer(t_T, n)), slip
+        dp = ufl.min_value(self._p_increment(p, excess), norm / self.mu)  # beyond the apex no shear traction remains
+        dp = ufl.conditional(is_plastic, dp, 0)
+        return dp / norm * ufl.sym(ufl.outer(t_T, n)), dp
 
     @property
     def _half_saturation_strain(self) -> Expr:
         """Saturation strain p_0, at which the cohesion has gained half of its saturation, UFL; 1 without saturation."""
         return ufl.conditional(ufl.gt(self.saturation, 0), self.saturation_strain, 1.0)
 
-    def _slip_size(self, p: Expr, excess: Expr) -> Expr:
+    def _p_increment(self, p: Expr, excess: Expr) -> Expr:
         """Return the increment x > 0 of the accumulated plastic strain, UFL, for which excess = mu x + c(p + x) - c(p).
 
         c is the cohesion as a function of the accumulated plastic strain. x is the root of a quadratic equation.
@@ -264,8 +264,8 @@ class MohrCoulombMonodirectional(Plastic):
         return (1 - self.elastic_fraction) * stress + self.elastic_fraction * lame_stress(self.lmbda, self.mu, step.mid)
 
     def advance(self, step: Step) -> dict[str, Expr]:
-        flow, slip = self._plastic_increments(step)
-        increments = {"plastic": flow, "accumulated": slip}
+        flow, dp = self._plastic_increments(step)
+        increments = {"plastic": flow, "accumulated": dp}
         return {name: step.q[name] + change / step.theta for name, change in increments.items()}
 
     def dissipated(self, step: Step) -> Expr:

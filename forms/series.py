@@ -16,7 +16,7 @@ from forms.law import ORDER_0_REMEDY, BulkLaw, ChangeParameter
 from forms.parameter_fields import ParameterField, ParameterValue
 from forms.stations import AnyStation, Faces, Station
 from forms.tensors import Expr, jump_strain, three_dimensional
-from forms.traits import Traits, require_declarations
+from forms.traits import Traits, require_valid_declarations
 
 
 class AveragedElastic(LinearElastic):
@@ -57,12 +57,12 @@ class EqualTractionLaw(AveragedElastic):
             faces: displacements of the faces of the layer.
         """
         n, mean_strain = three_dimensional(faces.n), faces.strain_across() + faces.mean_strain_s
-        thinning_change = faces.with_scaled_jump(self.mean_r_phi_n, self.mean_r_phi_t).strain_difference
-        rotation_change = faces.with_scaled_jump(self.mean_phi_n, self.mean_phi_t).strain_difference
-        stretch = self.mean_r * ufl.tr(faces.in_plane(mean_strain)) + ufl.tr(faces.in_plane(thinning_change))
-        shear = 2 * ufl.dot(mean_strain + rotation_change, n)
+        thinning_strain = faces.with_scaled_jump(self.mean_r_phi_n, self.mean_r_phi_t).strain_difference
+        rotation_strain = faces.with_scaled_jump(self.mean_phi_n, self.mean_phi_t).strain_difference
+        added_e_N = self.mean_r * ufl.tr(faces.in_plane(mean_strain)) + ufl.tr(faces.in_plane(thinning_strain))
+        shear = 2 * ufl.dot(mean_strain + rotation_strain, n)
         shear -= ufl.dot(shear, n) * n
-        return (ufl.dot(n, ufl.dot(mean_strain, n)) + stretch) * faces.n_dyad + jump_strain(shear, n)
+        return (ufl.dot(n, ufl.dot(mean_strain, n)) + added_e_N) * faces.n_dyad + jump_strain(shear, n)
 
 
 def sublayer_stations(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[AnyStation]:
@@ -96,10 +96,10 @@ def sublayer_stations(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[AnyS
     M_mean, mu_mean = 1 / mean(1 / modulus for modulus in M_values), 1 / mean(1 / modulus for modulus in mu)
     r = [lmbda / modulus for (lmbda, _), modulus in zip(moduli, M_values, strict=True)]
     steps_n = [a * M_mean / modulus for a, modulus in zip(fractions, M_values, strict=True)]
-    steps_t = [a * mu_mean / shear for a, shear in zip(fractions, mu, strict=True)]
+    steps_t = [a * mu_mean / mu_i for a, mu_i in zip(fractions, mu, strict=True)]
     # for each sublayer: means of Phi_N, Phi_T and Phi_T^2
     phi_n_means, phi_t_means = ([at + step / 2 for at, step in _start_and_step(steps)] for steps in (steps_n, steps_t))
-    phi_t_squares = [at * at + at * step + step * step / 3 for at, step in _start_and_step(steps_t)]
+    phi_t_square_means = [at * at + at * step + step * step / 3 for at, step in _start_and_step(steps_t)]
 
     def product(first: list[float], second: list[float]) -> list[float]:
         return [a * b for a, b in zip(first, second, strict=True)]
@@ -110,8 +110,8 @@ def sublayer_stations(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[AnyS
 
     means = map(mean, (r, product(r, phi_n_means), product(r, phi_t_means), phi_n_means, phi_t_means))
     across_law = EqualTractionLaw(M_mean - 2 * mu_mean, mu_mean, *means)
-    moments = list(zip(phi_t_squares, phi_t_means, strict=True))
-    low, middle = [2 * p - q for p, q in moments], [1 - 4 * p for p in phi_t_squares]
+    moments = list(zip(phi_t_square_means, phi_t_means, strict=True))
+    low, middle = [2 * p - q for p, q in moments], [1 - 4 * p for p in phi_t_square_means]
     in_plane_stations = station_at(-0.5, low), station_at(0.0, middle), station_at(0.5, [2 * p + q for p, q in moments])
     return [Station(across_law, 1, EqualTractionLaw.strain), *in_plane_stations]
 
@@ -158,13 +158,13 @@ class Stack(BulkLaw):
 
     def __init__(self, *sublayers: tuple[float, BulkLaw]) -> None:
         try:
-            pairs = [(float(a), getattr(law, "sublayers", ((1.0, law),))) for a, law in sublayers]
+            nested_sublayers = [(float(a), getattr(law, "sublayers", ((1.0, law),))) for a, law in sublayers]
         except (TypeError, ValueError) as error:
             raise InputError(f"Stack needs pairs (fraction, law): {error}") from error
-        sublayer_list = [(a * b, law) for a, inner in pairs for b, law in inner]
+        sublayer_list = [(a * b, law) for a, inner in nested_sublayers for b, law in inner]
         vars(self).update(fractions=tuple(a for a, _ in sublayer_list), laws=tuple(law for _, law in sublayer_list))
         self.check()
-        require_declarations(self)
+        require_valid_declarations(self)
 
     def check(self) -> None:
         self.require(len(self.laws) > 0, "number of sublayers", ">= 1", 0)
@@ -172,7 +172,7 @@ class Stack(BulkLaw):
         total, allowed = sum(self.fractions), "laws that give a stress for a strain, point by point"
         self.require(abs(total - 1) < 1e-12, "sum of the fractions", "1", total)
         for law in self.laws:
-            self.require(isinstance(law, BulkLaw) and law.traits.in_series, "a sublayer", allowed, law)
+            self.require(isinstance(law, BulkLaw) and law.traits.stackable, "a sublayer", allowed, law)
 
     @classmethod
     def graded(cls, law: Callable[[float], BulkLaw], n: int) -> Stack:

@@ -120,8 +120,8 @@ def layer_frame(n: Expr) -> Expr:
         return ufl.as_tensor([[n[1], n[0], 0], [-n[0], n[1], 0], [0, 0, 1]])
     opposite = ufl.lt(n[1], -1 + 1e-12)
     tangential_squared = n[0] * n[0] + n[2] * n[2]
-    s_downwards = (1 - n[1]) / ufl.conditional(opposite, 1, tangential_squared)  # = 1/(1 + n_2) without cancellation
-    s = ufl.conditional(ufl.lt(n[1], 0), s_downwards, 1 / ufl.conditional(ufl.lt(n[1], 0), 1, 1 + n[1]))
+    s_if_downward = (1 - n[1]) / ufl.conditional(opposite, 1, tangential_squared)  # = 1/(1 + n_2) without cancellation
+    s = ufl.conditional(ufl.lt(n[1], 0), s_if_downward, 1 / ufl.conditional(ufl.lt(n[1], 0), 1, 1 + n[1]))
     row_1, row_3 = [1 - s * n[0] * n[0], n[0], -s * n[0] * n[2]], [-s * n[0] * n[2], n[2], 1 - s * n[2] * n[2]]
     rot = ufl.as_tensor([row_1, [-n[0], n[1], -n[2]], row_3])
     half_turn = ufl.as_tensor([[-1, 0, 0], [0, -1, 0], [0, 0, 1]])

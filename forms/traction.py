@@ -60,7 +60,7 @@ class TractionLaw(Law):
 
     def as_bulk_law(self) -> BulkLaw:
         cls: type = type(self)
-        return _bulk_law_class(cls)(self)
+        return _make_bulk_law_class(cls)(self)
 
     def traction(self, step: JumpStep) -> Expr:
         """Return the traction (3,), UFL, at t + theta dt, the time in the step at which forces balance."""
@@ -110,7 +110,7 @@ class TractionAsBulkLaw(WrappedLaw):
 
 
 @cache
-def _bulk_law_class(cls: type) -> type[TractionAsBulkLaw]:
+def _make_bulk_law_class(cls: type) -> type[TractionAsBulkLaw]:
     """Return a subclass of `TractionAsBulkLaw` that has the name and the module of `cls`, a class of traction laws.
 
     Messages, and the keys of compiled code, contain this name.

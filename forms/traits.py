@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from forms.law import Law
 
 # modules of the base classes, whose attributes are the defaults of all laws
-DEFAULT_MODULES = tuple(f"forms.{name}" for name in ("law", "traction", "kernel", "contact", "series"))
+LAW_BASE_MODULES = tuple(f"forms.{name}" for name in ("law", "traction", "kernel", "contact", "series"))
 RESPONSE_ATTRIBUTES = ("stress", "traction", "source")  # attributes that give the stress or traction of a law
 UPDATE_METHODS = ("advance", "evolve")  # methods that compute the new internal variables
 ORDER_1_METHODS = ("stations", "stations_at_ends", "end_strips", "elastic_moduli")
@@ -99,10 +99,10 @@ def reset_inherited_attributes(cls: type[Law]) -> None:
     for name in STRESS_ATTRIBUTES:
         if _is_for_another_stress(cls, name, RESPONSE_ATTRIBUTES + UPDATE_METHODS):
             _reset(cls, name)
-    own_energy_methods = [name for name in ENERGY_METHODS if _is_custom(cls, name)]
-    unchecked = getattr(cls, "rate", False) or cls.internal or not getattr(cls, "symmetric", True)
-    if unchecked and all(_is_for_another_stress(cls, name, RESPONSE_ATTRIBUTES) for name in own_energy_methods):
-        for name in own_energy_methods:
+    energy_methods = [name for name in ENERGY_METHODS if _is_custom(cls, name)]
+    energy_unchecked = getattr(cls, "rate", False) or cls.internal or not getattr(cls, "symmetric", True)
+    if energy_unchecked and all(_is_for_another_stress(cls, name, RESPONSE_ATTRIBUTES) for name in energy_methods):
+        for name in energy_methods:
             _reset(cls, name)
     if _is_custom(cls, "has_quadratic_energy") and _mro_index(cls, "energy") < _mro_index(cls, "has_quadratic_energy"):
         _reset(cls, "has_quadratic_energy", False)
@@ -122,14 +122,14 @@ def _is_for_another_stress(cls: type, name: str, responses: tuple[str, ...]) -> 
     if not _is_custom(cls, name):
         return False
     bases = reversed(cls.__mro__[: _mro_index(cls, name) + 1])
-    current = _own_responses(cls, responses)
-    earlier = next((attributes for base in bases if (attributes := _own_responses(base, responses))), current)
+    current = _custom_responses(cls, responses)
+    earlier = next((attributes for base in bases if (attributes := _custom_responses(base, responses))), current)
     return any(
         earlier.get(key) is not current.get(key) for key in responses if key in earlier or key not in UPDATE_METHODS
     )
 
 
-def _own_responses(cls: type, names: tuple[str, ...]) -> dict[str, object]:
+def _custom_responses(cls: type, names: tuple[str, ...]) -> dict[str, object]:
     """Return those attributes of a class among `names`, by name, that differ from the defaults of all laws."""
     return {name: inspect.getattr_static(cls, name) for name in names if _is_custom(cls, name)}
 
@@ -144,11 +144,11 @@ def _mro_index(cls: type, name: str) -> int:
 
 def _reset(cls: type, name: str, default: object = None) -> None:
     """Set the attribute `name` of a class to the default of all laws, or to `default` if there is no such default."""
-    defaults = (vars(base)[name] for base in cls.__mro__ if base.__module__ in DEFAULT_MODULES and name in vars(base))
+    defaults = (vars(base)[name] for base in cls.__mro__ if base.__module__ in LAW_BASE_MODULES and name in vars(base))
     setattr(cls, name, next(defaults, default))
 
 
-def require_declarations(law: Law) -> None:
+def require_valid_declarations(law: Law) -> None:
     """Raise InputError unless what a law's class declares fits its parameters and methods.
 
     Checked are the powers of eps, the internal variables, and whether all methods are used.
@@ -188,7 +188,7 @@ def _is_custom(cls: type, name: str) -> bool:
     """Return whether a class has an attribute, its own or inherited, that is not the default of all laws."""
     definer = next((base for base in cls.__mro__ if name in vars(base)), None)
     module = getattr(vars(definer)[name], "__module__", None) if definer else None  # also where `_reset` restored it
-    return definer is not None and not {definer.__module__, module} & {*DEFAULT_MODULES}
+    return definer is not None and not {definer.__module__, module} & {*LAW_BASE_MODULES}
 
 
 def trait_field(fold: Callable[[Iterable[bool]], bool], default: bool = False) -> bool:
@@ -234,7 +234,7 @@ class Traits:
     Traits that follow from the methods of a law:
         has_energy: stored energy and dissipation are declared.
         has_homotopy: `homotopy` gives laws whose equilibrium is easier to find, for continuation.
-        in_series: the law can be a sublayer of a Stack.
+        stackable: the law can be a sublayer of a Stack.
         remembers: the law has internal variables.
         in_ufl: the equations are written in UFL.
         of_jumps: the law is a function of jumps, not of strains, and has no thickness.
@@ -257,7 +257,7 @@ class Traits:
     switches: bool = trait_field(any)
     has_energy: bool = trait_field(all)
     has_homotopy: bool = trait_field(any)
-    in_series: bool = trait_field(all)
+    stackable: bool = trait_field(all)
     remembers: bool = trait_field(any)
     in_ufl: bool = trait_field(all)
     of_jumps: bool = trait_field(any)

@@ -98,9 +98,9 @@ class SeriesDashpot(IsotropicLaw):
 
     def advance(self, step: Step) -> dict[str, Expr]:
         old, increment = step.q["stress"], step.e - step.e_old
-        shear_rate, volumetric_rate = self._relaxation_rates(step)
-        deviator = self._relaxed(step, ufl.dev(old), 2 * self.mu * ufl.dev(increment), shear_rate)
-        mean_stress = self._relaxed(step, ufl.tr(old) / 3, self._bulk_modulus * ufl.tr(increment), volumetric_rate)
+        deviator_rate, mean_rate = self._relaxation_rates(step)
+        deviator = self._relaxed(step, ufl.dev(old), 2 * self.mu * ufl.dev(increment), deviator_rate)
+        mean_stress = self._relaxed(step, ufl.tr(old) / 3, self._bulk_modulus * ufl.tr(increment), mean_rate)
         return {"stress": deviator + mean_stress * ufl.Identity(3)}
 
     @staticmethod
@@ -183,7 +183,7 @@ class Maxwell(SeriesDashpot):
         self.require(in_range, "t2", f"> 0 and >= 3 nu t1/(1 + nu) = {min_t2:g}")
 
     @property
-    def _volumetric_rate(self) -> Expr:
+    def _mean_relaxation_rate(self) -> Expr:
         """Relaxation rate 1/t_v of the mean stress, 1/time, by the formula in `Maxwell`, in terms of lmbda and mu."""
         t2: Expr = self.t2
         return ((3 * self.lmbda + 2 * self.mu) / self.t1 - 3 * self.lmbda / t2) / (2 * self.mu)
@@ -191,11 +191,11 @@ class Maxwell(SeriesDashpot):
     @property
     def relaxation_times(self) -> tuple[float, ...]:
         """Relaxation time of the deviator and, if the mean stress relaxes, that of the mean stress."""
-        rate = self._volumetric_rate
+        rate = self._mean_relaxation_rate
         return self.t1, *((1 / rate,) if rate > RELATIVE_RATE_TOLERANCE / self.t1 else ())
 
     def _relaxation_rates(self, step: Step) -> tuple[Expr, Expr]:
-        return 1 / self.t1, self._volumetric_rate
+        return 1 / self.t1, self._mean_relaxation_rate
 
 
 @dataclass(frozen=True)

@@ -136,13 +136,13 @@ class Interface:
             upper: upper side of S, still without inverse gradient.
             lower: lower side of S.
         """
-        mesh, inverse_map = measure.ufl_domain(), upper(_inverse_gradient(to_s))
-        N = -ufl.dot(upper(ufl.FacetNormal(mesh)), inverse_map)
+        mesh, inverse_grad = measure.ufl_domain(), upper(_inverse_gradient(to_s))
+        N = -ufl.dot(upper(ufl.FacetNormal(mesh)), inverse_grad)
         norm_of_N = ufl.sqrt(ufl.dot(N, N))
         n, x = N / norm_of_N, upper(ufl.SpatialCoordinate(mesh) + to_s)
         fibre = upper(to_s) / ufl.dot(upper(to_s), n)
-        area = norm_of_N / abs(ufl.det(inverse_map))
-        return cls(measure, x, n, fibre, InterfaceSide(upper.restrict, inverse_map), lower, kinematics.at(x), area)
+        ratio = norm_of_N / abs(ufl.det(inverse_grad))
+        return cls(measure, x, n, fibre, InterfaceSide(upper.restrict, inverse_grad), lower, kinematics.at(x), ratio)
 
     @property
     def factor(self) -> Expr:
@@ -163,8 +163,8 @@ class Interface:
         """
         projector = ufl.Identity(len(self.n)) - ufl.outer(self.director, self.n)
         grad_upper, grad_lower = (ufl.dot(side.gradient(u), projector) for side in (self.upper, self.lower))
-        mean = self.kinematics.strain_along((grad_upper + grad_lower) / 2, (self.upper(u) + self.lower(u)) / 2)
-        return Faces(self.n, eps, self.jump(u), grad_upper - grad_lower, mean, self.kinematics.strain_along, grad_eps)
+        e_mean = self.kinematics.strain_along((grad_upper + grad_lower) / 2, (self.upper(u) + self.lower(u)) / 2)
+        return Faces(self.n, eps, self.jump(u), grad_upper - grad_lower, e_mean, self.kinematics.strain_along, grad_eps)
 
 
 def _inverse_gradient(to_s: Expr) -> Expr:
@@ -186,7 +186,7 @@ class Term:
         key: name under which internal variables and stored data are kept, if several layers have names. "": the name is
             made of "body" or "layer" and, if there are several terms, a number.
         kinematics: kinematics of the strain.
-        trace_degree: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell
+        bbar_degree: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell
             (B-bar). It applies to compiled laws over cells. None: no projection.
         traction: on S, function that returns, for a stress (3, 3), the traction (d,) that does the stress's virtual
             work on [u]. None: stress times n.
@@ -202,7 +202,7 @@ class Term:
     prescribed_strain: Expr | None = None
     key: str = ""
     kinematics: Kinematics = PLANE_STRAIN
-    trace_degree: int | None = None
+    bbar_degree: int | None = None
     mobility: Expr = 0
     traction: Callable[[Expr], Expr] | None = None
 
@@ -236,7 +236,7 @@ def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics = PLANE_STRA
         degree: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell (B-bar);
             None: no projection.
     """
-    return Term(law, kinematics.strain, kinematics.factor, measure, kinematics=kinematics, trace_degree=degree)
+    return Term(law, kinematics.strain, kinematics.factor, measure, kinematics=kinematics, bbar_degree=degree)
 
 
 def layer_term(law: BulkLaw, measure: ufl.Measure, n: Expr, kinematics: Kinematics = PLANE_STRAIN) -> Term:
@@ -299,31 +299,31 @@ def s_terms(
     term = partial(Term, measure=sides.measure, n=n, kinematics=sides.kinematics)
     if order == 0:
         return [term(law, lambda u: jump_strain(sides.jump(u), n) / eps, weight, prescribed_strain=prescribed_strain)]
-    fixed_displacements = Faces(n, eps, ufl.zero(d), ufl.zero(d, d), prescribed_strain, sides.kinematics.strain_along)
+    fixed_faces = Faces(n, eps, ufl.zero(d), ufl.zero(d, d), prescribed_strain, sides.kinematics.strain_along)
 
-    def unit_jump(i: int) -> Faces:
+    def jump_faces(i: int) -> Faces:
         unit_vector = ufl.as_vector([float(i == j) for j in range(d)])
         return Faces(n, eps, unit_vector, ufl.zero(d, d), ufl.zero(3, 3), lambda gradient, u: ufl.zero(3, 3), grad_eps)
 
-    def at(station: AnyStation) -> Term:
+    def term_at(station: AnyStation) -> Term:
         surface_law, station_weight = sides.law_on_surface(station.law), station.station_weight
         strain_of = partial(station.strain, surface_law)
 
         def traction(stress: Expr) -> Expr:
-            return ufl.as_vector([eps * station_weight * ufl.inner(stress, strain_of(unit_jump(i))) for i in range(d)])
+            return ufl.as_vector([eps * station_weight * ufl.inner(stress, strain_of(jump_faces(i))) for i in range(d)])
 
-        prescribed = None if prescribed_strain is None else strain_of(fixed_displacements)
+        prescribed = None if prescribed_strain is None else strain_of(fixed_faces)
         mobility = eps**3 * station.mobility(surface_law)
-        at_station = partial(term, prescribed_strain=prescribed, mobility=mobility, traction=traction)
-        return at_station(station.law, lambda u: strain_of(sides.faces(u, eps, grad_eps)), weight * station_weight)
+        make_at_station = partial(term, prescribed_strain=prescribed, mobility=mobility, traction=traction)
+        return make_at_station(station.law, lambda u: strain_of(sides.faces(u, eps, grad_eps)), weight * station_weight)
 
-    return [at(station) for station in (law.stations() if ends is None else law.stations_at_ends(ends))]
+    return [term_at(station) for station in (law.stations() if ends is None else law.stations_at_ends(ends))]
 
 
 def with_added_strain(terms: Iterable[Term], strain: Expr) -> list[Term]:
     """Return copies of terms with the strain `strain` (3, 3) added to their prescribed strains."""
-    pairs = ((term, term.prescribed_strain) for term in terms)
-    return [replace(term, prescribed_strain=strain if e is None else sum_strains(e, strain)) for term, e in pairs]
+    terms_and_e = ((term, term.prescribed_strain) for term in terms)
+    return [replace(term, prescribed_strain=strain if e is None else sum_strains(e, strain)) for term, e in terms_and_e]
 
 
 def sum_strains(*strains: Expr) -> Expr:

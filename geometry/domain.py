@@ -2,7 +2,7 @@
 
 Every rank can read the whole joint, which is stored once per machine, but has only its part of the mesh. Only `Domain`
 relates the two. Its `original_cells`, `original_points` and `numbers` give the numbers in the joint of a rank's cells,
-points and facets. `Domain.on_cells` picks the values of a rank's cells from values of all cells.
+points and facets. `Domain.to_local` picks the values of a rank's cells from values of all cells.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from mpi4py import MPI
 
 from geometry.joint import Joint
 from geometry.parallel import Comm, ResultType, default_comm, on_root
-from geometry.partition import Partitioner, partitioner, rows_of_rank
+from geometry.partition import Partitioner, make_partitioner, rows_of_rank
 from geometry.refusals import require_known
 from geometry.seam import BASE, LAYER, FacetName, S
-from geometry.sheet import continued_ridges
+from geometry.sheet import continued_ridge_keys
 from geometry.topology import FloatArray, Indices, IntArray, Scalar, geometry_degree, local_facets, positions
 
 MESHES_PER_COLLECTION = 100  # number of meshes after which Python's garbage collector frees meshes in reference cycles
@@ -160,8 +160,8 @@ def vertices_of_facets(mesh: dolfinx.mesh.Mesh, cell_type: str, facets: Indices,
         corners: (n_cells, m) numbers of the m vertices of each local cell, ghosts included, in any numbering; for
             example, in that of the joint.
     """
-    cells, local = cells_of_facets(mesh, facets)
-    return np.take_along_axis(corners[cells], local_facets(cell_type)[local], axis=1)
+    cells, facet_numbers = cells_of_facets(mesh, facets)
+    return np.take_along_axis(corners[cells], local_facets(cell_type)[facet_numbers], axis=1)
 
 
 @dataclass(frozen=True)
@@ -206,16 +206,16 @@ class Domain:
             gc.collect()  # DOLFINx compiles with pickled collectives on meshes' communicators: free old meshes now
         points = rows_of_rank(joint.points, comm.rank, comm.size)
         cells = rows_of_rank(joint.cells, comm.rank, comm.size)
-        mesh = create_mesh(comm, points, cells, joint.cell_type, partitioner(joint, comm))
+        mesh = create_mesh(comm, points, cells, joint.cell_type, make_partitioner(joint, comm))
         originals = np.asarray(mesh.topology.original_cell_index, np.int64)
         if joint.parted is not None:
             mesh = with_cell_points(mesh, joint.parted[originals])
         local_cells = np.arange(len(originals), dtype=np.int32)
         cell_tags = dolfinx.mesh.meshtags(mesh, joint.dim, local_cells, (joint.region[originals] + 1).astype(np.int32))
-        rows, combination, facet_set_tags = on_root(comm, lambda: _set_combinations(joint))
-        facets, row_index = _local_facets(joint, mesh, originals, rows)
-        facet_tags = dolfinx.mesh.meshtags(mesh, joint.dim - 1, facets, combination[row_index])
-        return cls(joint, mesh, cell_tags, facet_tags, facet_set_tags, originals, comm)
+        tagged_rows, row_tags, set_tags = on_root(comm, lambda: _tag_set_combinations(joint))
+        facets, row_positions = _local_facets(joint, mesh, originals, tagged_rows)
+        facet_tags = dolfinx.mesh.meshtags(mesh, joint.dim - 1, facets, row_tags[row_positions])
+        return cls(joint, mesh, cell_tags, facet_tags, set_tags, originals, comm)
 
     @property
     def original_points(self) -> IntArray:
@@ -235,18 +235,18 @@ class Domain:
         joint = self.joint
         if dim == joint.dim:
             return self.original_cells[entities]
-        return joint.table.index(vertices_of_facets(self.mesh, joint.cell_type, entities, self.on_cells(joint.corners)))
+        return joint.table.index(vertices_of_facets(self.mesh, joint.cell_type, entities, self.to_local(joint.corners)))
 
-    def on_cells(self, values: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
+    def to_local(self, cell_values: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
         """Return the values of this rank's cells, ghosts included, from values of all cells of the joint.
 
         Args:
-            values: array whose first axis has one entry for each cell of the joint.
+            cell_values: array whose first axis has one entry for each cell of the joint.
 
         Returns:
             Array whose first axis has one entry for each local cell.
         """
-        return values[self.original_cells]
+        return cell_values[self.original_cells]
 
     def region_tags(self, *regions: str) -> tuple[int, ...]:
         """Return the tags in `cell_tags` of the named `regions`, in the same order.
@@ -310,9 +310,9 @@ class Domain:
         if joint.periods:
             copies = np.flatnonzero(np.isin(joint.masters, joint.masters[copies]))
         topology.create_connectivity(0, joint.dim)
-        local = np.arange(topology.index_map(0).size_local + topology.index_map(0).num_ghosts, dtype=np.int32)
-        nodes = dolfinx.mesh.entities_to_geometry(self.mesh, 0, local).ravel()
-        return local[np.isin(self.original_points[nodes], copies)]
+        local_vertices = np.arange(topology.index_map(0).size_local + topology.index_map(0).num_ghosts, dtype=np.int32)
+        nodes = dolfinx.mesh.entities_to_geometry(self.mesh, 0, local_vertices).ravel()
+        return local_vertices[np.isin(self.original_points[nodes], copies)]
 
 
 def _local_facets(
@@ -335,11 +335,11 @@ def _local_facets(
     create_connectivity(mesh, joint.dim - 1)
     cells, local = positions(originals, len(joint.cells))[joint.table.cells[rows]], joint.table.local[rows]
     is_local = (cells >= 0) & (local >= 0)
-    local_rows = np.flatnonzero(is_local.any(axis=1))
-    side = is_local[local_rows].argmax(axis=1)
-    facets = _facets_of_cells(mesh)[cells[local_rows, side], local[local_rows, side]]
+    local_positions = np.flatnonzero(is_local.any(axis=1))
+    cell_position = is_local[local_positions].argmax(axis=1)
+    facets = _facets_of_cells(mesh)[cells[local_positions, cell_position], local[local_positions, cell_position]]
     order = np.argsort(facets)
-    return facets[order], local_rows[order]
+    return facets[order], local_positions[order]
 
 
 def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
@@ -360,11 +360,11 @@ def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
         for region_no, region in enumerate(joint.regions):
             if not joint.band or region not in joint.band.regions:
                 yield str(FacetName(name, region)), rows[joint.region[cells] == region_no]
-        if joint.band is None and np.isin(facets, s_vertices).any() and len(continued_ridges(joint, facets)):
+        if joint.band is None and np.isin(facets, s_vertices).any() and len(continued_ridge_keys(joint, facets)):
             yield str(FacetName(name, LAYER)), rows[:0]
 
 
-def _set_combinations(joint: Joint) -> tuple[IntArray, Indices, dict[str, tuple[int, ...]]]:
+def _tag_set_combinations(joint: Joint) -> tuple[IntArray, Indices, dict[str, tuple[int, ...]]]:
     """Return one integer tag for each facet of the joint, which stands for all facet sets that contain the facet.
 
     Returns:
@@ -373,12 +373,12 @@ def _set_combinations(joint: Joint) -> tuple[IntArray, Indices, dict[str, tuple[
     """
     rows_by_name = dict(_named_sets(joint))
     tagged_rows = np.unique(np.concatenate([*rows_by_name.values()]))
-    indices_by_name = {name: np.searchsorted(tagged_rows, rows) for name, rows in rows_by_name.items()}
-    combination: IntArray = np.zeros(len(tagged_rows), np.int64)
-    for k, index in enumerate(indices_by_name.values(), 1):
-        combination *= 2
-        combination[index] += 1
+    indices_by_set = {name: np.searchsorted(tagged_rows, rows) for name, rows in rows_by_name.items()}
+    codes: IntArray = np.zeros(len(tagged_rows), np.int64)
+    for k, indices in enumerate(indices_by_set.values(), 1):
+        codes *= 2
+        codes[indices] += 1
         if k % SETS_PER_CODE == 0 or k == len(rows_by_name):
-            combination = np.unique(combination, return_inverse=True)[1]
-    tags_by_name = {name: tuple(map(int, np.unique(combination[index]) + 1)) for name, index in indices_by_name.items()}
-    return tagged_rows, (combination + 1).astype(np.int32), tags_by_name
+            codes = np.unique(codes, return_inverse=True)[1]
+    tags_by_name = {name: tuple(map(int, np.unique(codes[indices]) + 1)) for name, indices in indices_by_set.items()}
+    return tagged_rows, (codes + 1).astype(np.int32), tags_by_name

@@ -256,8 +256,8 @@ class Joint:
             in_seam = np.flatnonzero(self.seam_numbers == number)
             is_outer, nodes = cell_pairs[in_seam, 0] < 0, self.surface[in_seam]
             if seam.lower or not is_outer.all():
-                bodies = f"between {'+'.join(seam.lower)} and {'+'.join(seam.upper)} " if seam.lower else ""
-                text = f"{{bad}} of {{all}} facets of {name!r} lie on the outer boundary, as at {{at}}; {bodies}each"
+                between = f"between {'+'.join(seam.lower)} and {'+'.join(seam.upper)} " if seam.lower else ""
+                text = f"{{bad}} of {{all}} facets of {name!r} lie on the outer boundary, as at {{at}}; {between}each"
                 refuse(is_outer, self.points[nodes], f"{text} needs cells on both sides, or all stand on a rigid base")
             if not is_outer.any():
                 x = self.points[nodes].mean(axis=1)
@@ -319,7 +319,7 @@ class Joint:
             (n, k) number of the component, from 0 at each node; -1 where there is no cell.
         """
         position = (self.cells[cells][:, None, :] == nodes[:, :, None]).argmax(axis=2)
-        node_components = (cut or self.split_mesh).at_nodes[cells]
+        node_components = (cut or self.split_mesh).node_components[cells]
         return np.where(cells[:, None] < 0, -1, np.take_along_axis(node_components, position, axis=1))
 
     @cached_property
@@ -370,9 +370,9 @@ class Joint:
         Returns:
             (2, n_S, k, d) coordinates of the k nodes of each of the n_S facets of S, lengths.
         """
-        places = self.cell_points if cell_points is None else cell_points
+        cell_x = self.cell_points if cell_points is None else cell_points
         below, above = self.surface_cells.T
-        lower, upper = (places[cells[:, None], self.on_surface(cells)] for cells in (np.maximum(below, 0), above))
+        lower, upper = (cell_x[cells[:, None], self.on_surface(cells)] for cells in (np.maximum(below, 0), above))
         return np.stack([np.where((below >= 0)[:, None, None], lower, self.points[self.surface]), upper])
 
     def on_surface(self, cells: IntArray) -> IntArray:

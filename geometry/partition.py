@@ -26,18 +26,18 @@ def bisect(x: FloatArray, n_groups: int) -> Indices:
     Returns:
         (n,) number of the group of each place.
     """
-    group = np.zeros(len(x), np.int32)
+    group_numbers = np.zeros(len(x), np.int32)
     pending: list[tuple[IntArray, int, int]] = [(np.arange(len(x)), 0, n_groups)]
     while pending:
         members, first_group, n_left = pending.pop()
-        group[members] = first_group
+        group_numbers[members] = first_group
         if n_left > 1 and len(members):
             low = n_left // 2
             x_members = x[members]
             order = np.argsort(x_members[:, np.ptp(x_members, axis=0).argmax()], kind="stable")
             at = len(members) * low // n_left
             pending += [(members[order[:at]], first_group, low), (members[order[at:]], first_group + low, n_left - low)]
-    return group
+    return group_numbers
 
 
 def column_numbers(joint: Joint) -> tuple[IntArray, FloatArray]:
@@ -55,17 +55,17 @@ def column_numbers(joint: Joint) -> tuple[IntArray, FloatArray]:
         rows = joint.surface_rows
         return positions(rows, len(joint.table.vertices)), joint.points[joint.table.vertices[rows]].mean(axis=1)
     layer_cells = np.flatnonzero(np.isin(joint.region, [joint.regions.index(name) for name in joint.band.regions]))
-    places, place = np.unique(joint.reference, axis=0, return_inverse=True)
-    s_vertices = np.sort(place.ravel()[joint.corners[layer_cells]], axis=1)  # the facet's vertices, some of them twice
+    points, point = np.unique(joint.reference, axis=0, return_inverse=True)
+    s_vertices = np.sort(point.ravel()[joint.corners[layer_cells]], axis=1)  # the facet's vertices, some of them twice
     s_vertices[:, 1:][s_vertices[:, 1:] == s_vertices[:, :-1]] = -1
     facets, column = np.unique(np.sort(s_vertices, axis=1), axis=0, return_inverse=True)
-    numbers = np.full(len(joint.cells), -1, np.int64)
-    numbers[layer_cells] = column.ravel()
+    cell_columns = np.full(len(joint.cells), -1, np.int64)
+    cell_columns[layer_cells] = column.ravel()
     is_vertex = (facets >= 0)[:, :, None]
-    return numbers, (places[facets] * is_vertex).sum(axis=1) / is_vertex.sum(axis=1)
+    return cell_columns, (points[facets] * is_vertex).sum(axis=1) / is_vertex.sum(axis=1)
 
 
-def destinations(joint: Joint, n_ranks: int) -> tuple[IntArray, Indices]:
+def destination_ranks(joint: Joint, n_ranks: int) -> tuple[IntArray, Indices]:
     """Return the ranks that get each of the n cells of a joint: its owner, and the ranks that have it as a ghost.
 
     Args:
@@ -81,8 +81,8 @@ def destinations(joint: Joint, n_ranks: int) -> tuple[IntArray, Indices]:
         cells = np.flatnonzero((column := column_numbers(joint)[0]) >= 0)
         owner[cells] = owner[cells[np.unique(column[cells], return_index=True)[1]]][column[cells]]
     first, second = joint.table.cells.T
-    pairs = joint.table.cells[(owner[first] != owner[second]) & (second >= 0)]
-    ghosts = np.unique(np.concatenate([np.column_stack([a, owner[b]]) for a, b in (pairs.T, pairs.T[::-1])]), axis=0)
+    split_neighbours = joint.table.cells[(owner[first] != owner[second]) & (second >= 0)]
+    ghosts = np.unique(np.column_stack([split_neighbours.ravel(), owner[split_neighbours[:, ::-1]].ravel()]), axis=0)
     n_copies = 1 + np.bincount(ghosts[:, 0], minlength=len(owner))
     return np.append(0, n_copies.cumsum()), np.insert(owner, ghosts[:, 0] + 1, ghosts[:, 1])
 
@@ -98,7 +98,7 @@ def rows_of_rank(rows: npt.NDArray[Scalar], rank: int, n_ranks: int) -> npt.NDAr
     return rows[len(rows) * rank // n_ranks : len(rows) * (rank + 1) // n_ranks]
 
 
-def partitioner(joint: Joint, comm: MPI.Intracomm) -> Partitioner | None:
+def make_partitioner(joint: Joint, comm: MPI.Intracomm) -> Partitioner | None:
     """Return the function by which DOLFINx's `create_mesh` distributes a joint's cells; None for one rank. Collective.
 
     It sends each cell that this rank passes to its owner, and as a ghost to the owners of its neighbours across facets.
@@ -109,7 +109,7 @@ def partitioner(joint: Joint, comm: MPI.Intracomm) -> Partitioner | None:
     """
     if comm.size == 1:
         return None
-    starts, ranks = on_root(comm, lambda: destinations(joint, comm.size))
+    starts, ranks = on_root(comm, lambda: destination_ranks(joint, comm.size))
     own_cells = rows_of_rank(np.arange(len(joint.cells)), comm.rank, comm.size)
     indptr = starts[own_cells[0] : own_cells[-1] + 2] if len(own_cells) else starts[:1]
     graph = dolfinx.cpp.graph.AdjacencyList_int32(ranks[indptr[0] : indptr[-1]], (indptr - indptr[0]).astype(np.int32))

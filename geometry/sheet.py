@@ -85,7 +85,7 @@ class Rim:
         return distance
 
 
-def continued_ridges(joint: Joint, facets: IntArray) -> IntArray:
+def continued_ridge_keys(joint: Joint, facets: IntArray) -> IntArray:
     """Return the ridges at the ends of S from which a facet set of the bodies continues on a meshed layer's side.
 
     A ridge is a vertex of S in 2D, an edge of S in 3D. The set continues if all outer facets at the ridge are in it:
@@ -178,14 +178,14 @@ class Sheet:
         """Ridges where the seam ends on the outer boundary; ridges inside bodies or on periodic sides are left out."""
         joint, n_simplices = self.joint, len(self.vertices)
         ridges = np.concatenate([np.delete(self.vertices, k, axis=1) for k in range(joint.dim)])
-        _, free_ridges, counts = np.unique(ridge_keys(ridges), return_index=True, return_counts=True)
-        free_ridges = free_ridges[counts == 1]
-        opposite, simplex = np.divmod(free_ridges, n_simplices)
+        _, free_indices, counts = np.unique(ridge_keys(ridges), return_index=True, return_counts=True)
+        free_indices = free_indices[counts == 1]
+        opposite, simplex = np.divmod(free_indices, n_simplices)
         outward = -self.gradients[simplex, opposite]
         gradient_size = np.linalg.norm(outward, axis=1)
-        x = joint.points[ridges[free_ridges]]
-        length = np.linalg.norm(x[:, -1] - x[:, 0], axis=1) if joint.dim == 3 else np.ones(len(free_ridges))
-        rim = Rim(ridges[free_ridges], simplex, outward / gradient_size[:, None], 1 / gradient_size, length)
+        x = joint.points[ridges[free_indices]]
+        length = np.linalg.norm(x[:, -1] - x[:, 0], axis=1) if joint.dim == 3 else np.ones(len(free_indices))
+        rim = Rim(ridges[free_indices], simplex, outward / gradient_size[:, None], 1 / gradient_size, length)
         outer_rows = joint.outer_rows
         if joint.periods:
             periodic_facets = np.concatenate([joint.facets[name] for name in joint.periods.side_names])
@@ -233,18 +233,18 @@ class Sheet:
         return tuple(map(float, heights))
 
 
-def volume_of(joint: Joint, inside: BoolArray) -> float:
+def volume_of(joint: Joint, is_inside: BoolArray) -> float:
     """Return the volume, in 2D the area, of bodies that outer facets and facets of S enclose.
 
     It is the sum of the signed volumes of cones from one place to these facets.
 
     Args:
         joint: the joint; curved cells count as straight-sided.
-        inside: (n_cells,) whether each cell is part of the bodies. These must be whole pieces of the mesh cut along S.
+        is_inside: (n_cells,) whether each cell is part of the bodies, which must be whole pieces of the mesh cut by S.
     """
     facet_rows = np.concatenate([joint.outer_rows, joint.surface_rows, joint.surface_rows])
     cells = np.concatenate([joint.table.cells[joint.outer_rows, 0], *joint.surface_cells.T])
-    is_kept = (cells >= 0) & inside[cells]
+    is_kept = (cells >= 0) & is_inside[cells]
     nodes = joint.table.nodes(facet_rows[is_kept], joint.corners, joint.cell_type)
     centres = joint.points[joint.corners[cells[is_kept]]].mean(axis=1)[:, None]
     volume = 0.0

@@ -404,7 +404,7 @@ class Splitting:
         return component
 
     @cached_property
-    def at_nodes(self) -> Indices:
+    def node_components(self) -> Indices:
         """(n_cells, k) Number of the component that contains each cell, for each of the cell's k nodes.
 
         The components at a node are groups of the cells around it. Cells are in one group if uncut facets that contain
@@ -426,7 +426,7 @@ class Splitting:
         The components at a vertex are groups of the cells around it. Cells are in one group if uncut facets that
         contain the vertex link them. The components at each vertex are numbered from 0.
         """
-        return self.at_nodes[:, : self._corners.shape[1]]
+        return self.node_components[:, : self._corners.shape[1]]
 
     @cached_property
     def pieces(self) -> IntArray:
@@ -435,9 +435,9 @@ class Splitting:
         Pieces are numbered from 0, in the order of the lowest cell number in each.
         """
         corners, part_no = self._corners.astype(np.int32), self.at_vertices
-        is_copy = np.nonzero(part_no)  # copies of vertices follow after the last one
-        number = np.unique(np.column_stack([corners[is_copy], part_no[is_copy]]), axis=0, return_inverse=True)[1]
-        corners[is_copy] = int(corners.max(initial=-1)) + 1 + number.ravel()
+        copy_index = np.nonzero(part_no)  # copies of vertices follow after the last one
+        number = np.unique(np.column_stack([corners[copy_index], part_no[copy_index]]), axis=0, return_inverse=True)[1]
+        corners[copy_index] = int(corners.max(initial=-1)) + 1 + number.ravel()
         first = corners[:, :1].repeat(corners.shape[1] - 1, axis=1)
         component = components(first.ravel(), corners[:, 1:].ravel(), int(corners.max(initial=-1)) + 1)[corners[:, 0]]
         first_cells = np.full(int(component.max(initial=-1)) + 1, len(component))
@@ -510,9 +510,9 @@ def curve_order(x: FloatArray, links: IntArray, size: float) -> IntArray:
     for a, b in np.concatenate([links, links[:, ::-1]]):
         neighbours[int(a)].append(int(b))
     todo, order_along = set(range(len(x))), list[int]()
-    places = [*map(tuple, np.rint(x / (PLACE_TOLERANCE * size)).astype(np.int64).tolist())]
+    rounded = [*map(tuple, np.rint(x / (PLACE_TOLERANCE * size)).astype(np.int64).tolist())]
     ends: dict[tuple[int, ...], list[int]] = {}
-    for k, place in enumerate(places):
+    for k, place in enumerate(rounded):
         if len(neighbours[k]) < 2:
             ends.setdefault(place, []).append(k)
     for first in sorted(map(int, order), key=lambda k: len(neighbours[k]) > 1):
@@ -521,5 +521,5 @@ def curve_order(x: FloatArray, links: IntArray, size: float) -> IntArray:
             at = min(candidates, key=lambda k: int(rank[k]))
             todo.remove(at)
             order_along.append(at)
-            candidates = [k for k in neighbours[at] if k in todo] or [k for k in ends.get(places[at], ()) if k in todo]
+            candidates = [k for k in neighbours[at] if k in todo] or [k for k in ends.get(rounded[at], ()) if k in todo]
     return np.array(order_along, np.int64)

@@ -33,9 +33,9 @@ def run(record: Record, *, nu: Sequence[float] = POISSON_RATIOS, quick: bool = F
         nu: Poisson's ratios of the rubber, in (0, 1/2].
         quick: every other ratio, fewer cells, and two of the three shape factors.
     """
-    shape_factors, ratios = (SHAPE_FACTORS[:2], sorted({*nu[::2], *nu[-2:]})) if quick else (SHAPE_FACTORS, nu)
+    shape_factors, nus = (SHAPE_FACTORS[:2], sorted({*nu[::2], *nu[-2:]})) if quick else (SHAPE_FACTORS, nu)
     structures = {shape: _structure(shape, quick=quick) for shape in shape_factors}
-    cases = [(structure, shape, ratio) for shape, structure in structures.items() for ratio in ratios]
+    cases = [(structure, shape, one_nu) for shape, structure in structures.items() for one_nu in nus]
     table = record.rows("table.csv", cases, partial(_stiffness_row, record), "shape factor {0[1]:g}, nu = {0[2]:g}")
     exact, is_wide = table["closed"], table["shape"] >= 5
     errors = {name: np.abs(table[name] / exact - 1) for name in ("meshed", "rubber")}

@@ -40,14 +40,14 @@ class ColumnLoad:
         axis: component of the load: 0 along S (shear), 1 across S.
         stress: traction on top in creep tests, applied at t = 0 and then constant.
         top_displacement: displacement of the top in relaxation tests, applied at t = 0 and then constant.
-        strain_factor: squared norm of the strain sym([u] (x) n), divided by |[u]|^2: 1/2 for shear, 1 across S.
+        unit_strain_square: squared norm of the strain sym([u] (x) n), divided by |[u]|^2: 1/2 for shear, 1 across S.
     """
 
     name: str
     axis: int
     stress: float
     top_displacement: float
-    strain_factor: float
+    unit_strain_square: float
 
     def modulus(self, lmbda: float, mu: float) -> float:
         """Return the modulus that resists this load: `mu` under shear, `lmbda` + 2 `mu` across S.
@@ -120,12 +120,12 @@ def norton_jump(law: Norton, load: ColumnLoad, t: Array) -> Array:
         (n,) jumps along the load, divided by the height of the column.
     """
     K, q = load.modulus(LMBDA, MU), 1 / (law.p - 1)
-    rate = (law.eta * load.strain_factor ** (law.p / 2)) ** -q
+    rate = (law.eta * load.unit_strain_square ** (law.p / 2)) ** -q
     dashpot_stress = np.maximum(load.stress ** (1 - q) - (1 - q) * K * rate * t, 0.0) ** (1 / (1 - q))
     return (load.stress - dashpot_stress) / K
 
 
-def series_jump(load: ColumnLoad, t: Array) -> Array:
+def stack_jump(load: ColumnLoad, t: Array) -> Array:
     """Closed form of the jump under a constant traction of a layer of two sublayers, one Maxwell, one Kelvin-Voigt.
 
     Each is half as thick as the layer. `load` is the load, and `t` (n,) are times after its application. The result
@@ -142,7 +142,7 @@ CASES = {
     "Maxwell, relaxation": CreepCase(MAXWELL, relaxing_traction, relaxes=True),
     "Norton p = 1.5, creep": CreepCase(NORTON_1_5, partial(norton_jump, NORTON_1_5)),
     "Norton p = 3, creep": CreepCase(NORTON_3, partial(norton_jump, NORTON_3)),
-    "Maxwell + Kelvin-Voigt, creep": CreepCase(Stack((0.5, MAXWELL), (0.5, VOIGT)), series_jump),
+    "Maxwell + Kelvin-Voigt, creep": CreepCase(Stack((0.5, MAXWELL), (0.5, VOIGT)), stack_jump),
 }
 
 
@@ -158,17 +158,17 @@ def run(record: Record, *, quick: bool = False) -> None:
     """
     steps = TIME_STEPS[:2] if quick else TIME_STEPS
     times = step_ends(END_TIME, 2 * TIME_STEP if quick else TIME_STEP)
-    curves, difference = {"t": np.array(times)}, 0.0
+    curves, max_difference = {"t": np.array(times)}, 0.0
     orders = record.new_table("orders.csv")
     for title, load in track([(title, load) for title in CASES for load in LOADS], "columns", "{0[0]}"):
         column = LayeredColumn(record, CASES[title], load)
         responses = {model_name: column.response(model, times) for model_name, model in column.models.items()}
-        difference = max(difference, float(np.abs(responses[FULL] / responses[INTERFACE] - 1).max()))
+        max_difference = max(max_difference, float(np.abs(responses[FULL] / responses[INTERFACE] - 1).max()))
         responses[CLOSED_FORM] = column.case.exact(load, curves["t"])
         curves |= {f"{title}: {model_name}, {load.name}": values for model_name, values in responses.items()}
         orders.append({"case": title, "load": load.name} | column.error_row(steps))
     record.write("table.csv", Table.of(curves))
-    record.check("largest relative difference of both models", difference, high=1e-8)
+    record.check("largest relative difference of both models", max_difference, high=1e-8)
     for scheme, (_, order) in SCHEMES.items():
         observed = orders[f"{scheme} order"]
         record.check(f"lowest observed order, {scheme}", np.nanmin(observed), low=0.9 * order)

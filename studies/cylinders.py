@@ -269,7 +269,8 @@ PUSH_LOADS: StructureArguments = {"supports": {"RIGHT/UPPER": 0.0}, "tractions":
 def tubes(h: float, loads: StructureArguments) -> Problem:
     """A tube glued into another tube, in an axisymmetric section.
 
-    In the section x is the radius and y the axis. The facet set "BOTTOM" is the bore, "LEFT" the upper end.
+    In the section x is the radius and y the axis. The facet set "BOTTOM" of the joint is the bore (the inner side
+    of the inner tube), "LEFT" the upper end of both tubes, where y is largest.
 
     Args:
         h: cell size, mm.

@@ -225,22 +225,22 @@ class DroppedCase:
 
     Attributes:
         name: name of the case: its group, a colon and a few words, as "free ends: thin bodies".
-        structure: function of the thickness that returns the structure, with a mesh fine enough for such a layer.
-        layers: function of the thickness that returns the layers; their interface laws have order 0.
+        make_structure: function of the thickness that returns the structure, with a mesh fine enough for such a layer.
+        make_layers: function of the thickness that returns the layers; their interface laws have order 0.
         bodies: bodies of both models: "kept" (a meshed layer moves them apart) or "extended" (it is cut out of them).
-        step: length of the only time step, from rest; 0: a static solve.
+        dt: length of the only time step, from rest; 0: a static solve.
         qois: goals (quantities of interest) whose change is estimated, in addition to traction and jump on S.
-        inner: whether changes of traction and jump are measured only on the inner half of S, |x - 1/2| < 1/4.
+        inner_only: whether changes of traction and jump are measured only on the inner half of S, |x - 1/2| < 1/4.
         is_3d: whether the structure is in 3D.
     """
 
     name: str
-    structure: Callable[[float], Structure]
-    layers: Callable[[float], ThinLayer | dict[str, ThinLayer]]
+    make_structure: Callable[[float], Structure]
+    make_layers: Callable[[float], ThinLayer | dict[str, ThinLayer]]
     bodies: str = "kept"
-    step: float = 0.0
+    dt: float = 0.0
     qois: tuple[goals.Goal, ...] = (goals.Compliance(),)
-    inner: bool = False
+    inner_only: bool = False
     is_3d: bool = False
 
 
@@ -294,32 +294,32 @@ def soft_layer_fn(mu: float, nu: float) -> LayerOfThickness:
 
 def published_cases() -> list[DroppedCase]:
     """Return the cases for which the authors of another program have published results."""
-    work, R = goals.Compliance(), Rubber.shear
-    roller_case = partial(DroppedCase, structure=roller_blocks, qois=(work, goals.Displacement((0.3, 0.4), (0.0, 1.0))))
-    ended = partial(DroppedCase, structure=free_pair, qois=(work, goals.Displacement((0.3, 0.4), (0.6, 0.8))), inner=True)
-    unequal_case = partial(ended, structure=partial(free_pair, load=(1.0, 0.0), lower=SOFT_BODY))
-    steel_case = partial(ended, structure=partial(free_pair, load=(0.3, -1.0), lower=STEEL, upper=STEEL))
-    pressed = partial(ended, structure=displaced, qois=(goals.Reaction("TOP", (0.0, 1.0)), goals.MeanTraction((0.0, 1.0))))
-    hard_layer, plastic = layer_fn(CubicHardening(60.0, 40.0, 3e5)), layer_fn(YIELDING_LAW)
-    bearing, viscous = layer_fn(BEARING_LAW, None), layer_fn(VISCOUS_LAW)
-    in_box = partial(DroppedCase, structure=box_3d, is_3d=True)
+    work, up, R, displacement = goals.Compliance(), (0.0, 1.0), Rubber.shear, goals.Displacement((0.3, 0.4), (0.6, 0.8))
+    roller_case = partial(DroppedCase, make_structure=roller_blocks, qois=(work, goals.Displacement((0.3, 0.4), up)))
+    end_case = partial(DroppedCase, make_structure=free_pair, qois=(work, displacement), inner_only=True)
+    unequal_case = partial(end_case, make_structure=partial(free_pair, load=(1.0, 0.0), lower=SOFT_BODY))
+    steel_case = partial(end_case, make_structure=partial(free_pair, load=(0.3, -1.0), lower=STEEL, upper=STEEL))
+    pressed_case = partial(end_case, make_structure=displaced, qois=(goals.Reaction("TOP", up), goals.MeanTraction(up)))
+    hard_fn, plastic_fn = layer_fn(CubicHardening(60.0, 40.0, 3e5)), layer_fn(YIELDING_LAW)
+    bearing_fn, viscous_fn = layer_fn(BEARING_LAW, None), layer_fn(VISCOUS_LAW)
+    box_case = partial(DroppedCase, make_structure=box_3d, is_3d=True)
 
     roller_layers = {
         "nu = 0.3": soft_layer_fn(40.0, 0.3), "nu = 0.45": layer_fn(R(4.0, 0.45)), "nu = 0.499": soft_layer_fn(40.0, 0.499),
-        "nu = 0.4999": soft_layer_fn(0.4, 0.4999), "cubic hardening": hard_layer, "plastic": plastic,
+        "nu = 0.4999": soft_layer_fn(0.4, 0.4999), "cubic hardening": hard_fn, "plastic": plastic_fn,
     }
     return [
-        *(roller_case(f"between rollers: {words}", layers=layers) for words, layers in roller_layers.items()),
-        ended("free ends: nu = 0.3", layers=soft_layer_fn(40.0, 0.3)),
-        unequal_case("free ends: unequal bodies, nu = 0.45", layers=soft_layer_fn(20.0, 0.45)),
-        ended("free ends: nu = 0.45", layers=layer_fn(R(40.0, 0.45))),
-        ended("free ends: nu = 0.499", layers=soft_layer_fn(40.0, 0.499)),
-        steel_case("free ends: bearing, loaded", layers=bearing),
-        pressed("free ends: bearing, displaced", layers=bearing),
-        roller_case("laws: Norton", layers=viscous, step=TIME_STEP),
-        ended("laws: Norton, free ends", layers=viscous, step=TIME_STEP),
-        in_box("shapes: box in 3D, nu = 0.35", layers=layer_fn(R(40.0, 0.35))),
-        in_box("shapes: box in 3D, nu = 0.49", layers=soft_layer_fn(40.0, 0.49)),
+        *(roller_case(f"between rollers: {suffix}", make_layers=make) for suffix, make in roller_layers.items()),
+        end_case("free ends: nu = 0.3", make_layers=soft_layer_fn(40.0, 0.3)),
+        unequal_case("free ends: unequal bodies, nu = 0.45", make_layers=soft_layer_fn(20.0, 0.45)),
+        end_case("free ends: nu = 0.45", make_layers=layer_fn(R(40.0, 0.45))),
+        end_case("free ends: nu = 0.499", make_layers=soft_layer_fn(40.0, 0.499)),
+        steel_case("free ends: bearing, loaded", make_layers=bearing_fn),
+        pressed_case("free ends: bearing, displaced", make_layers=bearing_fn),
+        roller_case("laws: Norton", make_layers=viscous_fn, dt=TIME_STEP),
+        end_case("laws: Norton, free ends", make_layers=viscous_fn, dt=TIME_STEP),
+        box_case("shapes: box in 3D, nu = 0.35", make_layers=layer_fn(R(40.0, 0.35))),
+        box_case("shapes: box in 3D, nu = 0.49", make_layers=soft_layer_fn(40.0, 0.49)),
     ]
 
 
@@ -363,9 +363,9 @@ def further_cases() -> list[DroppedCase]:
             lambda e: {"LOW": soft_layer_fn(30.0, 0.3)(e), "HIGH": soft_layer_fn(10.0, 0.2)(e / 2)}),
         DroppedCase("free ends: a body expands", heated_blocks, soft_layer_fn(30.0, 0.3), qois=(displacement,)),
         DroppedCase("free ends: fixed moduli", pair, layer_fn(young(3.0, 0.35), None), qois=end_goals),
-        DroppedCase("laws: plastic in time, free ends", free_pair, layer_fn(YIELDING_LAW), step=TIME_STEP, qois=end_goals),
+        DroppedCase("laws: plastic in time, free ends", free_pair, layer_fn(YIELDING_LAW), dt=TIME_STEP, qois=end_goals),
         DroppedCase("laws: slips, free ends", free_pair, layer_fn(SLIPPING_LAW), qois=end_goals),
-        DroppedCase("laws: as stiff as bodies, creeps", free_pair, layer_fn(STIFF_NORTON), step=TIME_STEP, qois=end_goals),
+        DroppedCase("laws: as stiff as bodies, creeps", free_pair, layer_fn(STIFF_NORTON), dt=TIME_STEP, qois=end_goals),
         DroppedCase("laws: plastic, free ends", free_pair, layer_fn(YIELDING_LAW), qois=end_goals),
         DroppedCase("laws: sublayers", channel, layer_fn(SUBLAYERS), qois=mid_goals),
         DroppedCase("laws: plies, hard outside", steel_pair, _plied_layer_fn(HARD_PLY, SOFT_PLY, HARD_PLY)),
@@ -373,9 +373,9 @@ def further_cases() -> list[DroppedCase]:
         DroppedCase("laws: fibres, pressed", steel_pair, layer_fn(FIBRE_LAW)),
         DroppedCase("free ends: thin bodies", thin_blocks, soft_layer_fn(40.0, 0.3), qois=end_goals[:1]),
         DroppedCase("between rollers: rubber", channel, layer_fn(Rubber.shear(20.0, 0.49)), qois=mid_goals),
-        DroppedCase("laws: Norton, p = 3", channel, layer_fn(CREEPING_LAW), step=0.02, qois=mid_goals),
-        DroppedCase("laws: Kelvin-Voigt", channel, layer_fn(KelvinVoigt(60.0, 40.0, 0.3, 0.5)), step=0.2, qois=mid_goals),
-        DroppedCase("laws: Maxwell", channel, layer_fn(Maxwell(60.0, 40.0, 0.7, 1.5)), step=0.5, qois=mid_goals),
+        DroppedCase("laws: Norton, p = 3", channel, layer_fn(CREEPING_LAW), dt=0.02, qois=mid_goals),
+        DroppedCase("laws: Kelvin-Voigt", channel, layer_fn(KelvinVoigt(60.0, 40.0, 0.3, 0.5)), dt=0.2, qois=mid_goals),
+        DroppedCase("laws: Maxwell", channel, layer_fn(Maxwell(60.0, 40.0, 0.7, 1.5)), dt=0.5, qois=mid_goals),
         DroppedCase("shapes: rings", rings, layer_fn(LinearElastic(60.0, 40.0)), bodies="extended"),
         DroppedCase("shapes: tubes", stacked_tubes, soft_layer_fn(30.0, 0.35)),
         DroppedCase("shapes: disc", stacked_discs, soft_layer_fn(30.0, 0.3)),
@@ -416,12 +416,12 @@ def _random_ply(rng: np.random.Generator) -> LinearElastic | Anisotropic:
     Young's modulus is between 0.1 and 100, that of the bodies at least 100. With the probability 1/2 the ply also has
     fibres in a random direction.
     """
-    ply, d, stiff = young(10 ** rng.uniform(-1.0, 2.0), rng.uniform(0.0, 0.45)), rng.normal(size=3), rng.uniform(0.0, 2.0)
+    ply, d, power = young(10 ** rng.uniform(-1.0, 2.0), rng.uniform(0.0, 0.45)), rng.normal(size=3), rng.uniform(0.0, 2.0)
     if rng.random() < 0.5:
         return ply
     fibre_strain = np.array([d[i] * d[j] for i, j in VOIGT_PAIRS]) / (d @ d)  # strain along fibres, from Voigt's order
     lmbda, mu = ply.elastic_moduli()
-    C = np.diag([2.0 * mu] * 3 + [mu] * 3) + 10**stiff * np.outer(fibre_strain, fibre_strain)
+    C = np.diag([2.0 * mu] * 3 + [mu] * 3) + 10**power * np.outer(fibre_strain, fibre_strain)
     C[:3, :3] += lmbda
     return Anisotropic(C, "layer")
 

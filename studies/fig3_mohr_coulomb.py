@@ -187,13 +187,13 @@ class YieldingBar:
         Args:
             states: label of a model -> its state; the first one is of the interface law without elastic fraction.
         """
-        record, mu, limit = self.record, GLUE.mu / EPS, next(iter(states.values()))
+        record, mu, state = self.record, GLUE.mu / EPS, next(iter(states.values()))
         record.results[f"{self.name}: shear force on S, N/mm"] = {k: self.shear_force(s) for k, s in states.items()}
-        record.check(f"{self.name}: Newton steps of the interface law, one load step", limit.report.iterations, high=7)
-        profile = self.profile_table(limit)
+        record.check(f"{self.name}: Newton steps of the interface law, one load step", state.report.iterations, high=7)
+        profile = self.profile_table(state)
         x, u, ratio = (profile[name] for name in ("x_mm", "u_T_mm", "ratio"))
         if self.name == "R1":
-            error = self.shear_force(limit) / R_X - 1
+            error = self.shear_force(state) / R_X - 1
             record.check("R1: relative error of the shear force on S, one load step", abs(error), high=2e-4)
             error = float(np.interp(SIDE / 2, x, u)) / U_T_50 - 1
             record.check("R1: relative error of u_T at 50 mm, one load step", abs(error), high=1e-4)

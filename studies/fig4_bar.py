@@ -29,7 +29,7 @@ from thinlayer.time.journal import Observers
 BAR = formulas.Bar(l=1.0, K=2.0, kbar=3.0, alpha=1.2, cbar=0.9, eps=0.1)
 EPS = (BAR.eps, 0.05, 0.01, 0.0)  # thicknesses over the length of the bar; 0: the interface law
 END_DELTA = 2.0  # largest prescribed displacement delta
-KEYS = ("delta_0", "delta_1", "up", "down", "loop_area")
+THRESHOLDS = ("delta_0", "delta_1", "up", "down", "loop_area")
 KNOWN_THRESHOLDS = {BAR.eps: (1.2925, 1.6925, 1.7625, 1.2225, 0.275744680851), 0.0: (1.375, 1.775, 1.875, 1.275, 0.288)}
 KNOWN_DELTA = 1.6
 KNOWN_AT_DELTA = {"U": 0.8575, "boundary": 0.23125 * BAR.eps * BAR.l, "energy": 1.5736875}
@@ -45,16 +45,16 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: coarser mesh, longer steps.
     """
     cells, steps = (2, 10) if quick else (4, 20)
-    table, loops, limit = (record.new_table(name) for name in ("table.csv", "table_loop.csv", "table_limit.csv"))
+    table, loops, thresholds = (record.new_table(name) for name in ("table.csv", "table_loop.csv", "table_limit.csv"))
     for eps in track(EPS, "fig4_bar", "eps = {:g}"):
         strip = Strip(record, eps, cells)
         relaxed, unrelaxed = strip.march(NonMonotone, steps), strip.march(NonMonotoneUnrelaxed, steps)
         table.extend(strip.check_relaxed(relaxed))
         loops.extend(strip.state_rows(unrelaxed))
-        limit.append(strip.check_thresholds(relaxed, unrelaxed))
+        thresholds.append(strip.check_thresholds(relaxed, unrelaxed))
         if eps in (BAR.eps, 0.0):
             check_energies(record, strip, relaxed, unrelaxed)
-    check_known_values(record, table, limit)
+    check_known_values(record, table, thresholds)
 
 
 class Strip:
@@ -127,8 +127,8 @@ class Strip:
         errors = [np.abs(curves[name] - values).max() / (values.max() or 1) for name, values in exact.items()]
         self.record.check(f"{self}: relative error of {', '.join(exact)}, relaxed law", max(errors), high=RTOL)
         columns = curves | {f"{name}_exact": values for name, values in exact.items()}
-        up = slice(len(rows) // 2 + 1)
-        return Table.of({"eps": bar.eps, "delta": delta[up], **{name: column[up] for name, column in columns.items()}})
+        half = slice(len(rows) // 2 + 1)
+        return Table.of({"eps": bar.eps, "delta": delta[half], **{name: col[half] for name, col in columns.items()}})
 
     def check_thresholds(self, relaxed: History, unrelaxed: History) -> dict[str, float]:
         """Check the displacements delta at which the response changes, and the energy lost in a cycle of pure phases.
@@ -145,13 +145,13 @@ class Strip:
         line_0, mixed, line_1 = (fit_line(delta, sigma, (delta >= low) & (delta <= high)) for low, high in FIT_RANGES)
         up, down = delta_at(np.array([snap.t for snap in unrelaxed.snaps]))
         lost = [snap.lost for snap in unrelaxed.snaps]
-        thresholds = dict(zip(KEYS, (meet_x(line_0, mixed), meet_x(mixed, line_1), up, down, sum(lost)), strict=True))
-        error = max(abs(value / getattr(self.bar, name) - 1) for name, value in thresholds.items())
-        self.record.check(f"{self}: relative error of {', '.join(thresholds)}", error, high=RTOL)
+        found = dict(zip(THRESHOLDS, (meet_x(line_0, mixed), meet_x(mixed, line_1), up, down, sum(lost)), strict=True))
+        error = max(abs(value / getattr(self.bar, name) - 1) for name, value in found.items())
+        self.record.check(f"{self}: relative error of {', '.join(found)}", error, high=RTOL)
         area = float(np.trapezoid(unrelaxed.table["sigma"], delta_at(unrelaxed.t)))
         self.record.check_near(f"{self}: area of the loop, force over delta", area, self.bar.loop_area, RTOL)
         self.record.check_near(f"{self}: energy lost in the first snap over half of it", 2 * lost[0] / area, 1.0, RTOL)
-        return {"eps": self.bar.eps} | thresholds
+        return {"eps": self.bar.eps} | found
 
     def __str__(self) -> str:
         return f"eps = {self.bar.eps:g}" if self.bar.eps else "interface law"
@@ -177,7 +177,7 @@ def check_energies(record: Record, strip: Strip, relaxed: History, unrelaxed: Hi
     record.check(f"{strip}: the least one less the relaxed one", excess_relaxed.min(), low=-RTOL)
 
 
-def check_known_values(record: Record, table: Table, limit: Table) -> None:
+def check_known_values(record: Record, table: Table, thresholds: Table) -> None:
     """Check results of the bar against known digits, and that its thresholds are linear in eps.
 
     Also check that the paper's formula for U before Eq. (47) is wrong.
@@ -185,19 +185,19 @@ def check_known_values(record: Record, table: Table, limit: Table) -> None:
     Args:
         record: record of the run, which receives the checks.
         table: rows of `Strip.check_relaxed` for all thicknesses.
-        limit: a row of `Strip.check_thresholds` for each thickness.
+        thresholds: a row of `Strip.check_thresholds` for each thickness.
     """
     for eps, digits in KNOWN_THRESHOLDS.items():
-        for name, value in zip(KEYS, digits, strict=True):
-            record.check_near(f"{name} of the bar, eps = {eps:g}", limit[name][EPS.index(eps)], value, RTOL)
+        for name, value in zip(THRESHOLDS, digits, strict=True):
+            record.check_near(f"{name} of the bar, eps = {eps:g}", thresholds[name][EPS.index(eps)], value, RTOL)
     row_number = np.flatnonzero((table["eps"] == BAR.eps) & np.isclose(table["delta"], KNOWN_DELTA))[0]
     for name, value in KNOWN_AT_DELTA.items():
         record.check_near(f"{name} at delta = {KNOWN_DELTA:g}", table[name][row_number], value, RTOL)
-    is_first = (table["eps"] == BAR.eps) & (table["delta"] > 0) & (table["delta"] < BAR.delta_0)
+    is_pure = (table["eps"] == BAR.eps) & (table["delta"] > 0) & (table["delta"] < BAR.delta_0)
     printed_U = BAR.K * table["delta"] * BAR.R / (1 - BAR.eps)  # before Eq. (47)
-    record.check("U before delta_0: printed over computed", (printed_U[is_first] / table["U"][is_first]).min(), low=4.0)
-    for name in KEYS[:4]:
-        slopes = (limit[name][:-1] - limit[name][-1]) / limit["eps"][:-1]
+    record.check("U before delta_0: printed over computed", (printed_U[is_pure] / table["U"][is_pure]).min(), low=4.0)
+    for name in THRESHOLDS[:4]:
+        slopes = (thresholds[name][:-1] - thresholds[name][-1]) / thresholds["eps"][:-1]
         record.check_near(f"{name}: slope in eps, largest over smallest", slopes.max() / slopes.min(), 1.0, RTOL)
 
 

@@ -41,11 +41,11 @@ def run(record: Record) -> None:
     table = record.new_table("table.csv")
     counts = [{"squares": n, "lmbda": pair[0], **report.counts} for (n, pair), report in reports.items()]
     record.results["counts"] = counts
-    for (lmbda, mu), expected, u_a in zip(MODULI, PAPER_COUNTS, U_A, strict=True):
+    for (lmbda, mu), paper_counts, u_a in zip(MODULI, PAPER_COUNTS, U_A, strict=True):
         report, stiffness = reports[N, (lmbda, mu)], f"λ, μ = {lmbda:.3g}, {mu:.3g} N/mm³"
         nodes = ({column: row[name] for column, name in columns.items()} for row in report.table)
         table.extend({"lmbda": lmbda, "mu": mu, **node} for node in nodes)
-        for name, count in zip(LEVELS[:3], expected, strict=True):
+        for name, count in zip(LEVELS[:3], paper_counts, strict=True):
             record.check(f"{stiffness}: {name} nodes, {count} expected", report.counts[name], low=count, high=count)
         record.check_near(f"{stiffness}: u_T at A, mm", float(report.u_T[0, 0]), u_a, 1e-6)
         excess = (np.linalg.norm(report.t_T, axis=1) - FRICTION * report.p).max() / report.p.max()

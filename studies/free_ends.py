@@ -56,22 +56,22 @@ class EndCase:
 
     Attributes:
         name: name of the structure.
-        structure: function of the thickness, and of the number of cells per thickness near the ends of S, that returns
-            the structure.
+        make_structure: function of the thickness, and of the number of cells per thickness near the ends of S, that
+            returns the structure.
         law: law of the layer.
         is_inner: function of the coordinates that is true at points far from the ends, where errors are measured.
         min_order: least allowed rate of convergence, between the two smallest thicknesses, if the law corrects the
             ends.
-        slow: errors ("traction", "jump", "work") whose rate must not exceed 1.3 if the law ignores the ends. Errors
-            that are not listed may change sign.
+        slow_errors: errors ("traction", "jump", "work") whose rate must not exceed 1.3 if the law ignores the ends.
+            Errors that are not listed may change sign.
     """
 
     name: str
-    structure: Callable[[float, float], Structure]
+    make_structure: Callable[[float, float], Structure]
     law: BulkLaw
     is_inner: Callable[[Expr], Expr] = lambda x: abs(x[0] - 0.5) < 0.25
     min_order: float = 1.9
-    slow: Sequence[str] = QUANTITIES
+    slow_errors: Sequence[str] = QUANTITIES
 
     @property
     def csv_name(self) -> str:
@@ -98,8 +98,8 @@ CASES = (
     EndCase("unequal blocks, nu = 0.45", _unequal_blocks, LinearElastic.shear(1.6, 0.45)),
     EndCase("rigid base, sheared", _block_on_base, LinearElastic.shear(8.0, 0.3)),
 )
-RUBBERS = {0.45: Rubber.shear(40.0, 0.45), 0.5: Incompressible(40.0)}  # by Poisson's ratio
-RUBBER = [EndCase(f"rubber, nu = {nu:g}", _blocks, law, min_order=1.6, slow=("jump",)) for nu, law in RUBBERS.items()]
+RUBBERS = {"rubber, nu = 0.45": Rubber.shear(40.0, 0.45), "rubber, nu = 0.5": Incompressible(40.0)}
+RUBBER_CASES = [EndCase(name, _blocks, law, min_order=1.6, slow_errors=("jump",)) for name, law in RUBBERS.items()]
 
 
 def graded_axis(length: float, first: float, last: float) -> Array:
@@ -134,8 +134,8 @@ def edge_3d(eps: float, cells: float, cell: str = "hexahedron") -> Structure:
         cells: number of cells per thickness near the edge.
         cell: "hexahedron" or "tetrahedron".
     """
-    places = graded_axis(1.0, eps / cells, CELL_SIZE), graded_axis(0.5, 2 * eps / cells, CELL_SIZE), np.arange(4) / 3
-    joint, pi = grid_joint(*places, cell=cell), ufl.pi
+    axes = graded_axis(1.0, eps / cells, CELL_SIZE), graded_axis(0.5, 2 * eps / cells, CELL_SIZE), np.arange(4) / 3
+    joint, pi = grid_joint(*axes, cell=cell), ufl.pi
 
     def load(x: Expr, t: Expr) -> list[Expr]:
         wave = ufl.cos(pi * x[2])
@@ -171,7 +171,7 @@ def run(record: Record, *, nu: Sequence[float] = POISSON_RATIOS, quick: bool = F
         _check_table(record)
         _check_rates(record, CASES, EPS, CELLS_2D)
         _check_rates(record, [EDGE_CASE], EPS[:2], CELLS_3D)
-    _check_rates(record, RUBBER, EPS[:2] if quick else EPS, CELLS_RUBBER)
+    _check_rates(record, RUBBER_CASES, EPS[:2] if quick else EPS, CELLS_RUBBER)
     _check_contrasts(record, SOFT_RATIOS[::2] if quick else SOFT_RATIOS, SOFT_EPS[:1] if quick else SOFT_EPS)
 
 
@@ -188,8 +188,8 @@ def _row(end: FreeEnd) -> dict[str, float]:
 def _table_difference(end: FreeEnd) -> float:
     """Return the largest relative difference of the constants in `end` from those in the package's table."""
     shipped = free_end(end.nu)
-    pairs = [(getattr(end, name), getattr(shipped, name)) for name in (*TABLE_COLUMNS[1:], "kappa")]
-    return max(abs(a / b - 1) for a, b in pairs if 0 < b < math.inf)
+    value_pairs = [(getattr(end, name), getattr(shipped, name)) for name in (*TABLE_COLUMNS[1:], "kappa")]
+    return max(abs(a / b - 1) for a, b in value_pairs if 0 < b < math.inf)
 
 
 def _check_table(record: Record) -> None:
@@ -220,7 +220,7 @@ def _error_row(record: Record, case: EndCase, cells: int, eps: float) -> dict[st
         "error_QUANTITY, ignored" without. A quantity is "traction" or "jump", on the inner part of S, or "work", that
         of the loads on top.
     """
-    structure, row, law = case.structure(eps, cells), {"eps": eps}, case.law
+    structure, row, law = case.make_structure(eps, cells), {"eps": eps}, case.law
     full = record.add_report(solve(structure.full(ThinLayer(law, eps, at=1.0), cells_through=cells)))
     for treatment, edges in EDGE_OPTIONS.items():
         with warnings.catch_warnings(action="ignore", category=RangeWarning):  # says that ends are ignored
@@ -260,7 +260,7 @@ def _check_rates(record: Record, cases: Sequence[EndCase], sizes: Sequence[float
         for kind in EDGE_OPTIONS:
             errors = {what: float(table[_column_name(what, kind)][-1]) for what in QUANTITIES}
             orders = {what: last_order(table, _column_name(what, kind)) for what in QUANTITIES}
-            for what in QUANTITIES if kind == CORRECTED else case.slow:
+            for what in QUANTITIES if kind == CORRECTED else case.slow_errors:
                 bounds = {"low": case.min_order} if kind == CORRECTED else {"high": 1.3}
                 record.check(f"{case.name}, ends {kind}: last order of the {what}", orders[what], **bounds)
             orders = {f"order of {what}": order for what, order in orders.items()}
@@ -282,8 +282,8 @@ def _check_contrasts(record: Record, ratios: Sequence[float], thicknesses: Seque
     cases = [(nu, eps, contrast) for nu in ratios for eps in thicknesses for contrast in CONTRASTS]
 
     def row(nu: float, eps: float, contrast: float) -> dict[str, float]:
-        soft = EndCase("", _blocks, LinearElastic.shear(100.0 / contrast, nu).scaled(1 / eps))  # E of the blocks is 100
-        errors = _error_row(record, soft, CELLS_RUBBER, eps)
+        soft_case = EndCase("", _blocks, LinearElastic.shear(100.0 / contrast, nu).scaled(1 / eps))  # blocks: E = 100
+        errors = _error_row(record, soft_case, CELLS_RUBBER, eps)
         corrected, ignored = ({what: errors[_column_name(what, kind)] for what in QUANTITIES} for kind in EDGE_OPTIONS)
         error_ratios = {f"{what}_factor": corrected[what] / ignored[what] for what in QUANTITIES}
         return {"nu": nu, "eps": eps, "E_over_mu": contrast, **corrected, **error_ratios}
@@ -301,15 +301,15 @@ def draw(record: Record) -> None:
 
     Lines show the constants of the package's table.
     """
-    for case in (CASES[0], *RUBBER):
+    for case in (CASES[0], *RUBBER_CASES):
         table, errors = record.load(case.csv_name), {}
         for kind in EDGE_OPTIONS:
             columns = {f"error_{what}": table[_column_name(what, kind)] for what in QUANTITIES[:2]}
             errors[f"ends {kind}"] = Table.of({"eps": table["eps"], **columns})
         title, save = f"{case.name}, order 1, inner half of S", record.path(case.csv_name.replace(".csv", ".svg"))
         plotting.rates(errors, reference=2.0, title=title, save=save)
-    table, lines = record.load("table.csv"), Table(_row(free_end(float(nu))) for nu in np.linspace(0.02, 0.4995, 200))
-    curves = {"half strip": table, "shipped": lines}
+    table, shipped = record.load("table.csv"), Table(_row(free_end(float(nu))) for nu in np.linspace(0.02, 0.4995, 200))
+    curves = {"half strip": table, "shipped": shipped}
     panels = {name: {label: (rows["nu"], rows[name]) for label, rows in curves.items()} for name in DRAWN_CONSTANTS}
     units = {name: "over eps" for name in DRAWN_CONSTANTS if name != "kappa"}
     limits, save = {"c_N": (0.0, 3.0), "rho_N": (0.0, 3.0), "m_N/c_N": (0.0, 4.0)}, record.path("constants.svg")

@@ -53,7 +53,7 @@ class JunctionCase:
         bodies: bodies of the full model: "kept" (meshed layers move them apart) or "extended" (layers are cut out of
             them).
         margin: distance from junctions and free ends beyond which a point belongs to the inner part of S.
-        stiff: whether the bodies' stiffness is added to that of the layer in junctions of the full model.
+        stiffen: whether the bodies' stiffness is added to that of the layer in junctions of the full model.
         refined: whether the cells of bodies at junctions are about as small as eps.
         max_eps: largest thickness eps of the study.
         quick: whether the case is run with --quick.
@@ -63,7 +63,7 @@ class JunctionCase:
     layers: Mapping[str, tuple[LinearElastic, float]] = field(default_factory=lambda: MORTAR_LAYERS)
     bodies: str = "kept"
     margin: float = 0.15
-    stiff: bool = False
+    stiffen: bool = False
     refined: bool = False
     max_eps: float = EPS[0]
     quick: bool = False
@@ -78,11 +78,11 @@ class JunctionCase:
     def structure(self, joint: Joint, *, meshed: bool) -> Structure:
         """Make the structure of the network on `joint`.
 
-        `meshed` says whether it is for the full model; only then do junctions have additional stiffness, if `stiff` is
-        set.
+        `meshed` says whether it is for the full model; only then do junctions have additional stiffness, if `stiffen`
+        is set.
         """
         supports: dict[str, Support] = {"BOTTOM": 0.0, "TOP": dict(zip("xyz", TOP_SHIFT[: joint.dim], strict=False))}
-        parts = [UflPart(energy=stiffening_energy)] if meshed and self.stiff else []
+        parts = [UflPart(energy=stiffening_energy)] if meshed and self.stiffen else []
         return Structure(joint, body=BODY, supports=supports, parts=parts)
 
 
@@ -134,8 +134,8 @@ CASES = {
     "grains": JunctionCase(polycrystal, {"S": (BED, 1.0)}, bodies="extended", margin=0.1, max_eps=0.02, quick=True),
     "bond, refined": JunctionCase(refined_wall, BOND_LAYERS, refined=True, max_eps=0.02, quick=True),
     "bond in 3D": JunctionCase(bond_wall_3d, bodies="extended", max_eps=0.02),
-    "bond, stiff junctions": JunctionCase(bond_wall, stiff=True, quick=True),
-    "bond, stiff junctions, refined": JunctionCase(refined_wall, BOND_LAYERS, stiff=True, refined=True, max_eps=0.02),
+    "bond, stiff junctions": JunctionCase(bond_wall, stiffen=True, quick=True),
+    "bond, stiff junctions, refined": JunctionCase(refined_wall, BOND_LAYERS, stiffen=True, refined=True, max_eps=0.02),
 }
 
 
@@ -215,13 +215,13 @@ def check_orders(record: Record, name: str, rows: Table) -> None:
     `rows` is its table, with a row for each thickness; `record` receives the checks.
     """
     case, orders = CASES[name], {error: rows[f"order_{error}"][1:] for error in ERROR_NAMES}
-    if case.stiff and case.refined:
+    if case.stiffen and case.refined:
         growth = np.diff(1 / rows["energy"]) / -np.diff(np.log(rows["eps"]))
         if len(growth) > 1:
             what = "growth of 1 / error of the energy with -log eps, the last over the one before"
             record.check(f"{name}: {what}", growth[-1] / growth[-2], low=0.8, high=1.25)
         return
-    if case.stiff:
+    if case.stiffen:
         record.check(f"{name}: last order of the inner jump", orders["inner_jump"][-1], high=0.3)
         record.check(f"{name}: error of the inner jump that is left", rows["inner_jump"][-1], low=0.025)
         return

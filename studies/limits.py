@@ -51,8 +51,8 @@ def run(record: Record, *, quick: bool = False) -> None:
         state, surface = solve_interface(K_N, k_t)
         sine, cosine = 2 * np.sin(np.pi * surface.x[0]), 2 * np.cos(np.pi * surface.x[0])
         jump, traction = surface.frame(surface.jump(state)), surface.frame(surface.traction(state))
-        parts = {"jump_T": jump[0] * sine, "traction_T": traction[0] * sine, "traction_N": traction[1] * cosine}
-        return {"K_T": k_t, **{name: surface.integral(part) for name, part in parts.items()}}
+        integrands = {"jump_T": jump[0] * sine, "traction_T": traction[0] * sine, "traction_N": traction[1] * cosine}
+        return {"K_T": k_t, **{name: surface.integral(integrand) for name, integrand in integrands.items()}}
 
     last = record.rows("table.csv", KAPPAS[:: 2 if quick else 1], stiff_row, "kappa = {:g}").rows[-1]
     softest_row = record.rows("sliding.csv", SLIDING_K_T[:: 3 if quick else 1], sliding_row, "K_T = {:g}").rows[-1]

@@ -34,22 +34,22 @@ def maps(panels: Mapping[str, Panel], x: Axis, y: Axis, ranges: dict[str, float]
     Returns:
         The picture.
     """
-    columns = min(2, len(panels))
-    rows = -(-len(panels) // columns)
+    n_columns = min(2, len(panels))
+    n_rows = -(-len(panels) // n_columns)
     width, height = (len(axis[1]) * cell + margin for axis, cell, margin in zip((x, y), CELL, MARGIN, strict=True))
-    figure = Picture(figsize=(width * columns, height * rows + 1.4), layout="constrained")
+    figure = Picture(figsize=(width * n_columns, height * n_rows + 1.4), layout="constrained")
     colours, norm = RANGE_COLOURS[: len(ranges)], BoundaryNorm([-np.inf, *ranges.values()], len(ranges))
     for k, (label, (values, texts)) in enumerate(panels.items()):
-        axes = figure.add_subplot(rows, columns, k + 1)
-        cells, is_bottom = np.ma.masked_invalid(np.asarray(values, float)), k >= len(panels) - columns
-        axes.pcolormesh(cells, cmap=ListedColormap(colours), norm=norm, edgecolors="white")
+        axes = figure.add_subplot(n_rows, n_columns, k + 1)
+        cell_values, is_bottom = np.ma.masked_invalid(np.asarray(values, float)), k >= len(panels) - n_columns
+        axes.pcolormesh(cell_values, cmap=ListedColormap(colours), norm=norm, edgecolors="white")
         for (i, j), text in np.ndenumerate(texts):
             axes.text(j + 0.5, i + 0.5, text, ha="center", va="center", fontsize=FONT_SIZE)
         axes.set_xticks(np.arange(len(x[1])) + 0.5, x[1] if is_bottom else [], rotation=60, fontsize=FONT_SIZE)
-        axes.set_yticks(np.arange(len(y[1])) + 0.5, y[1] if k % columns == 0 else [], fontsize=FONT_SIZE)
+        axes.set_yticks(np.arange(len(y[1])) + 0.5, y[1] if k % n_columns == 0 else [], fontsize=FONT_SIZE)
         axes.tick_params(length=0)
         axes.set_title(label, fontsize=FONT_SIZE + 1)
-        axes.set_ylabel(y[0] if k % columns == 0 else "", fontsize=FONT_SIZE + 1)
+        axes.set_ylabel(y[0] if k % n_columns == 0 else "", fontsize=FONT_SIZE + 1)
         axes.set_xlabel(x[0] if is_bottom else "", fontsize=FONT_SIZE + 1)
     patches = [Patch(color=colour, label=name) for colour, name in zip(colours, ranges, strict=True)]
     figure.legend(handles=patches, loc="outside lower center", ncols=len(ranges), frameon=False, fontsize=FONT_SIZE + 1)

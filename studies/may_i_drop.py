@@ -121,8 +121,8 @@ class SolvedCase:
             eps: thickness of its layers.
             record: record of the run that keeps the solver's reports; None: they are not kept.
         """
-        structure = case.structure(eps)
-        order_0 = solve_case(case, structure.interface(case.layers(eps), bodies=case.bodies))
+        structure = case.make_structure(eps)
+        order_0 = solve_case(case, structure.interface(case.make_layers(eps), bodies=case.bodies))
         with ignore_range_warnings():
             result = estimate(order_0, goals=case.qois)
         # a nearly incompressible layer is meshed with a pressure, as its better law has one
@@ -142,8 +142,8 @@ class SolvedCase:
         """
         model = self.estimate.better.model
         assert isinstance(model, InterfaceModel)
-        before = self.estimate.goals
-        changes = {goal.name: goal.value(self.full, model) - before[goal.name].value for goal in self.case.qois}
+        old_goals = self.estimate.goals
+        changes = {goal.name: goal.value(self.full, model) - old_goals[goal.name].value for goal in self.case.qois}
         return self._deltas(self.full) | changes
 
     @property
@@ -153,16 +153,16 @@ class SolvedCase:
         Changes of traction and jump are relative, in L2 norms on S. The change of a goal is absolute: its value with
         meshed layers minus that with interface laws.
         """
-        on_s = {name: float(getattr(self.estimate, name)) for name in ESTIMATED_FIELDS}
-        return on_s | {name: goal.change for name, goal in self.estimate.goals.items()}
+        surface_changes = {name: float(getattr(self.estimate, name)) for name in ESTIMATED_FIELDS}
+        return surface_changes | {name: goal.change for name, goal in self.estimate.goals.items()}
 
     def inner_changes(self, state: State) -> dict[str, float]:
         """Return the relative changes of "traction" and "jump" on S, in L2 norms, from interface laws to `state`.
 
-        Tractions are those of the bodies' nodal forces. If the case's `inner` is set, only the part of S from x = 1/4
-        to 3/4 counts.
+        Tractions are those of the bodies' nodal forces. If the case's `inner_only` is set, only the part of S from x =
+        1/4 to 3/4 counts.
         """
-        region = (lambda x: abs(x[0] - 0.5) < INNER_HALF_WIDTH) if self.case.inner else 1.0
+        region = (lambda x: abs(x[0] - 0.5) < INNER_HALF_WIDTH) if self.case.inner_only else 1.0
         return self._deltas(state, region, Surface.reaction)  # as in the other program
 
     def _deltas(self, state: State, part: Where | float = 1.0, traction: Field = Surface.traction) -> dict[str, float]:
@@ -170,15 +170,15 @@ class SolvedCase:
         for name in self.estimate.layers:
             surface = Surface(self.estimate.better.model, name)
             for row, field in zip(squares, (traction, Surface.jump), strict=True):
-                before = field(surface, self.estimate.state)
-                row += surface.norm(field(surface, state) - before, part) ** 2, surface.norm(before, part) ** 2
+                old_field = field(surface, self.estimate.state)
+                row += surface.norm(field(surface, state) - old_field, part) ** 2, surface.norm(old_field, part) ** 2
         return {name: math.sqrt(change / size) for name, (change, size) in zip(ESTIMATED_FIELDS, squares, strict=True)}
 
 
 def solve_case(case: DroppedCase, model: Model) -> Solution:
     """Solve `model`, a model of `case`: return a state, or a history if the case has a time step."""
     with ignore_range_warnings():
-        return march(model, [case.step]) if case.step else solve(model)
+        return march(model, [case.dt]) if case.dt else solve(model)
 
 
 def effectivities(solved: SolvedCase) -> tuple[dict[str, float], list[dict[str, float | str]]]:
@@ -194,8 +194,8 @@ def effectivities(solved: SolvedCase) -> tuple[dict[str, float], list[dict[str, 
     ratios = {name: estimated / truth[name] for name, estimated in solved.estimated_changes.items()}
     for name, goal in solved.estimate.goals.items():
         true_value, rounding = goal.value + truth[name], GOAL_ROUNDING * abs(goal.value)
-        outside = goal.bounded and not goal.lower - rounding <= true_value <= goal.upper + rounding
-        flags = {"told": float(not (goal.zero or goal.fixed)), "outside": float(outside)}
+        is_outside = goal.bounded and not goal.lower - rounding <= true_value <= goal.upper + rounding
+        flags = {"told": float(not (goal.zero or goal.fixed)), "outside": float(is_outside)}
         changes = {"true": truth[name] / goal.value, "effectivity": ratios[name]}
         goal_rows.append({"goal": name, **changes, "width": (goal.upper - goal.lower) / abs(truth[name]), **flags})
     row = {f"true_{name}": truth[name] for name in ESTIMATED_FIELDS}
@@ -222,19 +222,18 @@ def changes_along_s(solved: SolvedCase) -> Table:
         A table with a row for each node of S: "x"; "true_traction", "estimated_traction", "true_jump",
         "estimated_jump"; "true_density" and the estimated "density".
     """
-    estimate, surface = solved.estimate, Surface(solved.estimate.better.model)
-    columns = {}
+    estimate, surface, columns = solved.estimate, Surface(solved.estimate.better.model), {}
     for name, field in zip(ESTIMATED_FIELDS, (surface.traction, surface.jump), strict=True):
-        before = field(estimate.state)
+        old_field = field(estimate.state)
         better = estimate.inside if name == "traction" else estimate.better
         for kind, state in (("true", solved.full), ("estimated", better)):
-            x, values = surface.profile(field(state) - before)
+            x, values = surface.profile(field(state) - old_field)
             columns[f"{kind}_{name}"] = values[:, 1]
     _, surface_work = surface.profile((surface.traction(estimate.state) * surface.jump(solved.full)).sum(axis=0))
     columns["density"] = estimate.density()
     columns["true_density"] = surface_work - _layer_work(solved, x[:, 0]) / surface.areas
-    order = np.argsort(x[:, 0])
-    return Table.of({"x": x[order, 0], **{name: column[order] for name, column in columns.items()}})
+    sorted_rows = np.argsort(x[:, 0])
+    return Table.of({"x": x[sorted_rows, 0], **{name: column[sorted_rows] for name, column in columns.items()}})
 
 
 def _layer_work(solved: SolvedCase, at: Array) -> Array:
@@ -249,20 +248,20 @@ def _layer_work(solved: SolvedCase, at: Array) -> Array:
     Returns:
         (m,) work that belongs to each node.
     """
-    model, state, layers = solved.full.model, solved.full, solved.estimate._subproblem
+    model, state, problem = solved.full.model, solved.full, solved.estimate._subproblem
     Q, comm = fem.functionspace(model.domain.mesh, ("Lagrange", 1)), model.comm
     v, q, x = fem.Function(model.V), ufl.TestFunction(Q), model.V.tabulate_dof_coordinates()[:, :2]
     nodes = np.flatnonzero(np.abs(x[:, 1]) <= solved.eps / 2 * (1 + 1e-9))
-    face_displacements = layers.to_layers(solved.estimate.state.u.x.array)
-    probe = Probe(layers.state(layers.dirichlet_displacements(face_displacements, layers.load, layers.side_u)))
+    face_displacements = problem.to_layers(solved.estimate.state.u.x.array)
+    probe = Probe(problem.state(problem.dirichlet_displacements(face_displacements, problem.load, problem.side_u)))
     all_points = comm.allgather(x[nodes])  # a probe needs the same points on all ranks
     offset = sum(len(points) for points in all_points[: comm.rank])
     v.x.array.reshape(-1, 2)[nodes] = probe.displacement(np.concatenate(all_points))[offset : offset + len(nodes)]
     (term,) = state.layers
-    work = ufl.inner(state.stress(term), term.strain(v)) * term.weight * q * term.measure
+    work_form = ufl.inner(state.stress(term), term.strain(v)) * term.weight * q * term.measure
     n_owned = Q.dofmap.index_map.size_local
     is_near = np.abs(Q.tabulate_dof_coordinates()[:n_owned, 0] - at[:, None]) < 10.0**-COORDINATE_DIGITS
-    return np.asarray(comm.allreduce(is_near @ assemble_values(fem.form(work), n_owned)))
+    return np.asarray(comm.allreduce(is_near @ assemble_values(fem.form(work_form), n_owned)))
 
 
 # ---------------------------------------------------------------- pictures

@@ -77,8 +77,8 @@ class JumpPhaseLaw(TractionLaw):
 
 
 # wrong laws: lambda + mu as in Eqs. (41)-(42); no phase -1, Eq. (43); laminates only across n, G = 1/(lambda + 2 mu)
-PRINTED, ONE_BRANCH = JumpPhaseLaw.of(CASES[""][0], K_N=100.0), JumpPhaseLaw.of(CASES[""][0], minus_factor=0.0)
-SMALL_GAIN = JumpPhaseLaw.of(CASES["across"][0], G=1 / 140)
+PRINTED_LAW, ONE_BRANCH_LAW = JumpPhaseLaw.of(CASES[""][0], K_N=100.0), JumpPhaseLaw.of(CASES[""][0], minus_factor=0.0)
+SMALL_GAIN_LAW = JumpPhaseLaw.of(CASES["across"][0], G=1 / 140)
 
 
 def blocks(h: float, shear: float, pull: float, *, moved: bool = False) -> Problem:
@@ -140,8 +140,8 @@ def check_phases(record: Record, tables: Tables) -> None:
         tables: name of a `Sweep` of the study `rates` -> its table, with a line for each thickness.
     """
     for name in ("non_monotone", "non_monotone across", "non_monotone along"):
-        for share in ("plus", "minus", "mixed"):
-            record.check(f"share of S, {share}, {name}", tables[name][share][-1], low=MIN_SHARE)
+        for phase in ("plus", "minus", "mixed"):
+            record.check(f"share of S, {phase}, {name}", tables[name][phase][-1], low=MIN_SHARE)
 
 
 def snap_errors(full: Solution, limit: Solution) -> dict[str, float]:

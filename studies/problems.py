@@ -33,7 +33,7 @@ MORTAR_LAW = MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic
 BAR_LAW = LinearElastic.young(E=130e3, nu=0.2)  # MPa, section 8.2 of the paper
 SUPPORTS: dict[Place, Support] = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}  # clamped below, on rollers
 CHI = np.array([[0.0, 0.3], [0.3, 1.0]])  # a layer changes phase as it opens and is sheared
-SNAP_LAW = (1.0, 1.0, 1.2, 0.9, CHI)  # lmbda, mu, alpha, transformation energy and chi of a layer that snaps
+SNAP_LAW_ARGS = (1.0, 1.0, 1.2, 0.9, CHI)  # lmbda, mu, alpha, transformation energy and chi of a layer that snaps
 MAX_SHEAR = 5.0  # largest shear on the upper side in `sheared`, over the pressure there
 
 
@@ -97,13 +97,13 @@ class WaveSolution:
     Attributes:
         k: wave number; a half-wave is pi/k long.
         height: height of each block, without the layer.
-        body: Lamé's moduli lmbda and mu of the blocks.
+        moduli: Lamé's moduli lmbda and mu of the blocks.
         load: amplitudes t_x and t_y of the traction on top.
     """
 
     k: float
     height: float
-    body: tuple[float, float]
+    moduli: tuple[float, float]
     load: tuple[float, float]
 
     def transfer_matrix(self, lmbda: float, mu: float, thickness: float) -> Array:
@@ -128,7 +128,7 @@ class WaveSolution:
             Amplitudes (2,) of the layer's mean traction, amplitudes (2,) of its jump, and the work of the load over a
             half-wave of length 1.
         """
-        body, layer = self.transfer_matrix(*self.body, self.height), self.transfer_matrix(lmbda, mu, eps)
+        body, layer = self.transfer_matrix(*self.moduli, self.height), self.transfer_matrix(lmbda, mu, eps)
         lower = body @ np.append(np.zeros(2), np.linalg.solve((body @ layer @ body)[2:, 2:], self.load))
         upper = layer @ lower
         return (upper + lower)[2:] / 2, (upper - lower)[:2], float(self.load @ (body @ upper)[:2]) / 2

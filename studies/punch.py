@@ -57,8 +57,8 @@ def half_block_joint(n: int) -> Joint:
     """
     grid = block(4.0, 2.0, 1 / n, structured=True, arrangement="AlternateLeft")
     x, y = grid.points.T
-    x_below, x_outside = 1 - np.abs(1 - x) ** GRADING_EXPONENT, 1 + 3 * (np.abs(x - 1) / 3) ** GRADING_EXPONENT
-    points = np.column_stack([np.where(x < 1, x_below, x_outside), 2 - 2 * ((2 - y) / 2) ** GRADING_EXPONENT])
+    x_under, x_outside = 1 - np.abs(1 - x) ** GRADING_EXPONENT, 1 + 3 * (np.abs(x - 1) / 3) ** GRADING_EXPONENT
+    points = np.column_stack([np.where(x < 1, x_under, x_outside), 2 - 2 * ((2 - y) / 2) ** GRADING_EXPONENT])
     facets = dict(grid.facets)
     top_facets = facets.pop("TOP")
     is_under = grid.points[top_facets].mean(axis=1)[:, 0] < 1
@@ -103,15 +103,15 @@ def cylinder_problems(h: float) -> dict[str, tuple[Joint, StructureArguments, st
     quarter = ring(c.a, R_S, c.b, h, angle=math.pi / 2, cell="triangle", degree=2)
     wall = sandwich(0.5, R_S - c.a, c.b - R_S, h, structured=True).rotated(-math.pi / 2).moved((R_S, 0.0))
 
-    def inside(x: Expr, t: Expr) -> tuple[Expr, Expr]:
+    def inner_load(x: Expr, t: Expr) -> tuple[Expr, Expr]:
         r = ufl.sqrt(x[0] ** 2 + x[1] ** 2)
         return t * x[0] / r, t * x[1] / r
 
     ends, plates = {"START": {"y": 0.0}, "END": {"x": 0.0}}, {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
-    plane: StructureArguments = {"supports": ends, "tractions": {"INSIDE": inside}}
-    axial: StructureArguments = {"supports": plates, "tractions": {"BOTTOM": lambda x, t: (t, 0.0)}}
-    axial["plane"] = "axisymmetric"
-    return {"plane strain": (quarter, plane, "INSIDE", "OUTSIDE"), "axisymmetric": (wall, axial, "BOTTOM", "TOP")}
+    plane_kw: StructureArguments = {"supports": ends, "tractions": {"INSIDE": inner_load}}
+    axial_kw: StructureArguments = {"supports": plates, "tractions": {"BOTTOM": lambda x, t: (t, 0.0)}}
+    axial_kw["plane"] = "axisymmetric"
+    return {"plane strain": (quarter, plane_kw, "INSIDE", "OUTSIDE"), "axisymmetric": (wall, axial_kw, "BOTTOM", "TOP")}
 
 
 def solve_cylinders(record: Record, h: float) -> None:
@@ -145,8 +145,8 @@ def mean_outward_displacement(state: State, name: str, r: float) -> float:
     `name` is the facet set of the side, `r` its radius.
     """
     mesh, ds_side = state.model.domain.mesh, state.model.ds(state.model.domain.values(name))
-    axisymmetric = state.model.plane == "axisymmetric"
-    outward = state.u[0] if axisymmetric else ufl.dot(state.u, ufl.SpatialCoordinate(mesh)) / r
+    is_axisymmetric = state.model.plane == "axisymmetric"
+    outward = state.u[0] if is_axisymmetric else ufl.dot(state.u, ufl.SpatialCoordinate(mesh)) / r
     return state.integral(outward * ds_side) / state.integral(fem.Constant(mesh, 1.0) * ds_side)
 
 

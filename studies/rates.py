@@ -102,8 +102,7 @@ def normal_jumps(full: Solution, limit: Solution) -> dict[str, float]:
         "normal_jump_full" and "normal_jump_interface" -> relative norm.
     """
     surface = Surface(end_state(limit).model)
-    jump_norm = surface.norm(surface.jump(end_state(limit)))
-    norms = {}
+    jump_norm, norms = surface.norm(surface.jump(end_state(limit))), {}
     for name, solution in {"full": full, "interface": limit}.items():
         projected = surface.at_points(surface.nodal(surface.jump(end_state(solution))))
         norms[f"normal_jump_{name}"] = surface.norm(surface.frame(projected)[1]) / jump_norm
@@ -223,7 +222,7 @@ def wedge_thickness(x: Array) -> Array:
 
 PUSH_PATH: LoadPath = {0: (0.0, 0.0, 0.0), 1: (0.3, 0.35, 0.0), 2: (0.3, 1.0, 1.5), 3: (0.3, 0.0, -0.9)}
 SHEAR_TIMES = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
-PATH = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
+PATH_TIMES = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
 pushed, pulled = partial(pressed, path=PUSH_PATH), partial(pressed, path=RETURN_PATH)
 
 
@@ -232,7 +231,7 @@ KELVIN_VOIGT = KelvinVoigt(*MODULI, theta_lmbda=0.3, theta_mu=0.5)
 MAXWELL = Maxwell(*MODULI, t1=0.7, t2=1.0)  # the mean stress relaxes with the time 1.04
 NORTON = Norton(*MODULI, eta=5.0, p=1.5)  # at rest the tangent is infinite for p < 2, and zero for p > 2
 SLIPPING = MohrCoulombMonodirectional(*MODULI, cohesion=0.05, friction_angle=25.0)
-OPENING = replace(SLIPPING, elastic_fraction=FRACTION, unilateral=True)
+OPENING_LAW = replace(SLIPPING, elastic_fraction=FRACTION, unilateral=True)
 COULOMB = MohrCoulombMonodirectional(*MODULI, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02)  # slips on S
 BAR_LAW = replace(COULOMB, lmbda=fig3.GLUE.lmbda, mu=fig3.GLUE.mu, cohesion=0.0, elastic_fraction=0.01)
 HARD_LAWS = {"hard_layer": LinearElastic(lmbda=600.0, mu=400.0), "hard_layer softer": LinearElastic(lmbda=6.0, mu=4.0)}
@@ -244,19 +243,19 @@ SUBLAYERS = Stack((0.3, LinearElastic(400.0, 20.0)), (0.3, LinearElastic(20.0, 6
 EPS_MM = (0.8, 0.4, 0.2, 0.1)
 FIFTHS, TENTHS, TWENTIETHS = (0.2, 0.4, 0.6, 0.8, 1.0), (0.1, 0.2, 0.3, 0.4, 0.5), (0.05, 0.1, 0.15, 0.2, 0.25)
 # the mirrored stack is a wrong law
-OTHER_STACKS = {"_order0": layer_fn(SUBLAYERS), "_mirrored": layer_fn(Stack(*SUBLAYERS.sublayers[::-1]), order=1)}
+STACK_VARIANTS = {"_order0": layer_fn(SUBLAYERS), "_mirrored": layer_fn(Stack(*SUBLAYERS.sublayers[::-1]), order=1)}
 
-static_sweep = partial(Sweep, problem=fourier, orders=(0.95, 1.05), pictured=middle)
-order_1 = partial(Sweep, h=(1 / 32, 1 / 16), eps=halves(3, 5), orders=(1.9, 2.1), pictured=None)
-hard = partial(order_1, eps=halves(4, 5), orders=None, extras=reaction_error)
-rubber_sweep = partial(order_1, eps=halves(3), orders=(1.9, 2.3), cells_through=2, extras=reaction_error)
-glued = partial(Sweep, problem=problems.glued_hub, h=(1.0, 2.0), eps=EPS_MM, bodies="extended", unit="mm")
-norton_sweep = partial(Sweep, h=(1 / 16, 1 / 8), times=(0.01, 0.02, 0.03, 0.04, *TWENTIETHS), extras=early_norms)
-fine = partial(Sweep, h=(1 / 16, 1 / 8), eps=halves(4), orders=(0.9, 1.1), quick_steps=slice(1, None, 2))
-slips = partial(fine, problem=pushed, times=PATH, cells_through=2)
-yields = partial(fine, problem=sheared, orders=(0.9, 1.3), times=SHEAR_TIMES)
-rubs = partial(fine, layer_fn(bands.BAND_LAW), h=(1 / 128, 1 / 64), cells_through=1, extras=bands.zone_lengths,
-    along=bands.tractions_along)
+static_sweep = partial(Sweep, problem=fourier, orders=(0.95, 1.05), pick_eps=middle)
+order_1_sweep = partial(Sweep, h=(1 / 32, 1 / 16), eps=halves(3, 5), orders=(1.9, 2.1), pick_eps=None)
+hard_sweep = partial(order_1_sweep, eps=halves(4, 5), orders=None, extras_fn=reaction_error)
+rubber_sweep = partial(order_1_sweep, eps=halves(3), orders=(1.9, 2.3), cells_through=2, extras_fn=reaction_error)
+glued_sweep = partial(Sweep, problem=problems.glued_hub, h=(1.0, 2.0), eps=EPS_MM, bodies="extended", unit="mm")
+norton_sweep = partial(Sweep, h=(1 / 16, 1 / 8), times=(0.01, 0.02, 0.03, 0.04, *TWENTIETHS), extras_fn=early_norms)
+fine_sweep = partial(Sweep, h=(1 / 16, 1 / 8), eps=halves(4), orders=(0.9, 1.1), quick_steps=slice(1, None, 2))
+slip_sweep = partial(fine_sweep, problem=pushed, times=PATH_TIMES, cells_through=2)
+yield_sweep = partial(fine_sweep, problem=sheared, orders=(0.9, 1.3), times=SHEAR_TIMES)
+rub_sweep = partial(fine_sweep, layer_fn(bands.BAND_LAW), h=(1 / 128, 1 / 64), cells_through=1,
+    extras_fn=bands.zone_lengths, along_fn=bands.tractions_along)
 bar_sweep = partial(Sweep, problem=fig2_bar, h=((6.0, 3.0, 0.2), (8.0, 4.0, 0.4)), eps=(2.0, 1.0, 0.5, 0.25),
     orders=(0.9, 1.3), unit="mm", where=lambda x: abs(x[0] - fig3.SIDE / 2) < 0.45 * fig3.SIDE)  # 5 mm off the ends of S
 at_once, to_and_fro = (partial(bands.blocks, path=path) for path in (bands.DIRECT_PATH, RETURN_PATH))
@@ -271,8 +270,8 @@ def phase_sweep(case: str, label: str) -> Sweep:
     """
     law, shear, pull = phases.CASES[case]
     problem = partial(phases.blocks, shear=shear, pull=pull)
-    return fine(layer_fn(law), label, problem, cells_through=2, pictured=None, extras=phases.phase_fractions,
-        along=phases.phases_along)
+    return fine_sweep(layer_fn(law), label, problem, cells_through=2, pick_eps=None, extras_fn=phases.phase_fractions,
+        along_fn=phases.phases_along)
 
 
 def wrong_law_sweep(case: str, label: str, law: TractionLaw, floors: ErrorFloors) -> Sweep:
@@ -284,37 +283,39 @@ def wrong_law_sweep(case: str, label: str, law: TractionLaw, floors: ErrorFloors
         law: the wrong law.
         floors: "traction" or "jump" -> smallest and largest relative error that is expected of it.
     """
-    return replace(phase_sweep(case, label), wrong_law=law, floors=floors, orders=None, extras=None, along=None)
+    return replace(phase_sweep(case, label), wrong_law=law, floors=floors, orders=None, extras_fn=None, along_fn=None)
 
 
 SWEEPS: dict[str, Sweep] = {
     "elastic": static_sweep(layer_fn(FOURIER_LAYER)),
     "extended": static_sweep(layer_fn(FOURIER_LAYER), bodies="extended"),
     "tapered": static_sweep(layer_fn(FOURIER_LAYER, profile=wedge_thickness), bodies="extended", orders=(0.9, 1.1)),
-    "order1": order_1(layer_fn(FOURIER_LAYER, order=1), other_layers={"_order0": layer_fn(FOURIER_LAYER)},
-        extras=reaction_error),
-    "order1_stack": order_1(layer_fn(SUBLAYERS, order=1), other_layers=OTHER_STACKS),
-    "hard_layer": hard(layer_fn(HARD_LAWS["hard_layer"], None, order=1), "harder than the bodies"),
-    "hard_layer softer": hard(layer_fn(HARD_LAWS["hard_layer softer"], None, order=1), "softer than the bodies",
+    "order1": order_1_sweep(layer_fn(FOURIER_LAYER, order=1), layer_variants={"_order0": layer_fn(FOURIER_LAYER)},
+        extras_fn=reaction_error),
+    "order1_stack": order_1_sweep(layer_fn(SUBLAYERS, order=1), layer_variants=STACK_VARIANTS),
+    "hard_layer": hard_sweep(layer_fn(HARD_LAWS["hard_layer"], None, order=1), "harder than the bodies"),
+    "hard_layer softer": hard_sweep(layer_fn(HARD_LAWS["hard_layer softer"], None, order=1), "softer than the bodies",
         check=check_third_order),
     "rubber": rubber_sweep(layer_fn(Rubber.shear(40.0, 0.3), order=1), "nu = 0.3"),
     "rubber harder": rubber_sweep(layer_fn(Rubber.shear(40.0, 0.45), order=1), "nu = 0.45"),
     "rubber almost": rubber_sweep(layer_fn(Rubber.shear(40.0, 0.499), order=1), "nu = 0.499"),
     "rubber incompressible": rubber_sweep(layer_fn(Incompressible(40.0), order=1), "nu = 0.5"),
-    "ring": glued(layer_fn(problems.GLUE, problems.GLUE_EPS), "order 0", orders=(0.9, 1.1)),
-    "ring order1": glued(layer_fn(problems.GLUE, problems.GLUE_EPS, order=1), "order 1", orders=(1.8, 2.2), pictured=None),
-    "fibre": glued(layer_fn(cylinders.COATING), problem=cylinders.coated_fibre, h=(0.05, 0.1), eps=(0.08, 0.04, 0.02, 0.01),
-        orders=(0.9, 1.1), unit="R", extras=cylinders.fibre_errors, check=cylinders.check_fibre),
-    "tubes": glued(layer_fn(cylinders.GLUE, cylinders.GLUE_EPS), "inner pressure", orders=(0.93, 1.1),
+    "ring": glued_sweep(layer_fn(problems.GLUE, problems.GLUE_EPS), "order 0", orders=(0.9, 1.1)),
+    "ring order1": glued_sweep(layer_fn(problems.GLUE, problems.GLUE_EPS, order=1), "order 1", orders=(1.8, 2.2),
+        pick_eps=None),
+    "fibre": glued_sweep(layer_fn(cylinders.COATING), problem=cylinders.coated_fibre, h=(0.05, 0.1),
+        eps=(0.08, 0.04, 0.02, 0.01), orders=(0.9, 1.1), unit="R", extras_fn=cylinders.fibre_errors,
+        check=cylinders.check_fibre),
+    "tubes": glued_sweep(layer_fn(cylinders.GLUE, cylinders.GLUE_EPS), "inner pressure", orders=(0.93, 1.1),
         check=cylinders.check_tubes, problem=partial(cylinders.tubes, loads=cylinders.PRESSURE_LOADS),
-        extras=cylinders.tube_errors),
-    "tubes push": glued(layer_fn(cylinders.GLUE, cylinders.GLUE_EPS), "shaft pushed", orders=(0.9, 1.25),
+        extras_fn=cylinders.tube_errors),
+    "tubes push": glued_sweep(layer_fn(cylinders.GLUE, cylinders.GLUE_EPS), "shaft pushed", orders=(0.9, 1.25),
         problem=partial(cylinders.tubes, loads=cylinders.PUSH_LOADS),
         where=lambda x: abs(x[1] + cylinders.TUBE_LENGTH / 2) < 0.3 * cylinders.TUBE_LENGTH),  # off their ends
     "own_mesh": Sweep(layer_fn(problems.JOINT, problems.JOINT_EPS), problem=problems.arch, orders=(0.9, 1.1), unit="m",
-        h=("P2", "P1"), eps=(0.04, 0.02, 0.01, 0.005), bodies="extended", where=problems.is_inside_joints, pictured=middle),
+        h=("P2", "P1"), eps=(0.04, 0.02, 0.01, 0.005), bodies="extended", where=problems.is_inside_joints, pick_eps=middle),
     "butt_joint": Sweep(layer_fn(problems.GLUE, problems.GLUE_EPS), problem=rods.rods, h=((4.0, 2.5), (6.0, 4.0)),
-        eps=EPS_MM, unit="mm", orders=(0.9, None), where=rods.is_inside_rods, extras=rods.section_means,
+        eps=EPS_MM, unit="mm", orders=(0.9, None), where=rods.is_inside_rods, extras_fn=rods.section_means,
         check=rods.check_section),
     "kelvin_voigt": Sweep(layer_fn(KELVIN_VOIGT), times=TENTHS),
     "maxwell": Sweep(layer_fn(MAXWELL), "t2 = 1.0", times=FIFTHS),
@@ -326,44 +327,46 @@ SWEEPS: dict[str, Sweep] = {
     "stack norton": Sweep(layer_fn(Stack((0.5, FOURIER_LAYER), (0.5, NORTON))), "elastic, Norton", eps=halves(4),
         times=TWENTIETHS),
     # for eps > 1/32 the next term still affects the orders
-    "incompressible": Sweep(layer_fn(Incompressible(mu=40.0)), eps=halves(5), extras=normal_jumps, check=check_normal_jump),
-    "monodirectional": slips(layer_fn(SLIPPING), "bilateral"),
-    "monodirectional unilateral": slips(layer_fn(OPENING), "unilateral, h = 0.01", problem=pulled),
-    "monodirectional stack": slips(layer_fn(Stack((0.4, LinearElastic(90.0, 30.0)), (0.6, SLIPPING))),
+    "incompressible": Sweep(layer_fn(Incompressible(40.0)), eps=halves(5), extras_fn=normal_jumps, check=check_normal_jump),
+    "monodirectional": slip_sweep(layer_fn(SLIPPING), "bilateral"),
+    "monodirectional unilateral": slip_sweep(layer_fn(OPENING_LAW), "unilateral, h = 0.01", problem=pulled),
+    "monodirectional stack": slip_sweep(layer_fn(Stack((0.4, LinearElastic(90.0, 30.0)), (0.6, SLIPPING))),
         "elastic, bilateral"),
-    "monodirectional pulled": slips(layer_fn(replace(SLIPPING, elastic_fraction=FRACTION)), "pulled, h = 0.01",
+    "monodirectional pulled": slip_sweep(layer_fn(replace(SLIPPING, elastic_fraction=FRACTION)), "pulled, h = 0.01",
         problem=pulled),
-    "monodirectional pulled_less": slips(layer_fn(replace(SLIPPING, elastic_fraction=LESS)), "pulled, h = 1e-4",
+    "monodirectional pulled_less": slip_sweep(layer_fn(replace(SLIPPING, elastic_fraction=LESS)), "pulled, h = 1e-4",
         problem=pulled, orders=None, check=check_smaller_fraction),
-    "mohr_coulomb": yields(layer_fn(MORTAR_LAW), "psi = 0"),
-    "mohr_coulomb dilatant": yields(layer_fn(replace(MORTAR_LAW, dilatancy_angle=10.0)), "psi = 10°"),
-    "mohr_coulomb coulomb": yields(layer_fn(MORTAR_LAW), "tan(Omega) on S", orders=None, wrong_law=COULOMB, floors=FLOOR),
-    "mohr_coulomb metal": yields(layer_fn(MORTAR_LAW), "bodies yield", problem=metal_blocks, times=SHEAR_TIMES[:4],
-        quick_steps=slice(None), extras=dissipation_ratios, check=check_both_yield),
-    "friction": rubs("at once", at_once, wrong_law=bands.HOLONOMIC),
-    "friction history": rubs("to and fro", to_and_fro, times=PATH, wrong_law=bands.INCREMENTAL, check=bands.check_zones),
-    "friction cells": fine(layer_fn(bands.REGULARIZED_LAW), "4 cells, h = 1e-5", at_once, h=(1 / 64, 1 / 64),
+    "mohr_coulomb": yield_sweep(layer_fn(MORTAR_LAW), "psi = 0"),
+    "mohr_coulomb dilatant": yield_sweep(layer_fn(replace(MORTAR_LAW, dilatancy_angle=10.0)), "psi = 10°"),
+    "mohr_coulomb coulomb": yield_sweep(layer_fn(MORTAR_LAW), "tan(Omega) on S", orders=None, wrong_law=COULOMB,
+        floors=FLOOR),
+    "mohr_coulomb metal": yield_sweep(layer_fn(MORTAR_LAW), "bodies yield", problem=metal_blocks, times=SHEAR_TIMES[:4],
+        quick_steps=slice(None), extras_fn=dissipation_ratios, check=check_both_yield),
+    "friction": rub_sweep("at once", at_once, wrong_law=bands.HOLONOMIC),
+    "friction history": rub_sweep("to and fro", to_and_fro, times=PATH_TIMES, wrong_law=bands.INCREMENTAL,
+        check=bands.check_zones),
+    "friction cells": fine_sweep(layer_fn(bands.REGULARIZED_LAW), "4 cells, h = 1e-5", at_once, h=(1 / 64, 1 / 64),
         orders=(0.7, 1.3), wrong_law=bands.HOLONOMIC, slow=True),
-    "friction sine": fine(layer_fn(bands.BAND_LAW), "f = sin(Omega)", at_once, h=(1 / 64, 1 / 32), orders=None,
+    "friction sine": fine_sweep(layer_fn(bands.BAND_LAW), "f = sin(Omega)", at_once, h=(1 / 64, 1 / 32), orders=None,
         cells_through=1, wrong_law=bands.SINE_LAW, check=bands.check_sine_error),
     "non_monotone": phase_sweep("", "oblique chi"),
     "non_monotone across": phase_sweep("across", "n (x) n"),
     "non_monotone along": replace(phase_sweep("along", "sym(t (x) n)"), check=phases.check_phases),
-    "non_monotone unrelaxed": fine(layer_fn(phases.PURE_LAW), "oblique chi, pure phases", h=(1 / 8, 1 / 8), cells_through=2,
-        problem=partial(phases.blocks, shear=0.04, pull=0.03, moved=True), times=(0.25, 0.5, 0.75, 1.0),
-        quick_steps=slice(None), extras=phases.snap_errors, along=phases.phases_along, check=phases.check_snaps),
-    "non_monotone printed": wrong_law_sweep("", "lambda + mu on S", phases.PRINTED, PRINTED_FLOOR),
-    "non_monotone one_branch": wrong_law_sweep("", "no phase -1 on S", phases.ONE_BRANCH, ONE_BRANCH_FLOOR),
-    "non_monotone across small_gain": wrong_law_sweep("across", "n (x) n, G across", phases.SMALL_GAIN, GAIN_FLOOR),
+    "non_monotone unrelaxed": fine_sweep(layer_fn(phases.PURE_LAW), "oblique chi, pure phases", h=(1 / 8, 1 / 8),
+        cells_through=2, problem=partial(phases.blocks, shear=0.04, pull=0.03, moved=True), times=(0.25, 0.5, 0.75, 1.0),
+        quick_steps=slice(None), extras_fn=phases.snap_errors, along_fn=phases.phases_along, check=phases.check_snaps),
+    "non_monotone printed": wrong_law_sweep("", "lambda + mu on S", phases.PRINTED_LAW, PRINTED_FLOOR),
+    "non_monotone one_branch": wrong_law_sweep("", "no phase -1 on S", phases.ONE_BRANCH_LAW, ONE_BRANCH_FLOOR),
+    "non_monotone across small_gain": wrong_law_sweep("across", "n (x) n, G across", phases.SMALL_GAIN_LAW, GAIN_FLOOR),
     "bar": bar_sweep(layer_fn(fig3.glue_law(0.02)), "h = 0.02"),
     "bar less_elastic": bar_sweep(layer_fn(fig3.glue_law(0.01)), "h = 0.01", slow=True),
     "bar monodirectional": bar_sweep(layer_fn(BAR_LAW), "monodirectional, h = 0.01", slow=True),
 }
 LAWS = tuple(dict.fromkeys(name.split()[0] for name in SWEEPS))
-ORDERS = {f"{name}, order {k}": f"{key}{'' if k else '_order0'}" for k in (0, 1) for name, key in ERROR_COLUMNS.items()}
+BY_ORDER = {f"{name}, order {k}": f"{key}{'' if k else '_order0'}" for k in (0, 1) for name, key in ERROR_COLUMNS.items()}
 DRAWN_ERRORS = {  # law -> label and column of each error, reference order
-    "order1": (ORDERS, 2.0),
-    "order1_stack": (ORDERS | {"jump, mirrored": "error_jump_mirrored"}, 2.0),
+    "order1": (BY_ORDER, 2.0),
+    "order1_stack": (BY_ORDER | {"jump, mirrored": "error_jump_mirrored"}, 2.0),
     "hard_layer": ({"traction": "error_reaction"}, 3.0),
     "rubber": ({"jump": "error_jump"}, 2.0),
     "incompressible": (ERROR_COLUMNS | {"[u_N]/[u] of the meshed layer": "normal_jump_full"}, 1.0),
@@ -389,10 +392,10 @@ def run(
     """
     tables: Tables = {}
     for name, sweep in SWEEPS.items():
-        first = name.split()[0]
-        if law not in ("all", first) or (quick and sweep.slow):
+        its_law = name.split()[0]
+        if law not in ("all", its_law) or (quick and sweep.slow):
             continue
-        tables[name] = sweep.compare_all(record, name, eps or sweep.eps, quick=quick, pictured=name == first or not quick)
+        tables[name] = sweep.compare_all(record, name, eps or sweep.eps, quick=quick, pictured=name == its_law or not quick)
         check_floors(record, name, tables[name], tables[name.rpartition(" ")[0] or name], sweep.floors)
         if sweep.check:
             sweep.check(record, tables)
@@ -405,16 +408,16 @@ def draw(record: Record) -> None:
     They are read from the folder of `record`; laws without a table there are left out.
     """
     for law in LAWS:
-        rows = {s.label: name for name, s in SWEEPS.items() if name.split()[0] == law and record.has(table_file(name))}
+        names = {s.label: name for name, s in SWEEPS.items() if name.split()[0] == law and record.has(table_file(name))}
         title = f"meshed against law on S: {law}" + (f", eps in {SWEEPS[law].unit}" if SWEEPS[law].unit else "")
-        if not rows:
+        if not names:
             continue
-        tables = {label: record.path(table_file(name)) for label, name in [*rows.items()][: len(COLOURS)]}
+        tables = {label: record.path(table_file(name)) for label, name in [*names.items()][: len(COLOURS)]}
         if law not in SEPARATE_LAWS:
             errors, order = DRAWN_ERRORS.get(law, (ERROR_COLUMNS, 1.0))
             plotting.rates(tables, save=record.path(f"rates_{law}.svg"), title=title, errors=errors, reference=order)
         for error, suffix in (("traction", ""), ("jump", "_jump")) if law in SEPARATE_LAWS else ():
             options = {"title": f"{title}: {error}", "errors": {error: f"error_{error}"}}
             plotting.rates(tables, save=record.path(f"rates_{law}{suffix}.svg"), **options)
-        if along := {label: name for label, name in rows.items() if SWEEPS[name].along}:
+        if along := {label: name for label, name in names.items() if SWEEPS[name].along_fn}:
             draw_along(record, along, f"along_{law}")

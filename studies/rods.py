@@ -66,15 +66,14 @@ def section_means(full: Solution, limit: Solution) -> dict[str, float]:
     layer = layer_of(limit)
     section, load = sandwich(RADIUS, HEIGHT, HEIGHT, 2.0, h_S=0.8, h_ends=0.3), {"TOP": (0.0, STRESS)}
     structure = Structure(section, body=STEEL, supports={"BOTTOM": 0.0}, tractions=load, plane="axisymmetric")
-    law_2d = solve(structure.interface(layer))
-    means = {}
-    for name, state, there in (("meshed", full, solve(structure.full(layer))), ("law", limit, law_2d)):
-        for where, end, model in ("", end_state(state), end_state(limit).model), ("_axisymmetric", there, law_2d.model):
+    law_2d, means = solve(structure.interface(layer)), {}
+    for name, state, axi in (("meshed", full, solve(structure.full(layer))), ("law", limit, law_2d)):
+        for suffix, end, model in ("", end_state(state), end_state(limit).model), ("_axisymmetric", axi, law_2d.model):
             surface = Surface(model)
             top = end.model.ds(end.model.domain.values("TOP"))
-            means[f"rise_{name}{where}"] = end.integral(end.u[1] * top) / (math.pi * RADIUS**2)
+            means[f"rise_{name}{suffix}"] = end.integral(end.u[1] * top) / (math.pi * RADIUS**2)
             weight, normal = 1 - _radius(surface.x) ** 2 / RADIUS**2, surface.frame(surface.traction(end))[-1]
-            means[f"traction_{name}{where}"] = surface.integral(weight * normal) / surface.integral(weight)
+            means[f"traction_{name}{suffix}"] = surface.integral(weight * normal) / surface.integral(weight)
     return means
 
 

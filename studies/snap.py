@@ -21,7 +21,7 @@ from forms.tensors import Expr
 from geometry import block
 from geometry.joint import Joint
 from geometry.sheet import vectors_from_segments
-from studies.problems import SNAP_LAW, phases_on_s
+from studies.problems import SNAP_LAW_ARGS, phases_on_s
 from thinlayer import ArcLength, Structure, Table, ThinLayer, march, piecewise, plotting
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
@@ -82,7 +82,7 @@ def march_cycle(joint: Joint, steps: int, eps: float = 0) -> History:
         The history, with all states.
     """
     times = [END * k / steps for k in range(1, 2 * steps + 1)]
-    return march_block(joint, NonMonotoneUnrelaxed(*SNAP_LAW), piecewise({0: 0, END: END, 2 * END: 0}), times, eps)
+    return march_block(joint, NonMonotoneUnrelaxed(*SNAP_LAW_ARGS), piecewise({0: 0, END: END, 2 * END: 0}), times, eps)
 
 
 def arc_length_path(joint: Joint, r: float, first_step: float, *, backward: bool = False) -> Table:
@@ -97,7 +97,7 @@ def arc_length_path(joint: Joint, r: float, first_step: float, *, backward: bool
     Returns:
         Table of the equilibria, as of `curve_table`.
     """
-    law, arc = NonMonotone(*SNAP_LAW, mixing=r), ArcLength(end=END, first=first_step)
+    law, arc = NonMonotone(*SNAP_LAW_ARGS, mixing=r), ArcLength(end=END, first=first_step)
     history = march_block(joint, law, lambda x, t: END - t if backward else t, arc, keep="last")
     return curve_table(f"path by arc length, r = {r:g}", history, END - history.t if backward else history.t)
 
@@ -129,8 +129,8 @@ def switch_deltas(history: History) -> Array:
     phase 1, the second one for the change back.
     """
     phases = np.array([phases_on_s(state)[1] for state in history]) > 0.5
-    first_state, last_state = phases.argmax(axis=0), len(phases) - phases[::-1].argmax(axis=0)
-    return np.column_stack([history.t[first_state], 2 * END - history.t[last_state]])
+    on_index, off_index = phases.argmax(axis=0), len(phases) - phases[::-1].argmax(axis=0)
+    return np.column_stack([history.t[on_index], 2 * END - history.t[off_index]])
 
 
 def polygon_distances(points: Array, vertices: Array) -> Array:
@@ -155,18 +155,18 @@ def run(record: Record, *, quick: bool = False) -> None:
     """
     cells, steps, r, step = (12, 12, 0.4, 0.06) if quick else (32, 48, 0.3, 0.02)
     joint = block(2.0, 1.0, 2.0 / cells, cell="quadrilateral", structured=True)
-    snaps, response = record.new_table("table.csv"), record.new_table("table_response.csv")
+    snaps, response_table = record.new_table("table.csv"), record.new_table("table_response.csv")
 
     def add_curve(curve: str, history: History) -> None:
-        response.extend(curve_table(curve, history, delta_at(history.t)).rows)
+        response_table.extend(curve_table(curve, history, delta_at(history.t)).rows)
         snaps.extend({"curve": curve, "delta": float(delta_at(snap.t)), "lost": snap.lost} for snap in history.snaps)
 
     pure_history = march_cycle(joint, steps)
     add_curve(PURE, pure_history)
     deltas = sorted({*delta_at(pure_history.t).round(12)} - {0.0})
-    relaxed_history = march_block(joint, NonMonotone(*SNAP_LAW), lambda x, t: t, deltas)
-    response.extend(curve_table(RELAXED, relaxed_history, relaxed_history.t).rows)
-    response.extend(check_path(record, joint, relaxed_history, r, step, quick=quick).rows)
+    relaxed_history = march_block(joint, NonMonotone(*SNAP_LAW_ARGS), lambda x, t: t, deltas)
+    response_table.extend(curve_table(RELAXED, relaxed_history, relaxed_history.t).rows)
+    response_table.extend(check_path(record, joint, relaxed_history, r, step, quick=quick).rows)
     check_energies(record, pure_history, relaxed_history)
     for eps in EPS[: 1 if quick else None]:
         band_history = march_cycle(joint, steps, eps)
@@ -191,19 +191,19 @@ def check_path(record: Record, joint: Joint, relaxed: History, r: float, first_s
     Returns:
         Table of the path, as of `curve_table`.
     """
-    first, name = arc_length_path(joint, r, first_step), f"r = {r:g}"
+    table, name = arc_length_path(joint, r, first_step), f"r = {r:g}"
     others = {"from the other end": arc_length_path(joint, r, first_step, backward=True)}
     if not quick:
         others["with half the steps"] = arc_length_path(joint, r, first_step / 2)
     for how, other in others.items():
-        points, vertices = (np.column_stack([path[c] for c in ("delta", "force", "phase")]) for path in (other, first))
+        points, vertices = (np.column_stack([path[c] for c in ("delta", "force", "phase")]) for path in (other, table))
         record.check(f"{name}: distance of the path {how}", polygon_distances(points, vertices).max(), high=PATH_RTOL)
-    record.check(f"{name}: delta goes back by", float(np.maximum(-np.diff(first["delta"]), 0).sum()), low=1e-3)
-    energy, least = first["energy"][-1], relaxed.table["energy"][-1]
+    record.check(f"{name}: delta goes back by", float(np.maximum(-np.diff(table["delta"]), 0).sum()), low=1e-3)
+    energy, least = table["energy"][-1], relaxed.table["energy"][-1]
     record.check_near(f"{name}: energy at the end of the path over the least one", energy / least, 1.0, STATE_RTOL)
-    work = float(np.trapezoid(first["force"], first["delta"]))
+    work = float(np.trapezoid(table["force"], table["delta"]))
     record.check(f"{name}: work along the path over that energy, less 1", abs(work / energy - 1), high=PATH_RTOL)
-    return first
+    return table
 
 
 def check_energies(record: Record, pure: History, relaxed: History) -> None:

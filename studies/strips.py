@@ -121,7 +121,7 @@ def check_shear_lag(record: Record, h: float) -> None:
             record.check(what, np.abs(part["tau"] / lag_stress(1.2 * mu, part["x"]) - 1)[is_inside].max(), low=0.02)
 
 
-def timoshenko(eps: float = 0.0) -> float:
+def bonded_curvature(eps: float = 0.0) -> float:
     """Return the curvature of two rigidly bonded strips (Timoshenko 1925), 1/mm.
 
     `eps` is the distance of the strips, mm, as if a rigid layer joined them.
@@ -141,7 +141,7 @@ def suhir(mu: float, eps: float = 0.0) -> float:
             that of the thickness `EPS`.
     """
     k = np.sqrt(mu / EPS * sum(compliances(eps)))
-    return float(timoshenko(eps) * (1 - 1 / np.cosh(min(k * HALF_LENGTH, 700.0))))
+    return float(bonded_curvature(eps) * (1 - 1 / np.cosh(min(k * HALF_LENGTH, 700.0))))
 
 
 def curvature(surface: Surface, state: State) -> float:
@@ -167,7 +167,7 @@ def check_bending(record: Record, h: float) -> None:
         curvatures = {name: curvature(surface, record.add_report(solve(model))) for name, model in models.items()}
         table.append({"mu": mu, **curvatures, **{f"{name}, closed form": suhir(mu, eps) for name, eps in gaps.items()}})
     for name in gaps:
-        ratios, stiffest = table[name] / table[f"{name}, closed form"], table[name][-1] / timoshenko()
+        ratios, stiffest = table[name] / table[f"{name}, closed form"], table[name][-1] / bonded_curvature()
         record.check(f"curvature with a shear lag, {name}: largest relative error", abs(ratios - 1).max(), high=0.02)
         record.check_near(f"curvature of the stiffest layer over Timoshenko's, {name}", stiffest, 1.0, 0.02)
 
@@ -189,7 +189,7 @@ def draw(record: Record) -> None:
     table, grid = record.load("bending.csv"), np.geomspace(min(BENDING_MODULI), max(BENDING_MODULI), 200)
     lines = {name: (table["mu"], 1e3 * table[name]) for name in ("meshed layer", "interface law")}
     lines["closed form"] = grid, np.array([1e3 * suhir(float(mu)) for mu in grid])
-    lines["bonded (Timoshenko)"] = grid, np.full(len(grid), 1e3 * timoshenko())
+    lines["bonded (Timoshenko)"] = grid, np.full(len(grid), 1e3 * bonded_curvature())
     title, save = "two strips of unequal expansion, cooled by 80 K, free to bend", record.path("bending.svg")
     xlabel, styles = "shear modulus G of the layer (MPa)", ("s", "o", "-", ":")
     plotting.curves(lines, xlabel, "curvature (1/m)", title=title, styles=styles, log="x", save=save)

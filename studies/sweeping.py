@@ -36,7 +36,7 @@ def halves(k: int, n: int = 4) -> tuple[float, ...]:
     return tuple(2.0**-exponent for exponent in range(k, k + n))
 
 
-SQUARES, EIGHTHS = partial(fourier, cell="quadrilateral"), halves(3)
+FOURIER_SQUARES, FROM_EIGHTH = partial(fourier, cell="quadrilateral"), halves(3)
 
 
 @dataclass(frozen=True)
@@ -61,17 +61,17 @@ class Sweep:
             or "extended" (it is cut out of them).
         cells_through: number of cells through the meshed layer.
         where: function of the coordinates that selects the part of S on which errors are measured; None: all of S.
-        other_layers: suffix -> function of the thickness that returns a layer with another interface law. The errors of
-            this law are further columns, whose names end with the suffix.
-        extras: function of the solutions of the full and the interface model that returns further columns, name ->
+        layer_variants: suffix -> function of the thickness that returns a layer with another interface law. The errors
+            of this law are further columns, whose names end with the suffix.
+        extras_fn: function of the solutions of the full and the interface model that returns further columns, name ->
             number; None: none.
-        along: function of a state and S that returns x and fields along S, name -> array, drawn for both models; None:
-            nothing is drawn along S.
+        along_fn: function of a state and S that returns x and fields along S, name -> array, drawn for both models;
+            None: nothing is drawn along S.
         floors: "traction" or "jump" -> smallest and largest relative error that a wrong law leaves, see
             `check_floors`. The sweep of a wrong law has the name of the right law's sweep and one more word.
         check: function of the record and of the tables so far (name of a sweep -> table) that makes further checks; None:
             none.
-        pictured: function that chooses one of the thicknesses, at which deformed structures are drawn; None: no
+        pick_eps: function that chooses one of the thicknesses, at which deformed structures are drawn; None: no
             picture.
         unit: unit of lengths; "": none.
         slow: whether the sweep is left out with --quick.
@@ -79,9 +79,9 @@ class Sweep:
 
     layer_fn: LayerOfThickness
     label: str = ""
-    problem: Callable[..., Problem] = SQUARES
+    problem: Callable[..., Problem] = FOURIER_SQUARES
     h: tuple[object, object] = (1 / 32, 1 / 8)
-    eps: Sequence[float] = EIGHTHS
+    eps: Sequence[float] = FROM_EIGHTH
     orders: tuple[float, float | None] | None = (0.93, 1.07)
     times: Sequence[float] | None = None
     quick_steps: slice = slice(None)
@@ -89,12 +89,12 @@ class Sweep:
     bodies: str = "kept"
     cells_through: int = 4
     where: WhereFunction | None = None
-    other_layers: Mapping[str, LayerOfThickness] = field(default_factory=dict)
-    extras: Callable[[Solution, Solution], dict[str, float]] | None = None
-    along: Callable[[State, Surface], dict[str, Array]] | None = None
+    layer_variants: Mapping[str, LayerOfThickness] = field(default_factory=dict)
+    extras_fn: Callable[[Solution, Solution], dict[str, float]] | None = None
+    along_fn: Callable[[State, Surface], dict[str, Array]] | None = None
     floors: ErrorFloors = field(default_factory=dict)
     check: Callable[[Record, Tables], None] | None = None
-    pictured: Callable[[Sequence[float]], float] | None = max
+    pick_eps: Callable[[Sequence[float]], float] | None = max
     unit: str = ""
     slow: bool = False
 
@@ -116,7 +116,7 @@ class Sweep:
         joint, setup = self.problem(self.h[quick])
         structure, case_file = Structure(joint, **setup), name.replace(" ", "_")
         times = self.times[self.quick_steps] if self.times and quick else self.times
-        drawn_eps = self.pictured(eps) if self.pictured and pictured else None
+        drawn_eps = self.pick_eps(eps) if self.pick_eps and pictured else None
         law = self.layer_fn(eps[0]).law
         record.parameters[name] = {"layer": str(law), "h": self.h[quick], "times": times}
 
@@ -130,23 +130,23 @@ class Sweep:
         def compare_at(e: float) -> dict[str, float]:
             layer, wrong_law = self.layer_fn(e), self.wrong_law
             full = run_model(structure.full(layer, bodies=self.bodies, cells_through=self.cells_through), f"full_{e:g}")
-            surface_law = ThinLayer(wrong_law, e, at=1.0) if isinstance(wrong_law, BulkLaw) else wrong_law or layer
-            limit = solve_interface(surface_law, f"interface_{e:g}")
+            law_or_layer = ThinLayer(wrong_law, e, at=1.0) if isinstance(wrong_law, BulkLaw) else wrong_law or layer
+            limit = solve_interface(law_or_layer, f"interface_{e:g}")
             states = {f"meshed layer, eps = {e:.4g} {self.unit}".rstrip(): end_state(full), LAW_KEY: end_state(limit)}
-            if self.along:
+            if self.along_fn:
                 surface, rows = Surface(end_state(limit).model), Table()
                 for model, state in states.items():
-                    rows.extend(Table.of({"model": model, **self.along(state, surface)}))
+                    rows.extend(Table.of({"model": model, **self.along_fn(state, surface)}))
                 record.write(along_file(name, e), rows)
             if e == drawn_eps:
                 what = re.split(r"[;.]\s", getattr(self.problem, "func", self.problem).__doc__ or name)[0]
                 title, save = ", ".join(filter(None, (what, self.label))), record.path(f"deformed_{case_file}.png")
                 plotting.deformed(states, plotting.View(unit=self.unit), save=save, title=title)
             row = compare(full, limit, where=self.where) | fraction_column(layer.law)
-            for suffix, other_layer in self.other_layers.items():
-                errors = compare(full, solve_interface(other_layer(e), f"interface{suffix}_{e:g}"), where=self.where)
+            for suffix, variant_fn in self.layer_variants.items():
+                errors = compare(full, solve_interface(variant_fn(e), f"interface{suffix}_{e:g}"), where=self.where)
                 row |= {f"{column}{suffix}": errors[column] for column in ERROR_COLUMNS.values()}
-            return row | (self.extras(full, limit) if self.extras else {})
+            return row | (self.extras_fn(full, limit) if self.extras_fn else {})
 
         record.say(f"meshed layer {law}, on S {self.wrong_law}" if self.wrong_law else law)
         table = record.sweep(compare_at, eps, table_file(name))

@@ -92,19 +92,19 @@ def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
     panel, tractions = wall(*PANEL_SIZE, BRICK_SIZE, BRICK_SIZE[1] / 6, cell="quadrilateral"), {"TOP": (0.0, -PRESSURE)}
     structure = Structure(panel, body=CLAY, supports=supports, tractions=tractions, element="Q1")
 
-    def mortar(eps: float) -> dict[str, ThinLayer]:
+    def mortar_layers(eps: float) -> dict[str, ThinLayer]:
         law = partial(MohrCoulomb, MORTAR.lmbda, MORTAR.mu, friction_angle=OMEGA, elastic_fraction=ELASTIC_FRACTION)
         return {name: ThinLayer(law(cohesion=cohesion), eps, at=EPS) for name, cohesion in COHESIONS.items()}
 
-    models: dict[str, Model] = {"interface law": structure.interface(mortar(EPS))}
+    models: dict[str, Model] = {"interface law": structure.interface(mortar_layers(EPS))}
     for eps in thicknesses:
-        models[f"meshed, {eps:g} mm"] = structure.full(mortar(eps), cells_through=2, bodies="extended")
+        models[f"meshed, {eps:g} mm"] = structure.full(mortar_layers(eps), cells_through=2, bodies="extended")
     bed_surface, table, forces = Surface(models["interface law"], "BED"), record.new_table("panel.csv"), {}
-    length = bed_surface.integral(1.0)
+    bed_length = bed_surface.integral(1.0)
     for name, model in models.items():
         history = record.add_report(march(model, list(TOP_SHIFTS)))
         # failed steps were subdivided: the models are compared at the times that they share
-        forces[name] = [bed_surface.integral(bed_surface.reaction(history.at(t))[0]) / length for t in TOP_SHIFTS]
+        forces[name] = [bed_surface.integral(bed_surface.reaction(history.at(t))[0]) / bed_length for t in TOP_SHIFTS]
         table.extend(Table.of({"model": name, "shift_mm": TOP_SHIFTS, "shear_MPa": forces[name]}))
     law_force, *meshed_forces = (np.array(curve) for curve in forces.values())
     errors = [float(np.abs(curve - law_force).max() / law_force.max()) for curve in meshed_forces]

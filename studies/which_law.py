@@ -159,16 +159,15 @@ class Rollers:
             lmbda, mu: Lamé's moduli of the layer.
             eps: thickness of the layer.
         """
-        *exact_fields, exact_work = self._wave.solve_amplitudes(lmbda, mu, eps)
+        *exact_amplitudes, exact_work = self._wave.solve_amplitudes(lmbda, mu, eps)
 
         def errors(state: State) -> tuple[float, ...]:
             surface = Surface(state.model)
             x = surface.x[0]
-            mode_shapes = np.sin(np.pi * x), np.cos(np.pi * x)
-            relative_errors = []
-            for field, wanted in zip((surface.reaction(state), surface.jump(state)), exact_fields, strict=True):
+            mode_shapes, relative_errors = (np.sin(np.pi * x), np.cos(np.pi * x)), []
+            for field, exact in zip((surface.reaction(state), surface.jump(state)), exact_amplitudes, strict=True):
                 amplitudes = [2 * surface.integral(field[k] * mode_shapes[k]) for k in range(2)]
-                relative_errors.append(float(np.linalg.norm(amplitudes - wanted) / np.linalg.norm(wanted)))
+                relative_errors.append(float(np.linalg.norm(amplitudes - exact) / np.linalg.norm(exact)))
             return (*relative_errors, abs(state.energies()["loads"] / exact_work - 1))
 
         return errors
@@ -220,8 +219,8 @@ class FreeEnds:
         def errors(state: State) -> tuple[float, ...]:
             surface = Surface(state.model)
             is_inner = abs(surface.x[0] - 0.5) < INNER_HALF_WIDTH
-            on_s = (difference(surface, field, state, full, is_inner) for field in (Surface.reaction, Surface.jump))
-            return (*on_s, abs(state.energies()["loads"] / full_work - 1))
+            s_errors = (difference(surface, field, state, full, is_inner) for field in (Surface.reaction, Surface.jump))
+            return (*s_errors, abs(state.energies()["loads"] / full_work - 1))
 
         return errors
 
@@ -300,9 +299,9 @@ def _cheapest_laws(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[s
     for contrast in CONTRASTS:
         pair = (laws, [corrected.get(law, law) for law in laws])
         plain, better = (np.array([errors[f"{LAW_NAMES[law]}; E/mu = {contrast:,}"] for law in some]) for some in pair)
-        stack = np.where(np.isfinite(better), better, plain)
+        law_errors = np.where(np.isfinite(better), better, plain)
         for allowed in ALLOWED_ERRORS:
-            cheapest = np.append(stack < allowed, np.ones((1, *stack.shape[1:]), bool), axis=0).argmax(axis=0)
+            cheapest = np.append(law_errors < allowed, np.ones((1, *law_errors.shape[1:]), bool), axis=0).argmax(axis=0)
             panels[f"error < {100 * allowed:.0f} %; E/mu = {contrast:,}"] = cheapest, np.array(list(names))[cheapest]
     return panels, names
 

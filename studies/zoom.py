@@ -43,22 +43,22 @@ def run(record: Record, *, quick: bool = False) -> None:
         record: record of the run, with its folder, tables and checks.
         quick: two thicknesses, one ratio of moduli for each Poisson's ratio.
     """
-    for nu, ratio in CASES[::3] if quick else CASES:
-        _check_errors(record, nu, ratio, EPS[:2] if quick else EPS)
+    for nu, contrast in CASES[::3] if quick else CASES:
+        _check_errors(record, nu, contrast, EPS[:2] if quick else EPS)
 
 
-def _check_errors(record: Record, nu: float, ratio: float, thicknesses: Sequence[float]) -> None:
+def _check_errors(record: Record, nu: float, contrast: float, thicknesses: Sequence[float]) -> None:
     """Measure and check the errors of `Zoom` in stresses and in strengths of singularities, for one layer's material.
 
     Args:
         record: record of the run, which writes a table for the material.
         nu: Poisson's ratio of the layer.
-        ratio: Young's modulus of the bodies over the layer's shear modulus at the first thickness.
+        contrast: Young's modulus of the bodies over the layer's shear modulus at the first thickness.
         thicknesses: thicknesses of the layer; its moduli are proportional to the thickness.
     """
-    table = record.new_table(f"errors_{nu:g}_{ratio:g}.csv")
-    law = LinearElastic.shear(100.0 / ratio, nu)
-    for eps in track(list(thicknesses), "zoom", f"nu = {nu:g}, E/mu = {ratio:g}, eps = {{:g}}"):
+    table = record.new_table(f"errors_{nu:g}_{contrast:g}.csv")
+    law = LinearElastic.shear(100.0 / contrast, nu)
+    for eps in track(list(thicknesses), "zoom", f"nu = {nu:g}, E/mu = {contrast:g}, eps = {{:g}}"):
         layer = ThinLayer(law, eps, at=EPS[0])
         full = Zoom(record.add_report(solve(free_blocks(eps / CELLS_THROUGH).full(layer, cells_through=CELLS_THROUGH))))
         row = {"eps": eps, "M/E": (law.lmbda + 2 * law.mu) * eps / EPS[0] / 100.0}
@@ -66,10 +66,10 @@ def _check_errors(record: Record, nu: float, ratio: float, thicknesses: Sequence
             zoom = Zoom(record.add_report(make_state(free_blocks(CELL_LENGTH * eps, h_S=CELL_LENGTH * eps), law, eps)))
             row |= {f"{key} {name}": value for key, value in _zoom_errors(zoom, full).items()}
         table.append(row)
-        if eps == thicknesses[-1] and (nu, ratio) == CASES[-1]:
+        if eps == thicknesses[-1] and (nu, contrast) == CASES[-1]:
             for component, file in {"N": "end_N.png", "T": "end_T.png"}.items():
                 plotting.zoomed(zoom, full, end=1, component=component, save=record.path(file), stress="E/100")
-    what = f"nu = {nu:g}, E/mu = {ratio:g}"
+    what = f"nu = {nu:g}, E/mu = {contrast:g}"
     record.check(f"order of the error of H, order 0, {what}", last_order(table, "H order 0"), low=0.6)
     for key, high in (("end", 0.03), ("inside", 0.01), ("H", 0.02)):
         record.check(f"largest error, {key}, {what}", table[f"{key} estimate"].max(), high=high)
@@ -95,8 +95,8 @@ def _zoom_errors(zoom: Zoom, full: Zoom) -> dict[str, float]:
     distance, stress, error = (np.concatenate(arrays) for arrays in zip(*samples, strict=True))
     masks = {"end": distance <= END_DISTANCE, "inside": distance > END_DISTANCE}
     errors = {name: float(np.sqrt(np.mean(error[at] ** 2) / np.mean(stress[at] ** 2))) for name, at in masks.items()}
-    zoomed, meshed = (np.array([corner.H[0] for corner in zoom_view.corners]) for zoom_view in (zoom, full))
-    return errors | {"H": float(np.abs(zoomed - meshed).max() / np.abs(meshed).max())}
+    zoom_H, full_H = (np.array([corner.H[0] for corner in zoom_view.corners]) for zoom_view in (zoom, full))
+    return errors | {"H": float(np.abs(zoom_H - full_H).max() / np.abs(full_H).max())}
 
 
 def draw(record: Record) -> None:
@@ -106,10 +106,10 @@ def draw(record: Record) -> None:
     """
     panels, line_styles = {}, {"order 0": "o:", "order 1, free": "o--", "estimate": "o-"}
     column_names = [f"{key} {state}" for state in STATE_FUNCTIONS for key in ("end", "inside", "H")]
-    for nu, ratio in CASES:
-        if record.has(file := f"errors_{nu:g}_{ratio:g}.csv"):
+    for nu, contrast in CASES:
+        if record.has(file := f"errors_{nu:g}_{contrast:g}.csv"):
             table = record.load(file)
-            panels[f"nu = {nu:g}, E/mu = {ratio:g}"] = {name: (table["eps"], table[name]) for name in column_names}
+            panels[f"nu = {nu:g}, E/mu = {contrast:g}"] = {name: (table["eps"], table[name]) for name in column_names}
     styles = {name: line_styles[name.split(" ", 1)[1]] for name in column_names}
     colours, save = dict(zip(column_names, 3 * COLOURS[:3], strict=True)), record.path("errors.svg")
     options = {"styles": styles, "colours": colours, "log": "y", "columns": 2, "save": save}

@@ -43,7 +43,7 @@ def imbalance(state: State) -> float:
     bricks = model.split_mesh.pieces
     of = np.zeros(len(x), np.int64)
     cells = np.asarray(model.V.dofmap.list)
-    of[cells] = model.domain.on_cells(bricks)[: len(cells), None]
+    of[cells] = model.domain.to_local(bricks)[: len(cells), None]
     moments = [x[:, i] * forces[:, j] - x[:, j] * forces[:, i] for i in range(d) for j in range(i + 1, d)]
     sums = np.array([np.bincount(of, part) for part in (*forces.T, *moments)])
     supported = np.unique(of[model.supports.bc_dofs_in(model.V) // d])

@@ -27,7 +27,7 @@ def with_warnings(action):
 def opened(model, upper):
     """A state whose upper body (y > 0, or all of it on a rigid base) is moved as told, the other one at rest."""
     u = fem.Function(model.V)
-    cells = np.flatnonzero(model.domain.on_cells(upper_cells(model.joint))).astype(np.int32)
+    cells = np.flatnonzero(model.domain.to_local(upper_cells(model.joint))).astype(np.int32)
     u.interpolate(lambda x: np.array(upper(x)), cells0=cells)
     u.x.scatter_forward()
     return FaceDisplacements.of(State(u, 0.0, model=model, report=Report("none", 0, 0.0, 0.0)), model.layers["S"])

@@ -14,7 +14,7 @@ from tests.pictures import assert_coloured, assert_drawn
 from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, plotting, solve
 from thinlayer.discretisation.contact_nodes import normal_frames
-from thinlayer.output.plotting.structures import _values_around_corners
+from thinlayer.output.plotting.structures import _interpolate_to_parts
 
 
 # ------------------------------------------------------------------------ reports and pictures
@@ -74,7 +74,7 @@ def test_pictures(tmp_path):
 
 def test_colours_of_a_corner_fill_the_quarter_of_the_facet_around_it():
     square = np.array([[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]])
-    for corner, part in zip(square[0], _values_around_corners(square)[0], strict=True):
+    for corner, part in zip(square[0], _interpolate_to_parts(square)[0], strict=True):
         assert part.mean(axis=0) == pytest.approx(corner / 2 + 1 / 4)
 
 

@@ -97,7 +97,7 @@ def test_bodies_that_yield_know_the_strain_less_the_eigenstrain(plane):
         assert abs(state.audit.imbalance) < 1e-8
         energies[law] = state.energies()["bodies"]
     linear, strong, weak = energies.values()
-    projected = plane == "axisymmetric"  # volume strains of VonMises, see `Term.trace_degree`
+    projected = plane == "axisymmetric"  # volume strains of VonMises, see `Term.bbar_degree`
     assert strong == pytest.approx(linear, rel=1e-4 if projected else 1e-8)
     assert weak < 0.7 * linear
 

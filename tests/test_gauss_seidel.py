@@ -27,7 +27,7 @@ def pairs_of(law, ends, frames, weights, slip, gap=None, bc_dofs=()):
     """Pairs of nodes, upper and lower one."""
     d = frames.shape[1]
     gap = np.zeros(len(ends)) if gap is None else gap
-    nodes = SimpleNamespace(dim=d, pairs=ends, frames=frames, weights=weights, gap=gap)
+    nodes = SimpleNamespace(dim=d, global_pairs=ends, frames=frames, weights=weights, gap=gap)
     mask = np.zeros((ends.max() + 1) * d, bool)
     mask[list(bc_dofs)] = True
     return ContactPairs([SimpleNamespace(nodes=nodes, law_now=law, slip=slip)], mask)

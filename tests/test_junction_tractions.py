@@ -48,7 +48,7 @@ def left_over(state: State, surface: Surface, t: np.ndarray) -> np.ndarray:
     turns = [np.outer(a, b) - np.outer(b, a) for k, a in enumerate(np.eye(d)) for b in np.eye(d)[:k]]
     for number in range(pieces.max() + 1):
         below, above = ((surface.cells >= 0) & (pieces[surface.cells] == number)).T[..., None].astype(float)
-        cells = np.flatnonzero(model.domain.on_cells(pieces) == number)
+        cells = np.flatnonzero(model.domain.to_local(pieces) == number)
         out.append([])
         for shift, turn in [(mode, 0 * turns[0]) for mode in np.eye(d)] + [(np.zeros(d), mode) for mode in turns]:
             v.x.array[:] = 0.0

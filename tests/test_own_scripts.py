@@ -252,7 +252,7 @@ def test_hyperelastic_column(kind):
 def test_wall_in_running_bond():
     """14 elastic bricks, 2 laws, T-junctions: the energy that a program with another numbering of unknowns found."""
     domain = Domain.of(wall(3, 4, (1.0, 0.5), 0.25, cell="triangle"))
-    grid, pieces = domain.mesh, domain.on_cells(domain.joint.split_mesh.pieces).astype(np.int32)
+    grid, pieces = domain.mesh, domain.to_local(domain.joint.split_mesh.pieces).astype(np.int32)
     bricks = mesh.meshtags(grid, 2, np.arange(len(pieces), dtype=np.int32), pieces)
     (bed,), (head,) = domain.values("BED"), domain.values("HEAD")
     for rule in ({head: (-1, 0), bed: (0, 1)}, (bed, head)):

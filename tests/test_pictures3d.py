@@ -62,7 +62,7 @@ def test_rigid_base_is_grey_and_stays(pushed, tmp_path):
     grey = (0.412, 0.412, 0.412)  # dimgrey
     assert near(law, grey).sum() > 2000
     for state, y in zip(pushed.values(), (-EPS, 0.0), strict=True):
-        base = gather_grid(state).base
+        base = gather_grid(state).base_x
         assert base.shape[1:] == (3, 3)
         np.testing.assert_allclose(base[..., 1], y, atol=1e-12)
         area = np.linalg.norm(np.cross(base[:, 1] - base[:, 0], base[:, 2] - base[:, 0]), axis=1).sum() / 2

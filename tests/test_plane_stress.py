@@ -167,7 +167,7 @@ def test_a_maxwell_bar_relaxes_and_creeps_as_in_one_dimension():
     point = Point(law)
     for k in range(4):
         point.settle(point.e[0], [sigma, 0, 0], (0, 1, 2), dt if k else 0.0)
-        creep = k * dt * (1 / (3 * M * law.t1) + law._volumetric_rate / (9 * law._bulk_modulus))
+        creep = k * dt * (1 / (3 * M * law.t1) + law._mean_relaxation_rate / (9 * law._bulk_modulus))
         assert point.e[0, 0] == pytest.approx(sigma * (1 / E + creep), rel=ROUNDED)
 
 

@@ -30,7 +30,7 @@ def test_figure_8_on_one_mesh_fails_its_checks_with_other_numbers(tmp_path, monk
 
 def test_a_sweep_has_the_errors_of_further_laws(tmp_path):
     """Those of order 0 beside those of order 1."""
-    row = Sweep(layer_fn(FOURIER_LAYER, order=1), h=(1 / 8, 1 / 8), other_layers={"_order0": layer_fn(FOURIER_LAYER)})
+    row = Sweep(layer_fn(FOURIER_LAYER, order=1), h=(1 / 8, 1 / 8), layer_variants={"_order0": layer_fn(FOURIER_LAYER)})
     with Record("rates", tmp_path, {}) as record:
         table = row.compare_all(record, "elastic", [1 / 16], quick=True, pictured=False)
     for name in ("error_traction", "error_jump"):

@@ -27,7 +27,7 @@ def test_stacks_fold_every_trait():
     assert halves(NonMonotone(0.0, 1.0, 1.0, 1.0, ACROSS), STIFF).traits.plateau
     assert halves(AgeingSpring(2.0, 0.5), STIFF).traits.varies
     mixed = halves(KelvinVoigt(1.0, 1.0, 1.0, 1.0), MohrCoulomb(1.0, 1.0, 1.0, 30.0)).traits
-    has = "rate", "remembers", "bounded", "has_homotopy", "compiled", "has_energy", "has_quadratic_energy", "in_series"
+    has = "rate", "remembers", "bounded", "has_homotopy", "compiled", "has_energy", "has_quadratic_energy", "stackable"
     assert mixed == Traits(**dict.fromkeys(has, True), symmetric=False)
 
 

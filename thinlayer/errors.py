@@ -51,7 +51,7 @@ def warn_of_deprecated(name: str, since: str, instead: str) -> None:
     warn_caller(DeprecationWarning(f"{name} is deprecated since thinlayer {since}; use {instead}"))
 
 
-def getattr_with_former_names(module: str, renamed: Mapping[str, Callable[..., object]]) -> Callable[[str], Any]:
+def make_module_getattr(module: str, renamed: Mapping[str, Callable[..., object]]) -> Callable[[str], Any]:
     """Make a module's `__getattr__` function, which accepts names of version 1.0 with a DeprecationWarning.
 
     Args:

@@ -25,7 +25,7 @@ from geometry.joint import Joint
 from studies.by_hand import CHOLESKY, K_N, K_T, LOAD, MULTIGRID, NU, E, by_hand
 from studies.friction_cost import NETWORK, WORKS, friction
 from studies.other_programs import MODULES, ngsolve, scikit_fem
-from studies.problems import SNAP_LAW, SUPPORTS
+from studies.problems import SNAP_LAW_ARGS, SUPPORTS
 from studies.sweeping import Curves
 from studies.timing import Stages, compared, in_turn, timed
 from thinlayer import ArcLength, Bond, SolveError, Structure, ThinLayer, estimate, goals, march, solve
@@ -245,7 +245,7 @@ def ranks(n: int, repeats: int) -> Iterable[Row]:
 
 def marches(n: int, repeats: int) -> Iterable[Row]:
     """Rows of steps of marches, and of an estimate, against a linear solve of the same mesh."""
-    flowing, switching = VonMises(K_N - 2 * K_T, K_T, strength=0.3), NonMonotone(*SNAP_LAW, mixing=0.4)
+    flowing, switching = VonMises(K_N - 2 * K_T, K_T, strength=0.3), NonMonotone(*SNAP_LAW_ARGS, mixing=0.4)
     works: dict[str, tuple[str, ThinLayer | SurfaceLaw, float, Sequence[float] | ArcLength | None]] = {
         "step of a march that yields": ("P2", ThinLayer(flowing, 0.01, at=1.0), 1.0, TENTHS),
         "step of a march in contact": ("P1", IncrementalCoulomb(K_N, K_T, friction=0.25), -1.0, TENTHS),

@@ -79,14 +79,14 @@ def free_end(nu: float) -> FreeEnd:
     """
     lmbda, s = lame_over_mu(nu), math.sqrt(1 - 2 * nu)
     interpolated: Array = np.asarray(chebyshev.chebval(2 * s - 1, _chebyshev_coefficients()), float)
-    c_N_term, m_N_term, rho_N_term, c_T, m_T = map(float, interpolated)
+    c_N_term, scaled_m_N, scaled_rho_N, c_T, m_T = map(float, interpolated)
     if s == 0:
         return FreeEnd(nu, math.inf, math.inf, math.inf, c_T, m_T, 1 / (1 - math.sqrt(3) * c_N_term))
     scaled_c_N = math.sqrt(1 / 12 + s * c_N_term)
     delta, excess = math.sqrt(lmbda / 12), (1 - s**2) * ((1 - s**2) * c_N_term - s / 12) / s
-    c_N, m_N = scaled_c_N * s * lmbda**2 / (lmbda + 2), m_N_term / s**2 * lmbda / (lmbda + 2)
+    c_N, m_N = scaled_c_N * s * lmbda**2 / (lmbda + 2), scaled_m_N / s**2 * lmbda / (lmbda + 2)
     kappa = flow_factor(delta, excess / (scaled_c_N * s * lmbda + delta)) if lmbda else 0.0
-    return FreeEnd(nu, c_N, m_N, rho_N=rho_N_term / s, c_T=c_T, m_T=m_T, kappa=kappa)
+    return FreeEnd(nu, c_N, m_N, rho_N=scaled_rho_N / s, c_T=c_T, m_T=m_T, kappa=kappa)
 
 
 def chebyshev_poisson_ratios(n: int) -> Array:

@@ -51,7 +51,7 @@ from forms.tensors import Expr, three_dimensional
 if TYPE_CHECKING:
     from forms.rubber import PressureLaw
 
-MAX_OPENING_LENGTH = 3.0  # largest length, over the thickness, of the strip that is weaker against openings
+MAX_OPENING_STRIP = 3.0  # largest length, over the thickness, of the strip that is weaker against openings
 MIN_SPREAD_LENGTH = 10.0  # spreading length, over the thickness, from which a pressure grows linearly near an end
 
 
@@ -91,7 +91,7 @@ class EndStrips(NamedTuple):
     transfer_length_shear: float
 
     @property
-    def longest(self) -> float:
+    def max_length(self) -> float:
         """Length of the longest strip in which the law is changed (`c` is not zero), divided by the thickness."""
         return max(strip.length for strip in (self.opening, self.shear, self.resistance) if strip.c)
 
@@ -100,10 +100,10 @@ class EndStrips(NamedTuple):
         """Return the strips of a law without a pressure field: one for openings, and one for shear.
 
         A free end reduces the forces that the layer bears. The losses of stiffness in the strips reduce the forces, and
-        their first moments about the end, by as much. The strip for openings is at most `MAX_OPENING_LENGTH` long. If
+        their first moments about the end, by as much. The strip for openings is at most `MAX_OPENING_STRIP` long. If
         this bound is active, the first moment is reduced by less.
         """
-        l_N = min(2 * end.m_N / end.c_N, MAX_OPENING_LENGTH) if end.c_N else MAX_OPENING_LENGTH
+        l_N = min(2 * end.m_N / end.c_N, MAX_OPENING_STRIP) if end.c_N else MAX_OPENING_STRIP
         return cls(EndStrip(end.c_N, l_N), _shear_strip(end), EndStrip(), 2 * end.rho_N, 2 * end.c_T)
 
     @classmethod
@@ -175,10 +175,10 @@ class EndWeights(NamedTuple):
         n, across, mean = three_dimensional(faces.n), faces.strain_across(), faces.mean_strain_s
         e_1, e_2 = self.shear_strains(faces)
         e_N, e_S, root = ufl.dot(n, across * n), faces.in_plane(mean), ufl.sqrt(1 - self.a_N)
-        trace = lmbda_ratio * ufl.tr(e_S) / root
+        thinning = lmbda_ratio * ufl.tr(e_S) / root
         e_1 += across + mean + (1 / root - 1) * e_S
-        e_1 += ((root - 1) * e_N - (1 - self.f_N) * trace) * faces.n_dyad
-        return e_1, e_2 + ufl.sqrt(1 - self.f_N**2) * trace * faces.n_dyad
+        e_1 += ((root - 1) * e_N - (1 - self.f_N) * thinning) * faces.n_dyad
+        return e_1, e_2 + ufl.sqrt(1 - self.f_N**2) * thinning * faces.n_dyad
 
 
 def pressure_stations_at_ends(law: PressureLaw, weights: EndWeights) -> list[AnyStation]:

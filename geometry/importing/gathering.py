@@ -155,7 +155,7 @@ def _assemble(
         raise InputError("no cell has a tag")
     masks = _group_masks(tags_by_dim.get(dim - 1), tags, np.ones(len(tags), bool), "facet")
     facets = {name: np.unique(np.searchsorted(cells.point_numbers, rows[mask]), axis=0) for name, mask in masks.items()}
-    return NamedGroups(cells, region_masks, facets, "tags", SeamSides.of(**sides)).joint()
+    return NamedGroups(cells, region_masks, facets, "tags", SeamSides.of(**sides)).make_joint()
 
 
 def _tags_by_dimension(names: TagNames) -> dict[int, Tags]:
@@ -193,6 +193,6 @@ def _group_masks(names: Tags | None, values: IntArray, is_tagged: BoolArray, ent
     tags = [*map(int, np.unique(values[is_tagged]))]
     names = {str(tag): [tag] for tag in tags} if names is None else names
     for name, tag in ((name, tag) for name, of in names.items() for tag in of if tag not in tags):
-        numbers = ", ".join(map(str, tags)) or "none"
-        raise InputError(f"names: no {entity} has the tag {tag}, named {name!r}; tags: {numbers}")
-    return {name: is_tagged & np.isin(values, numbers) for name, numbers in names.items()}
+        tags_text = ", ".join(map(str, tags)) or "none"
+        raise InputError(f"names: no {entity} has the tag {tag}, named {name!r}; tags: {tags_text}")
+    return {name: is_tagged & np.isin(values, of) for name, of in names.items()}

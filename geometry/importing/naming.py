@@ -67,7 +67,7 @@ class FileCells(NamedTuple):
     point_numbers: IntArray
 
     @classmethod
-    def of(cls, points: FloatArray, nodes: IntArray, cell_type: str, source: str) -> FileCells:
+    def of(cls, points: FloatArray, nodes: IntArray, cell_type: str, cells_text: str) -> FileCells:
         """Return the cells with only those points that are their nodes.
 
         Args:
@@ -75,21 +75,21 @@ class FileCells(NamedTuple):
                 coordinate.
             nodes: (n_cells, k) numbers of the k nodes of each cell, in DOLFINx's order.
             cell_type: "triangle", "quadrilateral", "tetrahedron" or "hexahedron".
-            source: noun for the cells, for messages.
+            cells_text: noun for the cells, for messages.
 
         Raises:
             InputError: nodes without coordinates, or a surface in 3D.
         """
-        point_numbers, numbers = np.unique(nodes, return_inverse=True)
+        point_numbers, node_rows = np.unique(nodes, return_inverse=True)
         if point_numbers[0] < 0 or point_numbers[-1] >= len(points) or not np.isfinite(points[point_numbers]).all():
             raise InputError("the cells have nodes without coordinates")
         dim = lagrange(cell_type, 1).points.shape[1]
         x = points[point_numbers]
         z = x[:, dim:]
         if z.size and np.ptp(z) > NODE_TOLERANCE * np.ptp(x, axis=0).max():
-            z_text = f"{source} at z = {z.min():g} to {z.max():g}, not in a plane z = const"
+            z_text = f"{cells_text} at z = {z.min():g} to {z.max():g}, not in a plane z = const"
             raise InputError(f"2D mesh in 3D: {z_text}; for a solid save its cells too (gmsh: in a Physical Volume)")
-        return cls(x[:, :dim].copy(), numbers.reshape(nodes.shape), cell_type, point_numbers)
+        return cls(x[:, :dim].copy(), node_rows.reshape(nodes.shape), cell_type, point_numbers)
 
     @property
     def corners(self) -> IntArray:
@@ -108,20 +108,20 @@ class FileCells(NamedTuple):
 
     def require_sound(self) -> None:
         """Raise InputError if cells have no volume or are folded, or if several nodes lie at one place."""
-        size = np.ptp(self.points[self.nodes], axis=1).max(axis=1)
+        cell_sizes = np.ptp(self.points[self.nodes], axis=1).max(axis=1)
         jacobian = node_jacobians(self.points, self.nodes, self.type)
         largest = np.abs(jacobian).max(axis=1)
-        self.refuse(largest <= MIN_RELATIVE_JACOBIAN * size ** self.points.shape[1], "are degenerate (no volume)")
+        self.refuse(largest <= MIN_RELATIVE_JACOBIAN * cell_sizes ** self.points.shape[1], "are degenerate (no volume)")
         smallest = (jacobian * np.sign(jacobian.sum(axis=1))[:, None]).min(axis=1)
         is_folded = smallest <= MIN_JACOBIAN_RATIO * largest
         self.refuse(is_folded, "are folded (their Jacobian vanishes or changes sign within the cell)")
         coincidence_distance = NODE_TOLERANCE * np.ptp(self.points, axis=0).max()
-        pairs = cKDTree(self.points).query_pairs(coincidence_distance, output_type="ndarray")
+        node_pairs = cKDTree(self.points).query_pairs(coincidence_distance, output_type="ndarray")
         pairs_text = "{bad} pairs of nodes at the same place, the first at {at}, do not connect cells: let bodies share"
         how = f"them (gmsh: BooleanFragments, removeDuplicateNodes), or draw gaps > {NODE_TOLERANCE:g} of the mesh"
-        refuse(np.ones(len(pairs), bool), self.points[np.sort(pairs[:, 0])], f"{pairs_text} {how}")
+        refuse(np.ones(len(node_pairs), bool), self.points[np.sort(node_pairs[:, 0])], f"{pairs_text} {how}")
 
-    def facets_among(self, vertices: IntArray) -> FacetTable:
+    def facets_of_cells_at(self, vertices: IntArray) -> FacetTable:
         """Return all facets of those cells that have a facet whose vertices are all in `vertices`.
 
         A few more cells may be included. Cell numbers in the result are rows of `nodes`.
@@ -217,17 +217,17 @@ class NamedGroups(NamedTuple):
         cells: cells of the mesh.
         region_masks: name of a group of cells -> (n_cells,) whether each cell is in this group.
         facets: name of a group of facets -> (n, k) numbers of the k vertices of each of its n facets.
-        source: where the names come from, for messages.
+        source_text: where the names come from, for messages.
         sides: choice of the facets of S and of the upper side of each seam.
     """
 
     cells: FileCells
     region_masks: GroupMasks
     facets: dict[str, IntArray]
-    source: str
+    source_text: str
     sides: SeamSides
 
-    def joint(self) -> Joint:
+    def make_joint(self) -> Joint:
         """Return the joint whose regions and facet sets are the groups.
 
         If groups of cells overlap, only those named in `sides` become regions.
@@ -238,7 +238,7 @@ class NamedGroups(NamedTuple):
         named = self._replace(region_masks=self._disjoint_regions())
         self.cells.require_sound()
         for name in self.sides.seams or filter(None, [self.sides.S]):
-            require_known("set of facets", name, self.facets, self.source)
+            require_known("set of facets", name, self.facets, self.source_text)
         seams, facets = dict(self.sides.seams), self.facets
         if not seams:
             surface, seams[S] = named._default_seam()
@@ -261,9 +261,9 @@ class NamedGroups(NamedTuple):
             if name in self.facets and not name.isdigit():
                 raise InputError(f"{name!r} names both cells and facets; each needs its own name")
         for name in side_names:
-            require_known("region", name, regions, self.source)
+            require_known("region", name, regions, self.source_text)
         counts = np.sum(list(regions.values()), axis=0)
-        cells.refuse(counts == 0, f"are in no named group ({self.source}: {', '.join(regions)})")
+        cells.refuse(counts == 0, f"are in no named group ({self.source_text}: {', '.join(regions)})")
         if side_names and (counts > 1).any():
             regions = {name: regions[name] for name in dict.fromkeys(side_names)}
             counts = np.sum(list(regions.values()), axis=0)
@@ -308,7 +308,7 @@ class NamedGroups(NamedTuple):
         Facets that belong to no cell are left out.
         """
         facets = self.facets[name]
-        table = self.cells.facets_among(np.unique(facets))
+        table = self.cells.facets_of_cells_at(np.unique(facets))
         rows = table.index(facets)
         return table.cells[rows[rows >= 0]]
 
@@ -330,7 +330,7 @@ class NamedGroups(NamedTuple):
             (n, k) numbers of the k vertices of each of the n facets.
         """
         above, below = (np.any([self.region_masks[name] for name in side], axis=0) for side in (upper, lower))
-        table = self.cells.facets_among(np.intersect1d(self.cells.corners[above], self.cells.corners[below]))
+        table = self.cells.facets_of_cells_at(np.intersect1d(self.cells.corners[above], self.cells.corners[below]))
         first, second = table.cells[table.cells[:, 1] >= 0].T
         facets = table.vertices[table.cells[:, 1] >= 0][above[first] & below[second] | below[first] & above[second]]
         if not len(facets):

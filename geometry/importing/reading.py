@@ -88,7 +88,7 @@ def read(
         return gather_joint(mesh, names, scale, comm, sides)
     if names is not None:
         raise InputError("names are those of tags of DOLFINx; a file has its own")
-    return on_root(comm, partial(read_groups, Path(mesh), NamedGroups.joint, SeamSides.of(**sides), scale))
+    return on_root(comm, partial(read_groups, Path(mesh), NamedGroups.make_joint, SeamSides.of(**sides), scale))
 
 
 def read_groups(
@@ -107,13 +107,13 @@ def read_groups(
     """
     try:
         mesh = _load(path, scale)
-        cells, (source, array) = _cells_of(mesh), _group_source(mesh)
+        cells, (source, array_name) = _cells_of(mesh), _group_source(mesh)
         dim = cells.points.shape[1]
-        regions = _group_masks(mesh, dim, array)
+        regions = _group_masks(mesh, dim, array_name)
         if not regions:
             example = f'Physical {"Surface" if dim == 2 else "Volume"}("BODY") = {{...}}'
             raise InputError(f"no named groups of cells ({source}); in gmsh: {example}; saved with Mesh.SaveAll = 0")
-        facets = _group_facets(mesh, cells, _group_masks(mesh, dim - 1, array))
+        facets = _group_facets(mesh, cells, _group_masks(mesh, dim - 1, array_name))
         return function(NamedGroups(cells, regions, facets, source, sides or SeamSides.of()))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
@@ -202,13 +202,13 @@ def _group_source(mesh: meshio.Mesh) -> tuple[str, str | None]:
     return (f"numbers in the cell data {arrays[0]!r}", arrays[0]) if arrays else ("no cell sets, no numbers", None)
 
 
-def _group_masks(mesh: meshio.Mesh, dim: int, array: str | None) -> GroupMasks:
+def _group_masks(mesh: meshio.Mesh, dim: int, array_name: str | None) -> GroupMasks:
     """Return the nonempty groups of entities as name -> (n,) whether each of the n entities is in the group.
 
     Args:
         mesh: the mesh; its entities are numbered in the order of the file's blocks.
         dim: dimension of the entities.
-        array: name of the cell data with the number of each entity's group; None: only cell sets are groups.
+        array_name: name of the cell data with the number of each entity's group; None: only cell sets are groups.
     """
     block_numbers = [k for k, block in enumerate(mesh.cells) if block.dim == dim]
     groups: GroupMasks = {}
@@ -218,26 +218,26 @@ def _group_masks(mesh: meshio.Mesh, dim: int, array: str | None) -> GroupMasks:
         if not name.startswith("gmsh:"):
             members_by_block = ((len(mesh.cells[k]), [] if members[k] is None else members[k]) for k in block_numbers)
             groups[name] = np.concatenate([np.isin(np.arange(n), indices) for n, indices in members_by_block])
-    if array is not None:
-        group_numbers = np.concatenate([mesh.cell_data[array][k] for k in block_numbers]).astype(np.int64)
+    if array_name is not None:
+        group_numbers = np.concatenate([mesh.cell_data[array_name][k] for k in block_numbers]).astype(np.int64)
         for number in np.unique(group_numbers):
-            for name in _group_names(mesh, dim, array, int(number)):
+            for name in _group_names(mesh, dim, array_name, int(number)):
                 groups[name] = groups.get(name, False) | (group_numbers == number)
-    return {name: member for name, member in groups.items() if member.any()}
+    return {name: mask for name, mask in groups.items() if mask.any()}
 
 
-def _group_names(mesh: meshio.Mesh, dim: int, array: str, number: int) -> Sequence[str]:
+def _group_names(mesh: meshio.Mesh, dim: int, array_name: str, number: int) -> Sequence[str]:
     """Return the names of one group; () if its number means no group.
 
     Args:
         mesh: the mesh.
         dim: dimension of the group's entities.
-        array: name of the cell data with the number of each entity's group.
+        array_name: name of the cell data with the number of each entity's group.
         number: the number of the group.
     """
     if families := getattr(mesh, "cell_tags", None):
         return tuple(families.get(number, ()))
-    if array == GMSH_PHYSICAL:
+    if array_name == GMSH_PHYSICAL:
         number = abs(number) or -1  # negative where gmsh reversed the cells; zero: no group
         names = [name for name, value in mesh.field_data.items() if tuple(np.ravel(value)) == (number, dim)]
         return names or ([str(number)] if number > 0 else ())

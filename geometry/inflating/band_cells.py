@@ -31,19 +31,19 @@ class NodeCopies(NamedTuple):
         below, above: (n_S, k) numbers of the copies of the k nodes of each facet of S, on its lower and on its upper
             side.
         copied_nodes: (n,) for each of the n copies with new numbers, in their order, the node of S that it copies.
-        on_base: (n,) whether each of these n copies is on a rigid base.
+        is_on_base: (n,) whether each of these n copies is on a rigid base.
     """
 
     body_cells: IntArray
     below: IntArray
     above: IntArray
     copied_nodes: IntArray
-    on_base: BoolArray
+    is_on_base: BoolArray
 
     @classmethod
     def of(cls, joint: Joint) -> NodeCopies:
         """Return the copies of the nodes of a joint in which S is a surface."""
-        surface, node_components, n = joint.surface, joint.split_mesh.at_nodes, len(joint.points)
+        surface, node_components, n = joint.surface, joint.split_mesh.node_components, len(joint.points)
         base_component = int(node_components.max(initial=0)) + 1
         components = np.stack([joint.components_at(cells, surface) for cells in joint.surface_cells.T])
         side_keys = surface * (base_component + 1) + np.where(components < 0, base_component, components)
@@ -79,14 +79,14 @@ class NodeLines:
     cells of degree 2 also have a level in the middle of each cell.
 
     Attributes:
-        first_inner: lowest number of a node inside a line; the copies at the ends of lines have lower numbers.
+        first_inner_node: lowest number of a node inside a line; copies at the ends of lines have lower numbers.
         ends: (n, 2) numbers of the first and of the other copy of each line.
         feet: (n,) the node of S that both are copies of.
         seam_no: (n,) position in `Joint.seams` of the seam of each line.
         heights: for each seam the heights of all levels, as fractions of the thickness from 0 to 1.
     """
 
-    first_inner: int
+    first_inner_node: int
     ends: IntArray
     feet: IntArray
     seam_no: IntArray
@@ -100,7 +100,7 @@ class NodeLines:
     @cached_property
     def start(self) -> IntArray:
         """(n,) number of the node at level 1 of each line; the nodes at its next levels have the next numbers."""
-        return self.first_inner + np.cumsum(self.last_level - 1) - (self.last_level - 1)
+        return self.first_inner_node + np.cumsum(self.last_level - 1) - (self.last_level - 1)
 
     @property
     def n_inner_nodes(self) -> int:
@@ -128,9 +128,9 @@ class NodeLines:
             whose line each belongs.
         """
         line = np.repeat(np.arange(len(self.last_level)), self.last_level - 1)
-        first_height = np.cumsum([0, *map(len, self.heights)])[self.seam_no[line]]
-        level = np.arange(self.first_inner, self.first_inner + self.n_inner_nodes) - self.start[line] + 1
-        z = np.concatenate(self.heights)[first_height + level][:, None]
+        first_index = np.cumsum([0, *map(len, self.heights)])[self.seam_no[line]]
+        level = np.arange(self.first_inner_node, self.first_inner_node + self.n_inner_nodes) - self.start[line] + 1
+        z = np.concatenate(self.heights)[first_index + level][:, None]
         return (1 - z) * values[self.ends[line, 0]] + z * values[self.ends[line, 1]], self.feet[line]
 
     def with_lines(self, ends: IntArray, feet: IntArray, seam_no: int) -> NodeLines:
@@ -187,11 +187,11 @@ def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) 
     is_reversed = below != ends[line_no, 0]
     seam = np.repeat(joint.seam_numbers, joint.surface.shape[1])
     meeting, example = np.unique(np.column_stack([seam[first][line_no], seam, is_reversed]), axis=0, return_index=True)
-    names, places = list(joint.seams), joint.points[joint.surface.ravel()[example]]
-    for (number, other, reverse), x in zip(meeting, places, strict=True):
-        levels, other_levels = heights[number], 1 - heights[other][::-1] if reverse else heights[other]
+    names, example_points = list(joint.seams), joint.points[joint.surface.ravel()[example]]
+    for (seam_no, other, reverse), x in zip(meeting, example_points, strict=True):
+        levels, other_levels = heights[seam_no], 1 - heights[other][::-1] if reverse else heights[other]
         if len(levels) != len(other_levels) or np.abs(levels - other_levels).max() > HEIGHT_TOLERANCE:
-            text = "the upper side changes" if number == other else f"{names[number]!r} continues {names[other]!r}"
+            text = "the upper side changes" if seam_no == other else f"{names[seam_no]!r} continues {names[other]!r}"
             raise InputError(f"{text} at {place_text(x)}: sublayers do not meet; give equal ones, upwards on one body")
         if reverse and joint.dim == 3:
             raise InputError(f"the upper side of S changes at {place_text(x)}: in 3D it must be on one side there")

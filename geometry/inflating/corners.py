@@ -62,14 +62,14 @@ def junction_corners(joint: Joint, lines: NodeLines, s_lines: FacetLines) -> tup
     k = end_lines.shape[1]
     if not len(end_lines):
         return lines, None
-    vertices, of_link = unique_rows(lines.feet[end_lines])
+    vertices, end_junc = unique_rows(lines.feet[end_lines])
     end_copies = lines.ends[end_lines]
     copies, corner = unique_rows(np.concatenate([end_copies[..., 0], end_copies[..., 1]]))
     junction = np.empty(len(copies), np.int64)
-    junction[corner] = np.tile(of_link, 2)
+    junction[corner] = np.tile(end_junc, 2)
     n_ends = np.bincount(corner)
-    is_open = (np.bincount(junction) - np.bincount(of_link) > 1) | (np.bincount(junction, n_ends > 2) > 0)
-    is_open |= np.bincount(of_link, n_facets > 1) > 0  # two layers between the same bodies
+    is_open = (np.bincount(junction) - np.bincount(end_junc) > 1) | (np.bincount(junction, n_ends > 2) > 0)
+    is_open |= np.bincount(end_junc, n_facets > 1) > 0  # two layers between the same bodies
     for copy in copies.T:  # a body has one corner at each end
         is_open |= np.bincount(unique_rows(np.column_stack([junction, copy]))[0][:, 0]) < np.bincount(junction)
     complaint = "bodies only touch at a vertex or an edge, between layers that meet there: the layers' ends enclose no"
@@ -77,18 +77,18 @@ def junction_corners(joint: Joint, lines: NodeLines, s_lines: FacetLines) -> tup
 
     end_corners = np.flatnonzero(n_ends == 1)
     end_corners = end_corners[np.argsort(junction[end_corners], kind="stable")].reshape(-1, 2)
-    pairs, closing_no = unique_rows(np.sort(copies[end_corners].swapaxes(1, 2).reshape(-1, 2), axis=1))
-    closing_nodes = np.empty(len(pairs), np.int64)
+    closing_ends, closing_no = unique_rows(np.sort(copies[end_corners].swapaxes(1, 2).reshape(-1, 2), axis=1))
+    closing_nodes = np.empty(len(closing_ends), np.int64)
     closing_nodes[closing_no] = vertices[junction[end_corners[:, 0]]].ravel()
     closing_lines = (len(lines.feet) + closing_no).reshape(-1, k)
-    lines = lines.with_lines(pairs, closing_nodes, int(lines.seam_no[end_lines[0, 0]]))
+    lines = lines.with_lines(closing_ends, closing_nodes, int(lines.seam_no[end_lines[0, 0]]))
     end_lines = np.concatenate([end_lines, closing_lines])
-    corner = np.concatenate([corner[: len(of_link)], end_corners[:, 0], corner[len(of_link) :], end_corners[:, 1]])
+    corner = np.concatenate([corner[: len(end_junc)], end_corners[:, 0], corner[len(end_junc) :], end_corners[:, 1]])
     side_lines = end_lines[np.argsort(corner, kind="stable") % len(end_lines)].reshape(-1, 2, k).swapaxes(1, 2)
     polygons = _number_polygons(side_lines, junction)
-    pairs, _ = unique_rows(np.column_stack([lines.feet[side_lines[..., 0]].ravel(), polygons.ravel()]))
+    polygons_at, _ = unique_rows(np.column_stack([lines.feet[side_lines[..., 0]].ravel(), polygons.ravel()]))
     crossing_text = "where lines along which layers meet come together: these are not meshed; use the interface model"
-    refuse(np.diff(pairs[:, 0]) == 0, joint.points[pairs[1:, 0]], f"S branches at {{at}}, {crossing_text}")
+    refuse(np.diff(polygons_at[:, 0]) == 0, joint.points[polygons_at[1:, 0]], f"S branches at {{at}}, {crossing_text}")
     return lines, JunctionCorners(copies, side_lines, polygons, junction)
 
 

@@ -78,7 +78,7 @@ def refined_towards_ends(layers: Joint, distance: FloatArray, size: float) -> Re
         cells, X, parent = (np.concatenate(pair) for pair in ((cells, second), (X, second_X), (parent, parent[halved])))
 
 
-def _conforming_edges(kind: str, edges: IntArray, far_end: FloatArray, to_halve: BoolArray) -> BoolArray:
+def _conforming_edges(kind: str, edges: IntArray, far_distance: FloatArray, to_halve: BoolArray) -> BoolArray:
     """Return which edges to halve in one pass, so that the mesh conforms: further passes halve the others.
 
     In one pass a simplex is halved at one edge. A quadrilateral or hexahedron is halved at one edge and all edges
@@ -87,8 +87,8 @@ def _conforming_edges(kind: str, edges: IntArray, far_end: FloatArray, to_halve:
     Args:
         kind: type of the cells.
         edges: (n, k) numbers, from 0 to m - 1, of the k edges of each cell.
-        far_end: (m,) distance from the layer's end to the farther vertex of each edge, lengths. In simplices edges with
-            larger distances come first.
+        far_distance: (m,) distance from the layer's end to the farther vertex of each edge, lengths. In simplices edges
+            with larger distances come first.
         to_halve: (m,) whether each edge must be halved, now or later.
 
     Returns:
@@ -96,19 +96,19 @@ def _conforming_edges(kind: str, edges: IntArray, far_end: FloatArray, to_halve:
     """
     first, last = np.array(basix.topology(basix.CellType[kind])[1]).T
     direction = last - first if is_tensor(kind) else np.arange(len(first))  # parallel edges have one label
-    parallel, no_edge = [np.flatnonzero(direction == label) for label in np.unique(direction)], len(far_end)
+    parallel, no_edge = [np.flatnonzero(direction == label) for label in np.unique(direction)], len(far_distance)
     if is_tensor(kind):
         links = np.concatenate([edges[:, [same_way[0], edge]] for same_way in parallel for edge in same_way[1:]])
-        group = components(links[:, 0], links[:, 1], no_edge)
+        group_no = components(links[:, 0], links[:, 1], no_edge)
     else:
-        group = np.argsort(np.lexsort([np.arange(no_edge), -far_end]))
+        group_no = np.argsort(np.lexsort([np.arange(no_edge), -far_distance]))
     is_halved = np.zeros(no_edge + 1, bool)
-    is_halved[group[to_halve]] = True
-    in_cell = np.where(is_halved[group], group, no_edge)[edges[:, [same_way[0] for same_way in parallel]]]
-    first = in_cell.min(axis=1, keepdims=True)
-    is_alone = (in_cell == first).sum(axis=1, keepdims=True) == 1  # else parallel edges meet in a cell: they stay whole
-    is_halved[in_cell[(in_cell != first) | ~is_alone]] = False
-    return np.asarray(is_halved[group])
+    is_halved[group_no[to_halve]] = True
+    groups = np.where(is_halved[group_no], group_no, no_edge)[edges[:, [same_way[0] for same_way in parallel]]]
+    first = groups.min(axis=1, keepdims=True)
+    is_alone = (groups == first).sum(axis=1, keepdims=True) == 1  # else parallel edges meet in a cell: they stay whole
+    is_halved[groups[(groups != first) | ~is_alone]] = False
+    return np.asarray(is_halved[group_no])
 
 
 def _shape_functions(kind: str, degree: int, X: FloatArray) -> FloatArray:

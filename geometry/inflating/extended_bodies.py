@@ -58,8 +58,8 @@ def face_motion(joint: Joint, copies: NodeCopies, depths: tuple[FloatArray, Floa
     np.minimum.at(min_g, index, g)
     is_uniform = max_g - min_g <= THICKNESS_TOLERANCE * max_g
     min_eigenvalue = np.where(is_uniform, MIN_COSINE, MIN_FACET_ANGLE)[:, None] ** 2
-    moments, n_faces = _outer_moments(joint, copies.body_cells)
-    eigenvalues, vectors = np.linalg.eigh(moments[face_nodes] / np.maximum(n_faces[face_nodes], 1)[:, None, None])
+    moments, n_outer = _outer_moments(joint, copies.body_cells)
+    eigenvalues, vectors = np.linalg.eigh(moments[face_nodes] / np.maximum(n_outer[face_nodes], 1)[:, None, None])
     free_projector = (vectors * (eigenvalues < SMOOTH_SQUARED_SINE)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     eigenvalues, vectors = np.linalg.eigh(free_projector @ moment @ free_projector / n_terms[:, None, None])
     inverse = np.where(eigenvalues > min_eigenvalue, 1 / np.maximum(eigenvalues, min_eigenvalue), 0.0)
@@ -119,8 +119,8 @@ def extended_motion(
     motion[face_nodes] = motions
     free_nodes = np.setdiff1d(np.unique(corners), np.concatenate([face_nodes, fixed_nodes]))
 
-    moments, n_facets = _outer_moments(joint, body_cells)
-    eigenvalues, vectors = np.linalg.eigh(moments[free_nodes] / np.maximum(n_facets[free_nodes], 1)[:, None, None])
+    moments, n_outer = _outer_moments(joint, body_cells)
+    eigenvalues, vectors = np.linalg.eigh(moments[free_nodes] / np.maximum(n_outer[free_nodes], 1)[:, None, None])
     node, direction = np.nonzero(eigenvalues < EXACT_SQUARED_SINE)
     rows, columns = (node[:, None] * d + np.arange(d)).ravel(), np.repeat(np.arange(len(node)), d)
     entries, shape = vectors[node, :, direction].ravel(), (len(free_nodes) * d, len(node))

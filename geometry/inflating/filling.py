@@ -53,24 +53,24 @@ def junction_cells(
     n_corners, polygon_nodes = np.bincount(polygons), np.empty(int(polygons.max()) + 1, np.int64)
     polygon_nodes[polygons] = s_nodes[copies]
     centre_values = sum_by_number(polygons, values[copies], len(n_corners)) / n_corners[:, None]
-    key_values = np.concatenate([values, values[lines.ends].mean(axis=1), centre_values])
-    key_nodes = np.concatenate([s_nodes, lines.feet, polygon_nodes])
-    key_numbers = np.column_stack([copies, len(values) + sides, len(values) + len(lines.feet) + polygons])
+    key_point_values = np.concatenate([values, values[lines.ends].mean(axis=1), centre_values])
+    key_point_nodes = np.concatenate([s_nodes, lines.feet, polygon_nodes])
+    key_point_numbers = np.column_stack([copies, len(values) + sides, len(values) + len(lines.feet) + polygons])
 
     level = np.arange(n_half + 1)
     p, q = np.meshgrid(level, level, indexing="ij")  # from the corner towards the first and the second middle
     weights = np.stack([(n_half - p) * (n_half - q), p * (n_half - q), (n_half - p) * q, p * q], axis=-1)
     radix = n_half**2 + 1
-    codes = np.where(weights > 0, key_numbers[:, None, None] * radix + weights, -1)
+    codes = np.where(weights > 0, key_point_numbers[:, None, None] * radix + weights, -1)
     unique_codes, inverse = np.unique(np.sort(codes.reshape(-1, 4), axis=1), axis=0, return_inverse=True)
     code_no, node_numbers = inverse.reshape(codes.shape[:3]), np.full(len(unique_codes), -1)
     for side, side_codes in zip(sides.T, (code_no[:, :, 0], code_no[:, 0]), strict=True):
         starts_here = (lines.ends[side, 0] == copies)[:, None]
         node_numbers[side_codes] = lines.node_numbers(side[:, None], np.where(starts_here, level, 2 * n_half - level))
     new_codes = np.flatnonzero(node_numbers < 0)
-    node_numbers[new_codes] = lines.first_inner + lines.n_inner_nodes + np.arange(len(new_codes))
+    node_numbers[new_codes] = lines.first_inner_node + lines.n_inner_nodes + np.arange(len(new_codes))
     key, weight = np.divmod(unique_codes[new_codes], radix)
-    new_values = np.einsum("nk,nkd->nd", np.where(key < 0, 0, weight) / n_half**2, key_values[key])
+    new_values = np.einsum("nk,nkd->nd", np.where(key < 0, 0, weight) / n_half**2, key_point_values[key])
 
     grid = node_numbers[code_no]
     quad_nodes = np.stack([grid[:, :-1, :-1], grid[:, 1:, :-1], grid[:, :-1, 1:], grid[:, 1:, 1:]], axis=-1)
@@ -79,8 +79,8 @@ def junction_cells(
         cells: IntArray = quads.swapaxes(1, 2).reshape(len(quads), n_half * n_half, 4 * k)
     else:
         cells = _extrude(_split_quads(quads, lines.ends[corners.sides[:, 0], 0] != corners.copies[:, :1]))
-    cell_corners = np.repeat(np.arange(len(quads)), cells.shape[1])
-    return JunctionCells(cells.reshape(-1, cells.shape[2]), cell_corners, new_values, key_nodes[key[:, -1]])
+    corner_numbers = np.repeat(np.arange(len(quads)), cells.shape[1])
+    return JunctionCells(cells.reshape(-1, cells.shape[2]), corner_numbers, new_values, key_point_nodes[key[:, -1]])
 
 
 def _split_quads(quads: IntArray, is_reversed: BoolArray) -> IntArray:

@@ -88,23 +88,23 @@ def inflate(
         text = f"S reaches one of {sides}, at {{at}}, which would not match when the layer opens; cut the cell where S"
         advice = "is not, use the interface model, or mesh a large piece that is not periodic"
         refuse(np.isin(fixed_nodes, joint.surface), joint.points[fixed_nodes], f"{text} {advice}")
-    layers = Layering.of(joint, eps, profile, cells_through, fractions, junctions, gaps)
+    layering = Layering.of(joint, eps, profile, cells_through, fractions, junctions, gaps)
     copies = NodeCopies.of(joint)
-    lines, s_lines = node_lines(joint, copies, layers.heights)
-    check_junctions(joint, lines, layers)
+    lines, s_lines = node_lines(joint, copies, layering.heights)
+    check_junctions(joint, lines, layering)
     lines, polygon_corners = junction_corners(joint, lines, s_lines)
 
-    copy_motion = _node_motion(joint, copies, layers.thickness, bodies, fixed_nodes)
+    copy_motion = _node_motion(joint, copies, layering.thickness, bodies, fixed_nodes)
     line_motion, line_s_nodes = lines.interpolate(copy_motion)
     motion = np.concatenate([copy_motion, line_motion])
     drawn_nodes = np.concatenate([np.arange(len(joint.points)), copies.copied_nodes, line_s_nodes])
 
-    bands, sublayers = _layer_cells(joint, lines, s_lines, layers)
+    bands, sublayers = _layer_cells(joint, lines, s_lines, layering)
     fill = _BandCells(joint.cells[:0], joint.region[:0], bands.director[:0])
     if polygon_corners:
         all_fill = junction_cells(joint, lines, polygon_corners, copy_motion, drawn_nodes[: len(copy_motion)])
         motion, drawn_nodes = np.concatenate([motion, all_fill.values]), np.concatenate([drawn_nodes, all_fill.s_nodes])
-        fill = _kept_junction_cells(joint, lines, s_lines, polygon_corners, layers.junction_priority, all_fill)
+        fill = _kept_junction_cells(joint, lines, s_lines, polygon_corners, layering.junction_priority, all_fill)
     owner_seams, seams, prefix = np.unique(fill.region), list(joint.seams), f"{LAYER}/{JUNCTIONS}"
     fill_regions = {prefix if len(owner_seams) == 1 else f"{prefix}/{seams[k]}": seams[k] for k in owner_seams}
     tilted = (fill.director == 0).all(axis=(1, 2))
@@ -118,12 +118,12 @@ def inflate(
     points = drawn_points + motion[is_used]
     _check_cells(joint, points, cells, len(bands.cells))
     layer_corners = cells[len(joint.cells) :, : joint.corners.shape[1]]
-    facets, faces = moved_facets(joint, copies, layers, layer_corners, len(bands.cells), drawn_nodes)
+    facets, faces = moved_facets(joint, copies, layering, layer_corners, len(bands.cells), drawn_nodes)
     layer_regions = (*(name for of_seam in sublayers.values() for name in of_seam), *fill_regions)
     aligned = tuple(name for name, seam in fill_regions.items() if seams.index(seam) not in fill.region[tilted])
     director = np.concatenate([bands.director, np.where(tilted[:, None, None], np.eye(joint.dim)[1], fill.director)])
     band = InflatedBand(
-        layers.eps, bodies, layer_regions, sublayers, fill_regions, aligned, faces, joint, drawn_points, director
+        layering.eps, bodies, layer_regions, sublayers, fill_regions, aligned, faces, joint, drawn_points, director
     )
     region = np.concatenate([joint.region, bands.region, first_fill_region + np.searchsorted(owner_seams, fill.region)])
     inflated = Joint(points, cells, joint.cell_type, region, joint.regions + layer_regions, facets, joint.seams, band)
@@ -202,7 +202,7 @@ def _kept_junction_cells(
 
 
 def _layer_cells(
-    joint: Joint, lines: NodeLines, s_lines: FacetLines, layers: Layering
+    joint: Joint, lines: NodeLines, s_lines: FacetLines, layering: Layering
 ) -> tuple[_BandCells, dict[str, tuple[str, ...]]]:
     """Return the cells of all layers, without those of junctions, and the names of their regions.
 
@@ -210,7 +210,7 @@ def _layer_cells(
         joint: the joint as drawn, before S is opened.
         lines: all lines of nodes through the thickness.
         s_lines: the lines at the nodes of each facet of S.
-        layers: checked arguments for the layers.
+        layering: checked arguments for the layers.
 
     Returns:
         The cells; and name of a seam -> names of the regions of its sublayers, from the lower to the upper face. Gaps
@@ -220,10 +220,10 @@ def _layer_cells(
     names: dict[str, tuple[str, ...]] = {}
     first_region = len(joint.regions)
     for seam_no, seam in enumerate(joint.seams):
-        if seam not in layers.junction_priority:
+        if seam not in layering.junction_priority:
             continue
-        facets, fractions = np.flatnonzero((joint.seam_numbers == seam_no) & layers.has_cells), layers.fractions[seam]
-        cells, sublayer, director = band_cells(joint, lines, s_lines, facets, layers.heights[seam_no], fractions)
+        rows, fractions = np.flatnonzero((joint.seam_numbers == seam_no) & layering.has_cells), layering.fractions[seam]
+        cells, sublayer, director = band_cells(joint, lines, s_lines, rows, layering.heights[seam_no], fractions)
         layer_name = LAYER if len(joint.seams) == 1 else f"{LAYER}/{seam}"
         names[seam] = tuple(f"{layer_name}/{k + 1}" for k in range(len(fractions))) if len(fractions) else (layer_name,)
         bands.append(_BandCells(cells, first_region + sublayer, director))
@@ -257,7 +257,7 @@ def _node_motion(joint: Joint, copies: NodeCopies, thickness: FloatArray, bodies
     translation, motion = body_translations(joint, thickness[:, 0]), np.zeros((n_nodes, joint.dim))
     require_room(joint, translation)
     motion[copies.body_cells] = translation[joint.split_mesh.pieces][:, None]
-    motion[len(joint.points) :][copies.on_base] = translation[-1]
+    motion[len(joint.points) :][copies.is_on_base] = translation[-1]
     return motion
 
 

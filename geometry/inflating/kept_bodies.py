@@ -51,17 +51,17 @@ def body_translations(joint: Joint, eps: FloatArray) -> FloatArray:
     complaint = f"one body, as at {{at}}, lies below S and above it: {NOT_KEPT_MESSAGE}"
     refuse(side_pieces[:, 0] == side_pieces[:, 1], joint.points[joint.corners[cells[:, 1]]], complaint)
     sheet = Sheet(joint)
-    area = np.bincount(sheet.simplices[0], sheet.areas)
+    facet_areas = np.bincount(sheet.simplices[0], sheet.areas)
     pairs, pair_no = unique_rows(side_pieces)
-    areas: FloatArray = np.bincount(pair_no, area).astype(float)
-    moment = sum_by_number(pair_no, area[:, None, None] * n[:, :, None] * n[:, None, :], len(pairs))
-    opening_sum = sum_by_number(pair_no, (area * eps)[:, None] * n, len(pairs))
+    areas: FloatArray = np.bincount(pair_no, facet_areas).astype(float)
+    moment = sum_by_number(pair_no, facet_areas[:, None, None] * n[:, :, None] * n[:, None, :], len(pairs))
+    opening_sum = sum_by_number(pair_no, (facet_areas * eps)[:, None] * n, len(pairs))
     eigenvalues, vectors = np.linalg.eigh(moment / areas[:, None, None])
     is_normal = eigenvalues > 10 * PLANAR_TOLERANCE**2
     inverse_values = np.where(is_normal, 1 / np.where(is_normal, eigenvalues, 1.0), 0.0)
     pair_jump = np.einsum("pik,pk,pjk,pj->pi", vectors, inverse_values, vectors, opening_sum / areas[:, None])
-    group = components(pairs[:, 0], pairs[:, 1], n_pieces)
-    T = _translations(pairs, group, pair_jump, (vectors * is_normal[:, None, :]) @ np.swapaxes(vectors, 1, 2), areas)
+    group_no = components(pairs[:, 0], pairs[:, 1], n_pieces)
+    T = _translations(pairs, group_no, pair_jump, (vectors * is_normal[:, None, :]) @ np.swapaxes(vectors, 1, 2), areas)
 
     conflict = "the layers around the bodies at {at} ask for motions that contradict one another"
     target_gap, mean = (pair_jump[pair_no] * n).sum(axis=1), (np.bincount(pair_no, eps) / np.bincount(pair_no))[pair_no]
@@ -78,12 +78,12 @@ def body_translations(joint: Joint, eps: FloatArray) -> FloatArray:
     if np.abs(gap_ratio - 1).max() > GAP_WARNING_ERROR:
         range_text = f"its thickness is {gap_ratio.min():.3f} to {gap_ratio.max():.3f} of eps with bodies='kept'"
         warn_of_range("curved", f"the meshed layer is curved: {range_text}; use bodies='extended' for a uniform one")
-    on_base, group_above, n_groups = cells[:, 0] < 0, group[side_pieces[:, 1]], int(group.max()) + 1
+    on_base, group_above, n_groups = cells[:, 0] < 0, group_no[side_pieces[:, 1]], int(group_no.max()) + 1
     mean_T = np.where(on_base[:, None], T[side_pieces[:, 1]], (T[side_pieces[:, 0]] + T[side_pieces[:, 1]]) / 2)
-    weights = np.where(np.isin(group_above, group_above[on_base]) & ~on_base, 0.0, area)
+    weights = np.where(np.isin(group_above, group_above[on_base]) & ~on_base, 0.0, facet_areas)
     total = np.maximum(np.bincount(group_above, weights, n_groups), np.finfo(float).tiny)
     shift = np.stack([np.bincount(group_above, weights * mean_T[:, k], n_groups) / total for k in range(d)], axis=1)
-    return np.asarray(T - shift[group])
+    return np.asarray(T - shift[group_no])
 
 
 def _translations(pairs: IntArray, group: IntArray, jump: FloatArray, P_n: FloatArray, area: FloatArray) -> FloatArray:
@@ -169,13 +169,13 @@ def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, direction: FloatArra
     nodes = joint.table.nodes(rows, joint.corners, joint.cell_type)
     if is_tensor(joint.cell_type) and joint.dim == 3:
         nodes = np.concatenate([nodes[:, [0, 1, 2]], nodes[:, [3, 1, 2]]])
-    facets = joint.points[nodes]
+    facet_points = joint.points[nodes]
     tolerance = 1e-9 * joint.size
-    point_heights, facet_heights = x @ direction, facets @ direction
+    point_heights, facet_heights = x @ direction, facet_points @ direction
     low, high = point_heights.min(initial=np.inf) + tolerance, point_heights.max(initial=-np.inf) + length
     is_near = (facet_heights.max(axis=1) > low) & (facet_heights.min(axis=1) < high)
     plane_axes = np.linalg.svd(direction[None])[2][1:]
-    for facet, height in zip(facets[is_near] @ plane_axes.T, facet_heights[is_near], strict=True):
+    for facet, height in zip(facet_points[is_near] @ plane_axes.T, facet_heights[is_near], strict=True):
         edges = (facet[1:] - facet[0]).T
         if abs(np.linalg.det(edges)) < tolerance ** (joint.dim - 1):
             continue  # the facet is parallel to the motion

@@ -12,7 +12,7 @@ from geometry.inflating.band_cells import NodeCopies, NodeLines, level_heights
 from geometry.joint import Joint, Profile
 from geometry.refusals import place_text, refuse, require_known
 from geometry.seam import BASE, LAYER, LOWER_FACE, UPPER_FACE, FacetName
-from geometry.sheet import continued_ridges
+from geometry.sheet import continued_ridge_keys
 from geometry.topology import BoolArray, FacetTable, FloatArray, IntArray, facet_ridge_keys
 
 BODY_CHOICES = ("kept", "extended")
@@ -110,11 +110,11 @@ class Layering(NamedTuple):
         if in_gaps.all():
             raise InputError("all seams are gaps: there is no layer to mesh; use the interface model")
         eps_of = value_by_seam(joint, eps, "eps")
-        sublayers: dict[str, Sequence[float]] = value_by_seam(joint, fractions, "fractions", ())
+        fractions_of: dict[str, Sequence[float]] = value_by_seam(joint, fractions, "fractions", ())
         profiles: dict[str, Profile | None] = value_by_seam(joint, profile, "profile", None)
         too_thin = f"the coordinates of bodies of size {joint.size:.3g} do not resolve it; use the interface model"
         for name, size in eps_of.items():
-            which, part = "" if len(joint.seams) == 1 else f" of {name!r}", sublayers[name]
+            which, part = "" if len(joint.seams) == 1 else f" of {name!r}", fractions_of[name]
             require(is_finite(size) and size > 0, f"the layer's thickness eps{which}", size, "it must be > 0")
             require(size >= MIN_THICKNESS * joint.size, f"the layer's thickness eps{which}", size, too_thin)
             if len(part) and not (all(map(is_finite, part)) and min(part) > 0 and abs(sum(part) - 1) <= 1e-12):
@@ -124,14 +124,14 @@ class Layering(NamedTuple):
             raise InputError(f"{tip}: the layer has no room at its tip and cannot be meshed; use the interface model")
         at_nodes = np.stack([size * joint.relative_thickness(profiles[name], name) for name, size in eps_of.items()])
         thickness = at_nodes[joint.seam_numbers[:, None], joint.surface]
-        heights = [level_heights(joint.degree, through, part) for part in sublayers.values()]
+        heights = [level_heights(joint.degree, through, part) for part in fractions_of.values()]
         varying_seams = tuple(name for name in joint.seams if profiles[name] is not None)
         junction_priority = [name for name in dict.fromkeys([*junctions, *joint.seams]) if name not in gaps]
         eps_of = {name: float(size) for name, size in eps_of.items()}
-        return cls(eps_of, sublayers, heights, thickness, varying_seams, junction_priority, ~in_gaps)
+        return cls(eps_of, fractions_of, heights, thickness, varying_seams, junction_priority, ~in_gaps)
 
 
-def check_junctions(joint: Joint, lines: NodeLines, layers: Layering) -> None:
+def check_junctions(joint: Joint, lines: NodeLines, layering: Layering) -> None:
     """Raise InputError if layers meet at a junction that cannot be meshed.
 
     Such layers have sublayers, a varying thickness, curved cells or an odd number of cells through the thickness.
@@ -139,14 +139,14 @@ def check_junctions(joint: Joint, lines: NodeLines, layers: Layering) -> None:
     Args:
         joint: the joint as drawn, before S is opened.
         lines: all lines of nodes through the thickness, at the nodes of S.
-        layers: checked arguments for the layers.
+        layering: checked arguments for the layers.
     """
     junction_lines = np.flatnonzero(np.bincount(lines.feet)[lines.feet] > 1)
     names, x = np.array([*joint.seams])[lines.seam_no[junction_lines]], joint.points[lines.feet[junction_lines]]
-    with_sublayers = [name for name, fractions in layers.fractions.items() if len(fractions)]
+    with_sublayers = [name for name, fractions in layering.fractions.items() if len(fractions)]
     for reason, bad_seams in (
         ("the sublayers of one layer have no place in the others", with_sublayers),
-        ("junctions are meshed between layers of uniform thickness only", list(layers.varying_seams)),
+        ("junctions are meshed between layers of uniform thickness only", list(layering.varying_seams)),
         ("junctions are meshed between straight-sided cells only", [*joint.seams] if joint.degree == 2 else []),
     ):
         refuse(np.isin(names, bad_seams), x, f"S branches at {{at}}: {reason}; use the interface model")
@@ -158,14 +158,14 @@ def check_junctions(joint: Joint, lines: NodeLines, layers: Layering) -> None:
 
 
 def moved_facets(
-    joint: Joint, copies: NodeCopies, layers: Layering, cells: IntArray, n_band_cells: int, drawn_nodes: IntArray
+    joint: Joint, copies: NodeCopies, layering: Layering, cells: IntArray, n_band_cells: int, drawn_nodes: IntArray
 ) -> tuple[dict[str, IntArray], tuple[str, ...]]:
     """Return the facet sets of the joint with meshed layers.
 
     Args:
         joint: the joint as drawn, before S is opened.
         copies: copies of its nodes, one on each body.
-        layers: checked arguments for the layers.
+        layering: checked arguments for the layers.
         cells: (n, m) numbers of the m vertices of each of the layers' cells, those of junctions last.
         n_band_cells: number of the layers' cells that are not in junctions.
         drawn_nodes: (n_nodes,) for each node of the joint with layers the node of the joint as drawn that it comes
@@ -175,17 +175,17 @@ def moved_facets(
         Name of a set -> (n, k) numbers of the k vertices of each of its n facets; and the names of the sets of facets
         between bodies and layers.
     """
-    has_cells, vertex_order = layers.has_cells, np.argsort(joint.surface[:, : joint.table.vertices.shape[1]], axis=1)
+    has_cells, vertex_order = layering.has_cells, np.argsort(joint.surface[:, : joint.table.vertices.shape[1]], axis=1)
     above, below = (np.take_along_axis(side, vertex_order, axis=1) for side in (copies.above, copies.below))
     on_base = joint.surface_cells[:, 0] < 0
     new_facets: dict[str, IntArray] = {}
-    face_sets: list[str] = []
+    face_names: list[str] = []
     for seam_no, seam in enumerate(joint.seams):
-        in_seam, has_seams = joint.seam_numbers == seam_no, len(joint.seams) > 1
+        in_seam, several = joint.seam_numbers == seam_no, len(joint.seams) > 1
         face_facets = {UPPER_FACE: above} if on_base[in_seam].any() else {UPPER_FACE: above, LOWER_FACE: below}
-        named = {str(FacetName(seam, name)) if has_seams else name: side[in_seam] for name, side in face_facets.items()}
+        named = {str(FacetName(seam, name)) if several else name: side[in_seam] for name, side in face_facets.items()}
         new_facets |= named
-        face_sets += named if has_cells[in_seam].any() else ()
+        face_names += named if has_cells[in_seam].any() else ()
     if (on_base & has_cells).any():
         new_facets[BASE] = below[on_base & has_cells]
     table = FacetTable.of(cells, joint.cell_type)
@@ -199,9 +199,9 @@ def moved_facets(
             continue
         rows = joint.table.index(facets)
         new_facets[name] = joint.table.nodes(rows, copies.body_cells[:, : joint.corners.shape[1]], joint.cell_type)
-        continues = np.isin(below_keys, continued_ridges(joint, facets)).any(axis=1)
+        continues = np.isin(below_keys, continued_ridge_keys(joint, facets)).any(axis=1)
         # in 3D the end of a junction continues the same sets as its layers
         continues |= is_upright & np.isin(s_vertices[:, 0], s_vertices[continues & in_band])
         if continues.any():
             new_facets[str(FacetName(name, LAYER))] = outer_facets[continues]
-    return new_facets, tuple(face_sets)
+    return new_facets, tuple(face_names)

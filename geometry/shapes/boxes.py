@@ -122,16 +122,16 @@ class BoxGrid:
         boxes = np.indices([len(axis) - 1 for axis in self.axes]).reshape(len(self.axes), -1).T
         return np.tile(boxes, (len(self.cells) // len(boxes), 1))
 
-    def facets_at(self, axis: int, place: int) -> IntArray:
+    def facets_at(self, axis: int, index: int) -> IntArray:
         """Return (n, k) numbers of the k points of each facet in one plane of the grid, normal to an axis.
 
         Args:
             axis: number of the axis, from 0.
-            place: position of the plane among the coordinates of this axis, -1 for the last.
+            index: position of the plane among the coordinates of this axis, -1 for the last.
         """
         if axis == 2:
-            return self._plane_cells(self._point_numbers[:, :, place])
-        line = np.moveaxis(self._point_numbers, axis, 0)[place].reshape(self._point_numbers.shape[1 - axis], -1)[:, 0]
+            return self._plane_cells(self._point_numbers[:, :, index])
+        line = np.moveaxis(self._point_numbers, axis, 0)[index].reshape(self._point_numbers.shape[1 - axis], -1)[:, 0]
         rows = np.column_stack([line[:-1], line[1:]])
         return rows if len(self.axes) == 2 else self._sweep_up(rows)
 

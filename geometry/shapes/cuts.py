@@ -122,7 +122,7 @@ class CutRectangle(Shape):
             noun: noun for the lines, for the message.
             remedy: advice for the message.
         """
-        size, lines, tolerance = self.sizes[2], self.lines, DISTANCE_TOLERANCE * self.size_rules.span
+        end_size, lines, tolerance = self.sizes[2], self.lines, DISTANCE_TOLERANCE * self.size_rules.span
         ends = lines.reshape(-1, 2)
         points = ends[self.is_inside(ends, -tolerance)]
         vectors = vectors_from_segments(points, lines[:, 0], lines[:, 1])
@@ -131,7 +131,7 @@ class CutRectangle(Shape):
         point, line = np.unravel_index(distance.argmin(), distance.shape)
         at, gap = points[point] - vectors[point, line] / 2, distance[point, line]
         touch = f"{noun} nearly touch each other or a side at {{at}}: {gap:.3g}, less than {MIN_LINE_DISTANCE:g} cells"
-        refuse(gap < MIN_LINE_DISTANCE * size, at[None], f"{touch} of size {size:g}; {remedy}")
+        refuse(gap < MIN_LINE_DISTANCE * end_size, at[None], f"{touch} of size {end_size:g}; {remedy}")
         return self
 
 
@@ -216,11 +216,11 @@ def grain_rectangle(
         points = _relaxed_points(np.random.default_rng(int(seed)).random((int(point_count), 2)) * box, box)
     else:
         points = np.asarray(_grain_points(grains, width, height) / size, float)
-    ridges, pairs = _grain_boundaries(points, box)
-    seam_names = [seams(int(a), int(b)) for a, b in pairs + 1] if seams else ["S"] * len(pairs)
+    lines, grain_pairs = _grain_boundaries(points, box)
+    seam_names = [seams(int(a), int(b)) for a, b in grain_pairs + 1] if seams else ["S"] * len(grain_pairs)
     mean_width = size * float(np.sqrt(box.prod() / len(points)))
     rules = {name: Seam() for name in sorted(set(seam_names))}
-    shape = CutRectangle(opts, width, height, mean_width, ridges * size, seam_names, rules, "GRAIN", points * size)
+    shape = CutRectangle(opts, width, height, mean_width, lines * size, seam_names, rules, "GRAIN", points * size)
     return shape.require_apart("boundaries of grains", "use smaller cells, another seed or other points")
 
 

@@ -161,10 +161,10 @@ class Shape(ABC):
             gmsh.model.mesh.generate(self.dim)
             if self.meshing.degree > 1:
                 gmsh.model.mesh.setOrder(self.meshing.degree)
-            joint = self._read(drawing, unit)
+            make_joint = self._read(drawing, unit)
         finally:
             gmsh.finalize()
-        return joint()  # now that gmsh's memory is free
+        return make_joint()  # now that gmsh's memory is free
 
     def sweep(self, surfaces: Sequence[int], way: tuple[float, float, float], grading: Grading) -> dict[int, list[int]]:
         """Extrude surfaces of the current gmsh model to volumes; if a grid is requested, in layers of cells.
@@ -177,8 +177,8 @@ class Shape(ABC):
         Returns:
             Tag of each surface -> [tag of its volume, tag of the surface at the far end].
         """
-        kernel, layers = gmsh.model.geo, grading.cell_ends
-        grid_options = dict(numElements=[1] * len(layers), heights=layers, recombine=is_tensor(self.kind))
+        kernel, heights = gmsh.model.geo, grading.cell_ends
+        grid_options = dict(numElements=[1] * len(heights), heights=heights, recombine=is_tensor(self.kind))
         swept = kernel.extrude([(2, tag) for tag in surfaces], *way, **(grid_options if self.is_grid else {}))
         kernel.synchronize()
         volume_indices = [k for k, (dim, _) in enumerate(swept) if dim == 3]

@@ -116,9 +116,9 @@ class Rings(Prism):
         curves = dict(zip(("INSIDE", S, "OUTSIDE"), polar.arcs, strict=True))
         if not is_circle(self.angle):
             curves |= {"START": [ring[0] for ring in polar.spokes], "END": [ring[-1] for ring in polar.spokes]}
-        inner, outer = polar.spokes
-        gradings = dict.fromkeys(inner, Grading.of(self.interface - self.inner, h_S, h, backwards=True))
-        gradings |= dict.fromkeys(outer, Grading.of(self.outer - self.interface, h_S, h))
+        inner_spokes, outer_spokes = polar.spokes
+        gradings = dict.fromkeys(inner_spokes, Grading.of(self.interface - self.inner, h_S, h, backwards=True))
+        gradings |= dict.fromkeys(outer_spokes, Grading.of(self.outer - self.interface, h_S, h))
         arc_h = min(h_S, MAX_CELL_ANGLE * self.interface)
         last_arc = len(polar.arcs[0]) - 1
         arc_length = self.angle * self.interface / (last_arc + 1)
@@ -168,9 +168,9 @@ class Discs(Shape):
         `limit` bounds the angle that a cell at the outer circle subtends at the axis, so that about 20 cells or more go
         round it. If there is a hole, this holds at any radius.
         """
-        radius = "sqrt(x*x + z*z)" if self.hole else repr(float(self.radius))
+        radius_text = "sqrt(x*x + z*z)" if self.hole else repr(float(self.radius))
         min_width = min(self.radius - self.hole, self.lower, self.upper)
-        return SizeRules(min_width, tau * self.radius, "abs(y)", f"{MAX_CELL_ANGLE!r} * {radius}")
+        return SizeRules(min_width, tau * self.radius, "abs(y)", f"{MAX_CELL_ANGLE!r} * {radius_text}")
 
     def draw(self) -> Drawing:
         """Draw both cylinders in the current gmsh model and return their entities, with cell sizes for a grid.
@@ -180,8 +180,8 @@ class Discs(Shape):
         """
         h, h_S, h_ends = self.sizes
         r_core = CORE_RADIUS_RATIO * self.radius if self.is_grid and not self.hole else 0.0
-        inner = self.hole or r_core
-        polar = PolarLines.draw_polar((inner, self.radius) if inner else (self.radius,), tau, "xz", chords=r_core > 0)
+        r_in = self.hole or r_core
+        polar = PolarLines.draw_polar((r_in, self.radius) if r_in else (self.radius,), tau, "xz", chords=r_core > 0)
         disc = list(chain.from_iterable(polar.patches)) + ([] if self.hole else [add_plane_surface(polar.arcs[0])])
         gmsh.model.geo.synchronize()
         low = self.sweep(disc, (0.0, -self.lower, 0.0), Grading.of(self.lower, h_S, h))
@@ -193,7 +193,7 @@ class Discs(Shape):
         arc_h = min(h_S, MAX_CELL_ANGLE * self.radius)
         gradings = dict.fromkeys(chain.from_iterable(polar.arcs), Grading.of(self.radius * pi / 2, arc_h, arc_h))
         # with a hole there are circles at both ends of the spokes
-        radial = Grading.of(self.radius - inner, h_ends, h_S, symmetric=bool(self.hole), backwards=not self.hole)
+        radial = Grading.of(self.radius - r_in, h_ends, h_S, symmetric=bool(self.hole), backwards=not self.hole)
         gradings |= dict.fromkeys(chain.from_iterable(polar.spokes), radial)
         return Drawing(bodies, facets, disc, gradings, polar_core=([0, 2], r_core))
 
@@ -214,7 +214,7 @@ class Fibre(Shape):
         if len(self.around) not in (1, 2):
             raise InputError(f"around is {self.around}; it must be a radius, or a width and a height")
         super().__post_init__()
-        if self.gap <= 0:
+        if self.matrix_width <= 0:
             argument = "radius" if self.is_round else "smaller half side"
             raise InputError(f"radius is {self.radius}; it must be less than the {argument} of the matrix")
         if self.is_grid and not self.is_round:
@@ -226,7 +226,7 @@ class Fibre(Shape):
         return len(self.around) == 1
 
     @property
-    def gap(self) -> float:
+    def matrix_width(self) -> float:
         """Least width of the matrix between the fibre and the outer boundary, a length."""
         return (self.around[0] if self.is_round else min(self.around) / 2) - self.radius
 
@@ -243,9 +243,9 @@ class Fibre(Shape):
         `limit` bounds the angle that a cell outside the fibre subtends at the origin, so that about 20 cells or more go
         round a circle.
         """
-        radius = repr(float(self.radius))
-        limit = f"{MAX_CELL_ANGLE!r} * ({radius} + abs(sqrt(x*x + y*y) - {radius}))"
-        return SizeRules(min(self.radius, self.gap), tau * self.radius, limit=limit)
+        radius_text = repr(float(self.radius))
+        limit = f"{MAX_CELL_ANGLE!r} * ({radius_text} + abs(sqrt(x*x + y*y) - {radius_text}))"
+        return SizeRules(min(self.radius, self.matrix_width), tau * self.radius, limit=limit)
 
     def draw(self) -> Drawing:
         """Draw fibre and matrix in the current gmsh model and return their entities, with cell sizes for a grid.
@@ -266,9 +266,9 @@ class Fibre(Shape):
             arc_h = min(h_S, MAX_CELL_ANGLE * self.radius)
             gradings = dict.fromkeys(chain.from_iterable(polar.arcs), Grading.of(self.radius * pi / 2, arc_h, arc_h))
             gradings |= dict.fromkeys(polar.spokes[0], Grading.of(self.radius - r_core, h_S, h_S))
-            gradings |= dict.fromkeys(polar.spokes[1], Grading.of(self.gap, h_S, h))
-        bodies, circles = {"FIBRE": fibre, "MATRIX": matrix}, ([0, 1], r_core)
-        return Drawing(bodies, {S: circle} | sides, fibre + matrix, gradings, polar_core=circles)
+            gradings |= dict.fromkeys(polar.spokes[1], Grading.of(self.matrix_width, h_S, h))
+        bodies, polar_core = {"FIBRE": fibre, "MATRIX": matrix}, ([0, 1], r_core)
+        return Drawing(bodies, {S: circle} | sides, fibre + matrix, gradings, polar_core=polar_core)
 
     def _draw_matrix(self, hole: Sequence[int]) -> tuple[dict[str, list[int]], list[int]]:
         """Draw the matrix as a rectangle about the origin with a hole, in the current gmsh model.

@@ -142,8 +142,8 @@ class MeshOptions(NamedTuple):
             require_width(argument, value, largest)
         smallest = MIN_SIZE_RATIO * largest
         for argument, size in {"h": self.h, "h_S": self.h_S, "h_ends": self.h_ends}.items():
-            allowed = size is None or (is_finite(size) and smallest <= size <= largest)
-            require(allowed, f"cell size {argument}", size, f"allowed: {smallest:g} to {largest:g}")
+            is_allowed = size is None or (is_finite(size) and smallest <= size <= largest)
+            require(is_allowed, f"cell size {argument}", size, f"allowed: {smallest:g} to {largest:g}")
         if self.cell is not None:
             require_known(f"cell in {dim}D", self.cell, CELL_TYPES_OF_DIM[dim])
         require(is_finite(self.degree) and self.degree in (1, 2), "degree", self.degree, "allowed: 1, 2 (curved cells)")

@@ -87,7 +87,7 @@ class Applicability:
         return None if can_shift else "on an S that is not across the axis of revolution, and so curved,"
 
     # ---------------------------------------------------------------- sides
-    def rim(self, *kinds: str) -> Rim:
+    def rim_of_kinds(self, *kinds: str) -> Rim:
         """Return the ridges (vertices in 2D, edges in 3D) where the seam ends and the layer's side is of given kinds.
 
         The side is the layer's own boundary at the end of S, between its two faces. `kinds` are words that say how
@@ -106,7 +106,7 @@ class Applicability:
 
         The side is the layer's own boundary at the end of S. An oblique direction is neither along S nor across it.
         """
-        return self.rim("free", "oblique")
+        return self.rim_of_kinds("free", "oblique")
 
     @cached_property
     def loose_rim(self) -> Rim:
@@ -115,7 +115,7 @@ class Applicability:
         The side is the layer's own boundary there. Loads on it act on the layer, and a pressure in the layer falls to
         zero.
         """
-        return self.rim("free", "antisymmetric", "oblique")
+        return self.rim_of_kinds("free", "antisymmetric", "oblique")
 
     @cached_property
     def uncorrected_rim(self) -> Rim:
@@ -137,7 +137,7 @@ class Applicability:
             return np.asarray(thin.eps * thickness_ratio / np.sqrt(inverse_squares))
 
     @property
-    def coarse_rim(self) -> BoolArray:
+    def coarse_mask(self) -> BoolArray:
         """Mask (n,) of the n ridges of `loose_rim` at which a cell of S is longer than the decay length of the pressure.
 
         The interface law does not set its pressure to zero at these ridges: the pressure would be too small over a
@@ -156,8 +156,8 @@ class Applicability:
         that of the pressure.
         """
         law, has_free_outward = self.layer.as_thin_layer.law, len(self.loose_rim.vertices) > 0
-        plane_stress = self.layer.structure.plane == "stress"  # no pressure builds up there
-        if isinstance(law, LinearElastic) and not (plane_stress or law.fields) and law.lmbda > 0:
+        is_plane_stress = self.layer.structure.plane == "stress"  # no pressure builds up there
+        if isinstance(law, LinearElastic) and not (is_plane_stress or law.fields) and law.lmbda > 0:
             corrects_ends = has_free_outward and poisson_ratio(law) <= MAX_FREE_END_NU + MODULUS_RATIO_TOLERANCE
             law = law if corrects_ends else Rubber(law.lmbda, law.mu)
         return replace(self.layer.as_thin_layer, law=law, order=1)
@@ -293,8 +293,8 @@ def _support_conditions(r: Applicability) -> Iterator[Violation]:
     The side is the layer's own boundary at an end of S. Such a support has a name of the kind "NAME/LAYER": the part of
     the facet set NAME on this side.
     """
-    sheet, only_layer_held = r.layer.sheet, held_projectors(r.layer) - held_projectors(r.layer, of_layer=False)
-    if len(ridges := sheet.rim.vertices[np.abs(only_layer_held).max(axis=(1, 2)) > FLAT_SQUARED_COSINE]):
+    sheet, layer_projectors = r.layer.sheet, held_projectors(r.layer) - held_projectors(r.layer, of_layer=False)
+    if len(ridges := sheet.rim.vertices[np.abs(layer_projectors).max(axis=(1, 2)) > FLAT_SQUARED_COSINE]):
         reason = f"a support holds the side of {r.layer} alone, at {place_text(sheet.joint.points[ridges[0, 0]])}"
         yield Violation("held alone", reason, "support the bodies too, or mesh the layer")
 
@@ -325,19 +325,19 @@ def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
         if R < MIN_RADIUS_RATIO * (1 - MODULUS_RATIO_TOLERANCE):
             yield Violation("radius", f"free ends have a radius of {R:.3g} thicknesses; allowed: {MIN_RADIUS_RATIO:g}")
     if r.strips is None:
-        known_laws = f"LinearElastic with nu from 0 to {MAX_FREE_END_NU:g}, Rubber and Incompressible, by numbers"
-        yield Violation("no constants", f"free ends are not known of this {r.layer.law_name}: they are of {known_laws}")
+        known_text = f"LinearElastic with nu from 0 to {MAX_FREE_END_NU:g}, Rubber and Incompressible, by numbers"
+        yield Violation("no constants", f"free ends are not known of this {r.layer.law_name}: they are of {known_text}")
         return
     yield from _straight_end_conditions(r, r.E_over_mu)
-    if r.layer.has_pressure_flow and r.coarse_rim.any():
-        at, decay = place_text(joint.points[r.loose_rim[r.coarse_rim].vertices[0, 0]]), r.decay_lengths.min()
+    if r.layer.has_pressure_flow and r.coarse_mask.any():
+        at, decay = place_text(joint.points[r.loose_rim[r.coarse_mask].vertices[0, 0]]), r.decay_lengths.min()
         reason = f"cells at free ends must not be longer than the fall of the pressure there, {decay:.3g}, as at {at}"
         yield Violation("coarse", reason, "make them shorter (h_ends=...)")
-    if r.relative_width < r.strips.longest:
+    if r.relative_width < r.strips.max_length:
         reason = f"its area over the length of free ends is {r.relative_width:.3g} thicknesses"
-        yield Violation("short", f"S is short: {reason}; allowed: {r.strips.longest:.3g}")
-    if r.unchecked_weights.overlap:
-        yield Violation("overlap", f"strips of {r.strips.longest * thin.eps:.3g} along free ends lie on one another")
+        yield Violation("short", f"S is short: {reason}; allowed: {r.strips.max_length:.3g}")
+    if r.unchecked_weights.strips_overlap:
+        yield Violation("overlap", f"strips of {r.strips.max_length * thin.eps:.3g} along free ends lie on one another")
 
 
 def _straight_end_conditions(r: Applicability, E_over_mu: float) -> Iterator[Violation]:
@@ -349,7 +349,7 @@ def _straight_end_conditions(r: Applicability, E_over_mu: float) -> Iterator[Vio
     sheet = r.layer.sheet
     if r.bend_text:
         yield Violation("bent", f"free ends are not known of a layer {r.bend_text}")
-    for ridge in r.rim("oblique").vertices[:1]:
+    for ridge in r.rim_of_kinds("oblique").vertices[:1]:
         at = place_text(sheet.joint.points[ridge[0]])
         yield Violation("oblique", f"something holds the layer's side at {at} neither along S nor across it")
     if E_over_mu < MIN_STIFFNESS_CONTRAST * (1 - MODULUS_RATIO_TOLERANCE):
@@ -440,8 +440,8 @@ def _corner_conditions(r: Applicability) -> Iterator[Violation]:
     if not r.layer.law.traits.linear:
         yield Violation("not linear", f"exponents are known of linear laws, not of {r.layer.law_name}")
     sublayers, n = r.law.sublayers, r.layer.sheet.mean_normal
-    outer = [] if r.law.fields else [declared_or_computed_tangent(law, n) for _, law in (sublayers[0], sublayers[-1])]
-    shear_moduli = [average_lame(C)[1] for C in outer if C is not None and is_isotropic(C)]
+    outer_C = [] if r.law.fields else [declared_or_computed_tangent(law, n) for _, law in (sublayers[0], sublayers[-1])]
+    shear_moduli = [average_lame(C)[1] for C in outer_C if C is not None and is_isotropic(C)]
     if len(shear_moduli) < 2:
         yield Violation("not isotropic", "exponents are known of isotropic layers, by numbers")
         return

@@ -68,7 +68,7 @@ def require_normal_shifts(kinematics: Kinematics, joint: Joint) -> None:
 
 
 def boundary_tags(
-    domain: Domain, kinematics: Kinematics, name: str, what: str, *, inside: bool = False, side: bool = False
+    domain: Domain, kinematics: Kinematics, name: str, what: str, *, inside: bool = False, layer_side: bool = False
 ) -> tuple[int, ...]:
     """Return the tags, in `domain.facet_tags`, of a named facet set on the outer boundary.
 
@@ -78,8 +78,8 @@ def boundary_tags(
         name: name of the facet set as the user wrote it.
         what: first words of error messages.
         inside: whether facets inside the bodies or on the axis of revolution are allowed too; facets on S never are.
-        side: whether "NAME/LAYER", the part of the facet set NAME on the meshed layer's own side, is allowed also where
-            the layer is not meshed. This part has no facets then, and the result is ().
+        layer_side: whether "NAME/LAYER", the part of the facet set NAME on the meshed layer's own side, is allowed also
+            where the layer is not meshed. This part has no facets then, and the result is ().
 
     Raises:
         InputError: no facet set has this name, it has no facets, or its facets are not allowed here.
@@ -96,7 +96,7 @@ def boundary_tags(
     if not inside and facets is not None and len(facets) and nodes_on_axis(kinematics, joint)[facets].all():
         raise InputError(f"{what}: these facets are the axis of revolution, which is not a boundary")
     require_known("facet set", name, domain.set_tags, what)
-    if not domain.values(name) and not (side and facet_name.part_name == LAYER):
+    if not domain.values(name) and not (layer_side and facet_name.part_name == LAYER):
         why = ", as the layer is a surface here: mesh it (structure.full)" * (facet_name.part_name == LAYER)
         raise InputError(f"{what}: this facet set is empty{why}")
     return domain.values(name)
@@ -144,7 +144,7 @@ def node_normals(domain: Domain, V: fem.FunctionSpace, place: str) -> tuple[IntA
     jacobian = fem.Expression(ufl.Jacobian(mesh), points)
     J = jacobian.eval(mesh, cells).reshape(len(cells), len(points), d, d) if len(cells) else np.empty((0, 1, d, d))
     outward, facet_corners = basix.cell.facet_outward_normals(cell_type), basix.topology(cell_type)[d - 1]
-    blocks, normals = [np.empty(0, np.int64)], [np.empty((0, d))]
+    node_lists, normals = [np.empty(0, np.int64)], [np.empty((0, d))]
     for facet in range(len(facet_corners)):
         rows = np.flatnonzero(in_cell == facet)
         nodes = np.array(layout.entity_closure_dofs(d - 1, facet))
@@ -154,9 +154,9 @@ def node_normals(domain: Domain, V: fem.FunctionSpace, place: str) -> tuple[IntA
         x = mesh.geometry.x[cell_nodes(mesh)[cells[rows]][:, facet_corners[facet]]]
         for k, corner in enumerate(facet_corners[facet]):
             n[:, nodes == layout.entity_dofs(0, corner)[0]] *= _corner_weights(x, k)[:, None, None]
-        blocks.append(np.asarray(V.dofmap.list)[cells[rows]][:, nodes].ravel().astype(np.int64))
+        node_lists.append(np.asarray(V.dofmap.list)[cells[rows]][:, nodes].ravel().astype(np.int64))
         normals.append(n.reshape(-1, d))
-    return _send_to_owners(domain, V, np.concatenate(blocks), np.concatenate(normals))
+    return _send_to_owners(domain, V, np.concatenate(node_lists), np.concatenate(normals))
 
 
 def side_normals(joint: Joint, name: str, ridges: IntArray) -> Array:
@@ -172,9 +172,9 @@ def side_normals(joint: Joint, name: str, ridges: IntArray) -> Array:
     """
     facets, cell_type = joint.facets[name], {2: "triangle", 3: "tetrahedron"}[joint.dim]
     cells = joint.table.cells[joint.table.index(facets), 0]
-    inward = joint.points[joint.corners[cells]].mean(axis=1) - joint.points[facets].mean(axis=1)
+    to_cells = joint.points[joint.corners[cells]].mean(axis=1) - joint.points[facets].mean(axis=1)
     normals = facet_normals(joint.points, facets[:, : joint.dim], cell_type)[:, 0]
-    normals *= -np.sign((normals * inward).sum(axis=1))[:, None]
+    normals *= -np.sign((normals * to_cells).sum(axis=1))[:, None]
     out = np.full((len(ridges), joint.dim), np.nan)
     for k, ridge in enumerate(ridges):
         normal_sum = normals[np.isin(facets, ridge).sum(axis=1) == len(np.unique(ridge))].sum(axis=0)
@@ -201,14 +201,14 @@ def _continued_normals(domain: Domain, place: str, facets: Indices) -> Array:
     out = np.full((len(facets), joint.dim), np.nan)
     if band is None or name not in band.drawn_joint.facets or not len(facets):
         return out
-    numbers = domain.numbers(joint.dim - 1, facets)
-    region_names = np.array(joint.regions)[joint.region[joint.table.cells[numbers, 0]]]
-    on_layer_side = np.flatnonzero(np.isin(region_names, band.regions))
-    _, base_vertices = cKDTree(band.drawn_joint.points).query(
-        band.reference[joint.table.vertices[numbers[on_layer_side]]]
+    facet_numbers = domain.numbers(joint.dim - 1, facets)
+    region_names = np.array(joint.regions)[joint.region[joint.table.cells[facet_numbers, 0]]]
+    side_indices = np.flatnonzero(np.isin(region_names, band.regions))
+    _, drawn_vertices = cKDTree(band.drawn_joint.points).query(
+        band.reference[joint.table.vertices[facet_numbers[side_indices]]]
     )
-    ridges, ridge_index = np.unique(np.sort(base_vertices, axis=1), axis=0, return_inverse=True)
-    out[on_layer_side] = side_normals(band.drawn_joint, name, ridges)[ridge_index.ravel()]
+    ridges, ridge_indices = np.unique(np.sort(drawn_vertices, axis=1), axis=0, return_inverse=True)
+    out[side_indices] = side_normals(band.drawn_joint, name, ridges)[ridge_indices.ravel()]
     return out
 
 
@@ -244,7 +244,7 @@ def _send_to_owners(domain: Domain, V: fem.FunctionSpace, nodes: IntArray, rows:
     return received[:, 0].astype(np.int64) - imap.local_range[0], received[:, 1:]
 
 
-def smooth_surfaces(normals: Array) -> tuple[IntArray, Array]:
+def group_facets(normals: Array) -> tuple[IntArray, Array]:
     """Group n facets around a node into smooth surfaces.
 
     Facets whose normals differ by less than `CORNER_ANGLE_DEGREES` belong to one surface. Different surfaces meet in a
@@ -257,9 +257,9 @@ def smooth_surfaces(normals: Array) -> tuple[IntArray, Array]:
         Number (n,) of each facet's surface, from 0, and unit mean normals (k, d) of the k surfaces.
     """
     unit_normals = normals / np.linalg.norm(normals, axis=1)[:, None]
-    facet, other_facet = np.nonzero(unit_normals @ unit_normals.T > np.cos(np.deg2rad(CORNER_ANGLE_DEGREES)))
-    _, surface_number = np.unique(components(facet, other_facet, len(unit_normals)), return_inverse=True)
-    mean_normals = sum_by_number(surface_number.ravel(), normals, surface_number.max() + 1)
+    facets, other_facets = np.nonzero(unit_normals @ unit_normals.T > np.cos(np.deg2rad(CORNER_ANGLE_DEGREES)))
+    _, surface_numbers = np.unique(components(facets, other_facets, len(unit_normals)), return_inverse=True)
+    mean_normals = sum_by_number(surface_numbers.ravel(), normals, surface_numbers.max() + 1)
     mean_normals /= np.linalg.norm(mean_normals, axis=1)[:, None]
     mean_normals[np.abs(mean_normals) < NORMAL_COMPONENT_TOLERANCE] = 0.0
-    return surface_number.ravel().astype(np.int64), mean_normals / np.linalg.norm(mean_normals, axis=1)[:, None]
+    return surface_numbers.ravel().astype(np.int64), mean_normals / np.linalg.norm(mean_normals, axis=1)[:, None]

@@ -91,9 +91,9 @@ class BrokenMesh:
         rules = dict(S) if isinstance(S, Mapping) else dict.fromkeys([S] if isinstance(S, int) else S)
         create_connectivity(mesh, self._dim - 1)
         self._exterior = np.asarray(dolfinx.mesh.exterior_facet_indices(mesh.topology))
-        self._tag_of = self._body_tags_of_cells()
+        self._body_of = self._body_tags_of_cells()
         self._check_facets_of_S(np.concatenate([np.empty(0, np.int32), *(self._owned_facets(tag) for tag in rules)]))
-        self._entities: dict[int, Indices] = {}
+        self._facet_sides: dict[int, Indices] = {}
         for tag, upper_rule in rules.items():
             facets = self._owned_facets(tag)
             counts = len(facets), int(np.isin(facets, self._exterior).sum())
@@ -104,9 +104,9 @@ class BrokenMesh:
             if outer not in (0, n_facets):
                 raise InputError(f"S: {outer} of {n_facets} facets with tag {tag} lie on the boundary; all or none may")
             if not outer:
-                self._entities[tag] = self._oriented_facets(tag, facets, upper_rule)
-        self._base_tags = rules.keys() - self._entities.keys()
-        data = [(tag, rows.ravel()) for tag, rows in sorted(self._entities.items())]  # DOLFINx loses unsorted tags
+                self._facet_sides[tag] = self._oriented_facets(tag, facets, upper_rule)
+        self._base_tags = rules.keys() - self._facet_sides.keys()
+        data = [(tag, rows.ravel()) for tag, rows in sorted(self._facet_sides.items())]  # DOLFINx loses unsorted tags
         self.dS = ufl.Measure("dS", domain=mesh, subdomain_data=data)
         self._tags_of_S = tuple(rules)
 
@@ -130,8 +130,8 @@ class BrokenMesh:
         if isinstance(element, tuple):
             family, degree, *shape = element
             element = basix.ufl.element(family, self.mesh.basix_cell(), degree, shape=shape[0] if shape else None)
-        distinct_tags = np.unique(np.concatenate(self.comm.allgather(np.unique(self._tag_of))))
-        body_index = np.searchsorted(distinct_tags, self._tag_of)
+        distinct_tags = np.unique(np.concatenate(self.comm.allgather(np.unique(self._body_of))))
+        body_index = np.searchsorted(distinct_tags, self._body_of)
         n_entities = partial(cpp.mesh.cell_num_entities, self.mesh.topology.cell_type)
         components = [np.tile(body_index, (n_entities(dim), 1)).T for dim in range(self._dim)]
         return broken_space(self.comm, SharedDofs.of_components(self.comm, self.mesh, element, components))
@@ -201,7 +201,7 @@ class BrokenMesh:
         require(suitable, "V", V, f"{allowed} of this mesh, or but for tetrahedra of degree 2")
         facets = self._owned_facets(tag)
         on_base = tag in self._base_tags
-        upper, lower = (cells_of_facets(self.mesh, facets)[0], None) if on_base else self._entities[tag][:, [0, 2]].T
+        upper, lower = (cells_of_facets(self.mesh, facets)[0], None) if on_base else self._facet_sides[tag][:, [0, 2]].T
         return ContactSurface(V, self.comm, facets, upper, lower, kinematics=self.kinematics)
 
     def _require_tag(self, tag: int) -> None:
@@ -273,7 +273,7 @@ class BrokenMesh:
             raise InputError(f"the mesh has no ghost cells across {n_without_ghosts} facets between ranks; {remedy}")
         entities, to_facets = interior_facet_entities(self.mesh, inner), topology.connectivity(self._dim, self._dim - 1)
         facets = to_facets.array[to_facets.offsets[entities[:, 0]] + entities[:, 1]]
-        border = self._tag_of[entities[:, 0]] != self._tag_of[entities[:, 2]]
+        border = self._body_of[entities[:, 0]] != self._body_of[entities[:, 2]]
         cut = np.isin(facets, facets_of_S)
         self._refuse(facets[border & ~cut], "where two bodies meet are not in S: tag them, or give both one value")
         self._refuse(facets[cut & ~border], "of S lie inside a body: give the bodies on its two sides different values")
@@ -298,9 +298,9 @@ class BrokenMesh:
         entities = interior_facet_entities(self.mesh, facets)
         first_cells, second_cells = entities[:, 0], entities[:, 2]
         if upper is None:
-            is_swapped = self._tag_of[first_cells] < self._tag_of[second_cells]
+            is_swapped = self._body_of[first_cells] < self._body_of[second_cells]
         elif isinstance(upper, int | np.integer | set | frozenset):
-            in_upper_bodies = np.isin(self._tag_of, list(upper) if isinstance(upper, set | frozenset) else [upper])
+            in_upper_bodies = np.isin(self._body_of, list(upper) if isinstance(upper, set | frozenset) else [upper])
             text = f"with tag {tag} do not have one side in {upper} and the other outside"
             self._refuse(facets[in_upper_bodies[first_cells] == in_upper_bodies[second_cells]], text)
             is_swapped = in_upper_bodies[second_cells]

@@ -58,7 +58,7 @@ class Coordinates(FormerNames):
         mesh: the mesh.
         x: (d,) UFL coordinates in d dimensions.
         clock: clock of the model, which holds the time.
-        places: (n, d) coordinates of n vertices of the joint where functions are tested, extreme ones among them.
+        test_places: (n, d) coordinates of n vertices of the joint, extreme ones among them, where functions are tested.
         cache: coefficients made so far.
         planned_kinks: list with one set of times at which coefficients change their slope, as last read by a march. It
             is empty before the first march.
@@ -68,7 +68,7 @@ class Coordinates(FormerNames):
     mesh: Mesh
     x: Expr
     clock: Clock
-    places: Array
+    test_places: Array
     cache: dict[tuple[object, ...], Coefficient] = field(default_factory=dict, repr=False, compare=False)
     planned_kinks: list[set[float]] = field(default_factory=list, repr=False, compare=False)
 
@@ -80,9 +80,9 @@ class Coordinates(FormerNames):
         """
         mesh, band = domain.mesh, domain.joint.band
         x, points = ufl.SpatialCoordinate(mesh), (band.drawn_joint if band else domain.joint).points
-        sample_points = {0, *(int(k) for c in points.T for k in (c.argmin(), c.argmax(), np.abs(c).argmin()))}
+        sample_indices = {0, *(int(k) for c in points.T for k in (c.argmin(), c.argmax(), np.abs(c).argmin()))}
         is_kept = band is not None and band.bodies != "extended"
-        return cls(mesh, x - inflation_motion(domain) if is_kept else x, Clock(mesh), points[sorted(sample_points)])
+        return cls(mesh, x - inflation_motion(domain) if is_kept else x, Clock(mesh), points[sorted(sample_indices)])
 
     @property
     def t(self) -> TimeConstant:
@@ -90,8 +90,8 @@ class Coordinates(FormerNames):
         return self.clock.symbol
 
     @property
-    def with_own_breaks(self) -> Self:
-        """Copy for loads and supports that may be replaced later; it shares the clock but has its own break times."""
+    def with_own_kinks(self) -> Self:
+        """Copy for loads and supports that may be replaced later; it shares the clock but has its own `kinks`."""
         return changed(self, cache={}, planned_kinks=[])
 
     def with_place(self, x: Expr) -> Self:
@@ -168,7 +168,7 @@ class Coefficient:
 
     def __init__(self, value: object, what: str, shapes: Sequence[Shape], at: Coordinates, *, place_only: bool) -> None:
         self.value, self.what, self._shapes, self._place_only = value, what, shapes, place_only
-        self.at = at.with_own_breaks  # does not refer to this object: both are freed with their model
+        self.at = at.with_own_kinks  # does not refer to this object: both are freed with their model
         is_function = callable(value) and not isinstance(value, ufl.core.expr.Expr)
         self.components = self._interpolate_foreign(self._function_components() if is_function else self._read(value))
         self.varies = is_function or any(isinstance(c, ufl.core.expr.Expr) for c in self.components.flat)
@@ -270,19 +270,19 @@ class Coefficient:
     def _compare(self, components: ComponentArray) -> None:
         """Raise InputError if the user's function gives other values for plain numbers than for symbols.
 
-        `components` are its components for symbols. They are evaluated at the places `at.places` and some times.
+        `components` are its components for symbols. They are evaluated at the places `at.test_places` and some times.
         """
         if any(map(_functions_in, components.flat)):
             return
-        places, (first_time, *later_times) = self.at.places, COMPARISON_TIMES
+        places, (first_time, *later_times) = self.at.test_places, COMPARISON_TIMES
         for place, t in [*product(places, [first_time]), *product(places[:1], later_times)]:
             try:
                 by_numbers = self._read(self._call(ufl.as_vector([*map(float, place)]), ufl.as_ufl(t)))
             except Exception:  # the function accepts symbols only, as with ufl.grad
                 continue
             a, b = (np.array([evaluate_component(c, t, place) for c in some.flat]) for some in (components, by_numbers))
-            comparable = a.shape == b.shape and np.isfinite([a, b]).all()
-            if comparable and np.abs(a - b).max() > SYMBOL_VALUE_TOLERANCE * np.abs([a, b]).max():
+            is_comparable = a.shape == b.shape and np.isfinite([a, b]).all()
+            if is_comparable and np.abs(a - b).max() > SYMBOL_VALUE_TOLERANCE * np.abs([a, b]).max():
                 text = f"{a.tolist()} for symbols and {b.tolist()} for numbers, as functions with ==, != and `in` do"
                 raise self._function_error(f"at {at_place(place)}, t = {t:g} it gives {text}")
 

@@ -17,7 +17,7 @@ from forms.base import Array, InputError
 from geometry.refusals import place_text as at_place
 from geometry.topology import IntArray, sum_by_number
 from thinlayer.discretisation.supports import RELATIVE_LENGTH_TOLERANCE, SupportConditions
-from thinlayer.errors import getattr_with_former_names
+from thinlayer.errors import make_module_getattr
 from thinlayer.system.ranks import destroy
 
 CsrMatrix: TypeAlias = scipy.sparse.csr_matrix
@@ -143,9 +143,9 @@ class Constraints:
         Raises:
             InputError: two multi-point constraints have a common slave.
         """
-        rows = [np.flatnonzero(np.diff(mpc.R.indptr)) for mpc in self.mpcs]
-        slaves, counts = np.unique(np.concatenate([np.empty(0, np.int64), *rows]), return_counts=True)
-        names = [mpc.key for mpc, its in zip(self.mpcs, rows, strict=True) if np.isin(its, slaves[counts > 1]).any()]
+        by_mpc = [np.flatnonzero(np.diff(mpc.R.indptr)) for mpc in self.mpcs]
+        slaves, counts = np.unique(np.concatenate([np.empty(0, np.int64), *by_mpc]), return_counts=True)
+        names = [mpc.key for mpc, its in zip(self.mpcs, by_mpc, strict=True) if np.isin(its, slaves[counts > 1]).any()]
         if conflicts := [keys for keys in self.comm.allgather(names) if keys]:
             raise InputError(f"{' and '.join(conflicts[0])} share a node: their motions would not be independent")
         return slaves
@@ -214,7 +214,7 @@ class Constraints:
             forces: (r,) forces of this rank's r conditions, see `support_forces`.
             motions: function of local numbers (n,) of displacements that returns their values (n, k) in the k motions.
         """
-        works = forces[:, None] * self._condition_components(motions)
+        works = forces[:, None] * self._values_along_conditions(motions)
         return sum_by_number(self.prescribed.entry, works, len(self.prescribed.supports.entries) + 1)[:-1]
 
     def _condition_values(self, t: float) -> Array:
@@ -238,9 +238,9 @@ class Constraints:
         is_single[is_single] = ~np.isin(A.indices[A.indptr[:-1][is_single]], np.concatenate(shared_by_rank))
         self._single_rows, self._grouped_rows = np.flatnonzero(is_single), np.flatnonzero(~is_single & (counts > 0))
         starts = A.indptr[self._single_rows]
-        self._columns, self._single_coefficients = A.indices[starts] - self.row_start, A.data[starts]
+        self._single_dofs, self._single_coefficients = A.indices[starts] - self.row_start, A.data[starts]
         self._groups = _group_rows(scipy.sparse.vstack(self.comm.allgather(A[self._grouped_rows]), format="csr"))
-        fixed = np.concatenate([self._columns, *(self._select_owned(g.columns[: g.rank])[1] for g in self._groups)])
+        fixed = np.concatenate([self._single_dofs, *(self._select_owned(g.columns[: g.rank])[1] for g in self._groups)])
         self.bc_dofs = np.union1d(fixed, np.setdiff1d(self.slaves, self._all_masters - self.row_start)).astype(np.int32)
 
     def _basis_matrix(self) -> PETSc.Mat | None:
@@ -285,7 +285,7 @@ class Constraints:
             raise InputError(f"a prescribed displacement is not finite at t = {t:g}")
         self._require_agreement(c, when=f" at t = {t:g}")
         y = np.zeros(self.n)
-        y[self._columns] = c[self._single_rows] / self._single_coefficients
+        y[self._single_dofs] = c[self._single_rows] / self._single_coefficients
         for group, values in self._values_by_group(c):
             self._set_entries(y, group.columns[: group.rank], group.pseudo_inverse @ values)
         return y[self.bc_dofs]
@@ -315,11 +315,11 @@ class Constraints:
 
         `when` are words with the time, which end the message.
         """
-        residual = self._ungroup([group.residual(values) for group, values in self._values_by_group(c)])
+        residuals = self._ungroup([group.residual(values) for group, values in self._values_by_group(c)])
         largest = self.comm.allreduce(float(np.abs(c).max(initial=0.0)), max)
         limit, message = max(AGREEMENT_TOLERANCE * largest, RELATIVE_LENGTH_TOLERANCE * self.prescribed.extent), ""
-        if residual.max(initial=0.0) > limit:
-            message = self._contradiction_text(int(residual.argmax()), c) + when
+        if residuals.max(initial=0.0) > limit:
+            message = self._contradiction_text(int(residuals.argmax()), c) + when
         if messages := [text for text in self.comm.allgather(message) if text]:
             raise InputError(f"{messages[0]}; where supports overlap, their values must agree")
 
@@ -403,48 +403,48 @@ class Constraints:
         indices, local_numbers = self._select_owned(columns)
         forces = np.zeros(len(columns))
         forces[indices] = f[local_numbers]
-        parts = np.split(self.comm.allreduce(forces), np.cumsum([len(group.columns) for group in self._groups]))
-        out = self._ungroup([group.force_map @ part for group, part in zip(self._groups, parts, strict=False)])
-        out[self._single_rows] = f[self._columns] / self._single_coefficients
+        by_group = np.split(self.comm.allreduce(forces), np.cumsum([len(group.columns) for group in self._groups]))
+        out = self._ungroup([group.force_map @ part for group, part in zip(self._groups, by_group, strict=False)])
+        out[self._single_rows] = f[self._single_dofs] / self._single_coefficients
         return out[: len(self.prescribed.entry)]
 
-    def _translation_motions(self, holders: Sequence[int], direction: Array) -> dict[str, Array]:
+    def _translation_motions(self, indices: Sequence[int], direction: Array) -> dict[str, Array]:
         """Return the motions (m,) of each multi-point constraint, by key, in a unit translation along `direction` (d,).
 
-        They are zero for constraints that are not in `holders`. These are indices that count all supports first, and
+        They are zero for constraints that are not in `indices`. These are indices that count all supports first, and
         then the multi-point constraints.
         """
         n_supports, shift = len(self.prescribed.supports.entries), np.tile(direction, self.n // self.d)
-        return {mpc.key: self.fit_motions(mpc, shift) * (n_supports + k in holders) for k, mpc in enumerate(self.mpcs)}
+        return {mpc.key: self.fit_motions(mpc, shift) * (n_supports + k in indices) for k, mpc in enumerate(self.mpcs)}
 
-    def prescribed_resultant(self, holders: Sequence[int], direction: Array, t: float) -> float:
+    def prescribed_resultant(self, indices: Sequence[int], direction: Array, t: float) -> float:
         """Return the component along a direction of the prescribed forces on chosen multi-point constraints.
 
         Args:
-            holders: chosen indices of `Model.held_places`: supports come first and the constraints follow. Supports
+            indices: chosen indices of `Model.held_places`: supports come first and the constraints follow. Supports
                 have no prescribed forces and add nothing.
             direction: (d,) unit vector of the direction.
             t: the time of the forces.
         """
-        motions = self._translation_motions(holders, direction)
+        motions = self._translation_motions(indices, direction)
         return float(sum(motions[mpc.key] @ mpc.resultant(t) for mpc in self.mpcs))
 
-    def resultant_weights(self, holders: Sequence[int], direction: Array) -> Array:
+    def resultant_weights(self, indices: Sequence[int], direction: Array) -> Array:
         """Return weights g (n,) of forces on the unknowns that give the reaction of chosen supports along a direction.
 
         For nodal forces r on the displacements the reaction is g . T^T r plus `prescribed_resultant`.
 
         Args:
-            holders: chosen indices of `Model.held_places`: supports come first and multi-point constraints follow.
+            indices: chosen indices of `Model.held_places`: supports come first and multi-point constraints follow.
             direction: (d,) unit vector of the direction.
         """
-        prescribed, motions = self.prescribed, self._translation_motions(holders, direction)
-        along = np.isin(prescribed.entry, holders) * (prescribed.directions @ direction)
+        prescribed, motions = self.prescribed, self._translation_motions(indices, direction)
+        along = np.isin(prescribed.entry, indices) * (prescribed.directions @ direction)
         along = np.append(along, [motions[mpc.key][k] for mpc, k, _ in self._motions])
         g = np.zeros(self.n)
         for mpc in self.mpcs:  # motions that are not prescribed: the forces that balance their resultants
             self._set_entries(g, self.masters[mpc.key], motions[mpc.key])
-        g[self._columns] = along[self._single_rows] / self._single_coefficients
+        g[self._single_dofs] = along[self._single_rows] / self._single_coefficients
         for group, values in self._values_by_group(along):
             self._set_entries(g, group.columns, group.force_map.T @ values)
         return self._multiply(self.Q, g, transposed=True)
@@ -489,13 +489,13 @@ class Constraints:
             motions: function of local numbers (n,) of displacements that returns their values (n, c) in the c motions.
         """
         if self._T0 is None:
-            rows = self._condition_components(motions)
+            rows = self._values_along_conditions(motions)
             return np.asarray(self.comm.allreduce(rows.T @ rows))
         values = motions(np.arange(self.n))
         c, gram = values.shape[1], self.project_motions(scipy.sparse.csr_matrix(values))[1].toarray()
         return np.asarray(gram[:c, :c] - gram[:c, c:] @ np.linalg.pinv(gram[c:, c:]) @ gram[c:, :c])
 
-    def _condition_components(self, motions: Callable[[IntArray], Array]) -> Array:
+    def _values_along_conditions(self, motions: Callable[[IntArray], Array]) -> Array:
         """Return the displacements (r, k) in k motions along the directions of this rank's r support conditions.
 
         Args:
@@ -574,4 +574,4 @@ def local_csr(A: PETSc.Mat) -> CsrMatrix:
     return scipy.sparse.csr_matrix((entries, columns, indptr), (A.getLocalSize()[0], A.getSize()[1]))
 
 
-__getattr__ = getattr_with_former_names(__name__, {"Tied": MultiPointConstraint})
+__getattr__ = make_module_getattr(__name__, {"Tied": MultiPointConstraint})

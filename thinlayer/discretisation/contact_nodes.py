@@ -39,11 +39,11 @@ def body_pairs(joint: Joint, seam: str, node_ids: IntArray) -> tuple[IntArray, I
         Two arrays (m,) with an entry for each node and vertex: the index of the node, and the number of the pair of
         bodies at the vertex.
     """
-    in_seam = joint.seam_numbers == list(joint.seams).index(seam)
-    facet_numbers, pair_numbers = joint.surface_rows[in_seam], joint.pairs[in_seam]
+    is_in_seam = joint.seam_numbers == list(joint.seams).index(seam)
+    facet_numbers, pair_numbers = joint.surface_rows[is_in_seam], joint.pairs[is_in_seam]
     k = pair_numbers.shape[1]
-    node, corner = np.nonzero((node_ids[:, None] >> np.arange(k)) & 1)
-    return node, np.asarray(pair_numbers[np.searchsorted(facet_numbers, node_ids[node] >> k), corner])
+    node_indices, corners = np.nonzero((node_ids[:, None] >> np.arange(k)) & 1)
+    return node_indices, np.asarray(pair_numbers[np.searchsorted(facet_numbers, node_ids[node_indices] >> k), corners])
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +54,8 @@ class ContactSurface:
         V: displacement space, broken across S, with elements P1, Q1, Q2 or, in 2D, P2.
         comm: communicator for messages.
         facets: (n,) local numbers of the facets, ascending.
-        upper: (n,) local number of the cell on the upper side of each facet.
-        lower: (n,) local number of the cell on the lower side; None on a rigid base.
+        upper_cells: (n,) local number of the cell on the upper side of each facet.
+        lower_cells: (n,) local number of the cell on the lower side; None on a rigid base.
         facet_numbers: (n,) numbers of the facets in the joint, for files; empty without a joint.
         kinematics: kinematics of the mesh, for areas.
     """
@@ -63,8 +63,8 @@ class ContactSurface:
     V: fem.FunctionSpace
     comm: MPI.Intracomm
     facets: Indices
-    upper: Indices
-    lower: Indices | None
+    upper_cells: Indices
+    lower_cells: Indices | None
     facet_numbers: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     kinematics: Kinematics = PLANE_STRAIN
 
@@ -110,12 +110,12 @@ class NodePairs:
     @staticmethod
     def join_seams(by_seam: Sequence[NodePairs]) -> NodePairs:
         """Return the nodes of several seams as one object, in the order of `by_seam`."""
-        surface = next((nodes.surface for nodes in by_seam if nodes.surface.lower is not None), by_seam[0].surface)
+        surface = next((s.surface for s in by_seam if s.surface.lower_cells is not None), by_seam[0].surface)
         arrays = ((s.upper, s.lower_nodes, s.x, s.weights, s.frames, s.gap) for s in by_seam)
         return NodePairs(surface, *map(np.concatenate, zip(*arrays, strict=True)))
 
     @property
-    def pairs(self) -> IntArray:
+    def global_pairs(self) -> IntArray:
         """Global numbers (n, 2) of the nodes of V on the upper and on the lower side of S.
 
         On a rigid base -1 stands for the lower node.
@@ -148,7 +148,7 @@ class NodePairs:
     @cached_property
     def lower_matrix(self) -> PETSc.Mat | None:
         """Matrix (n d, N) from all N displacements to those of the n lower nodes; None on a rigid base."""
-        if self.surface.lower is None:
+        if self.surface.lower_cells is None:
             return None
         n, d, has_lower = len(self.upper), self.dim, self.lower_nodes >= 0
         columns = (self.lower_nodes[has_lower, None] * d + np.arange(d)).ravel().astype(PETSc.IntType)
@@ -201,7 +201,7 @@ class NodePairs:
         `tangent` (n, d, d) has the derivatives of the tractions by the jumps, both along the nodes' local axes.
         """
         d, n_local = self.dim, self._n_owned_nodes * self.dim
-        nodes = self.pairs[:, :1] if self.lower_matrix is None else self.pairs
+        nodes = self.global_pairs[:, :1] if self.lower_matrix is None else self.global_pairs
         dofs = (nodes[:, :, None] * d + np.arange(d)).reshape(-1, nodes.shape[1] * d).astype(PETSc.IntType)
         signs = np.array([1.0, -1.0])[: nodes.shape[1]].repeat(d)
         blocks = np.einsum("n,nki,nkl,nlj->nij", self.weights, self.frames, tangent, self.frames)
@@ -271,12 +271,12 @@ class ContactNodes(NodePairs):
         fixed_vector.destroy()
 
     @property
-    def adjacent(self) -> IntArray:
+    def links(self) -> IntArray:
         """Pairs of this rank's nodes that are neighbours along S, as indices (m, 2); empty in three dimensions."""
-        node_id, node = self._ids_of_facet_nodes
-        position = np.array([0, 0, 2, 1])[node_id & 3]  # first end, second end, middle
-        order = np.lexsort((position, node_id >> 2))[: len(node_id) if self.dim == 2 else 0]
-        return node[order][np.flatnonzero(np.diff(node_id[order] >> 2) == 0)[:, None] + [0, 1]]
+        node_ids, nodes = self._ids_of_facet_nodes
+        positions = np.array([0, 0, 2, 1])[node_ids & 3]  # first end, second end, middle
+        order = np.lexsort((positions, node_ids >> 2))[: len(node_ids) if self.dim == 2 else 0]
+        return nodes[order][np.flatnonzero(np.diff(node_ids[order] >> 2) == 0)[:, None] + [0, 1]]
 
 
 def _to_global(V: fem.FunctionSpace, local: Array | Indices) -> Array:
@@ -291,7 +291,7 @@ def _facet_node_rows(surface: ContactSurface) -> Array:
     lower side, or -1 on a rigid base. Then come the part of the facet's area that belongs to the node, and this area
     times the unit normal (d columns). The last column is the number in `ContactNodes.node_ids`.
     """
-    V, facets, upper, lower = surface.V, surface.facets, surface.upper, surface.lower
+    V, facets, upper, lower = surface.V, surface.facets, surface.upper_cells, surface.lower_cells
     mesh, topology, d = V.mesh, V.mesh.topology, V.mesh.topology.dim
     uses_simpson = V.ufl_element().degree == 2
     for a, b in ((d, 0), (d - 1, 0), (0, d), *([(d, d - 1), (d, 1), (2, 1), (1, 0)] if uses_simpson else [])):
@@ -309,16 +309,16 @@ def _facet_node_rows(surface: ContactSurface) -> Array:
     for e in range(d if uses_simpson else 1):  # nodes at vertices, edges and facets
         entities = vertices if e == 0 else facets[:, None] if e == d - 1 else _incident(mesh, d - 1, e)[facets]
         ends = vertices[:, None] if e == d - 1 else _incident(mesh, e, 0)[entities] if e else vertices[..., None]
-        adjacent = (ends[..., None] == vertices[:, None, None]).any(axis=2)  # (n, nodes, k)
-        shares = adjacent / adjacent.sum(axis=2, keepdims=True)
-        node_areas = kinematics.node_areas(corners, areas)
+        is_end = (ends[..., None] == vertices[:, None, None]).any(axis=2)  # (n, nodes, k)
+        shares = is_end / is_end.sum(axis=2, keepdims=True)
+        node_areas = kinematics.corner_areas(corners, areas)
         if uses_simpson:
             factors = 4**e / 3 ** (d - 1) * kinematics.factors_at(shares @ corners)
             node_areas = factors * np.einsum("fak,fk->fa", shares, areas)
         above = _nodes_in(V, upper, entities, e).ravel()
         below = np.full(above.size, -1.0) if lower is None else _to_global(V, _nodes_in(V, lower, entities, e).ravel())
         area_vectors = (node_areas[:, :, None] * normals[:, None]).reshape(-1, d)
-        node_ids = (adjacent * bits[:, None]).sum(axis=2)
+        node_ids = (is_end * bits[:, None]).sum(axis=2)
         if len(surface.facet_numbers):
             node_ids += surface.facet_numbers[:, None] << vertices.shape[1]
         has_jump = (below != _to_global(V, above)) & (node_areas.ravel() > 0)  # at a tip of S there is no jump
@@ -364,8 +364,8 @@ def _vertex_areas(corners: Array) -> tuple[Array, Array]:
     neighbours, divisor = triangle if corners.shape[1] == 3 else quadrilateral
     edge_pairs = [(corners[:, a] - corners[:, k], corners[:, b] - corners[:, k]) for k, (a, b) in enumerate(neighbours)]
     area_vectors = np.stack([np.cross(a, b) for a, b in edge_pairs], axis=1)
-    mean_product = area_vectors.mean(axis=1)
-    return np.linalg.norm(area_vectors, axis=2) / divisor, mean_product / np.linalg.norm(mean_product, axis=1)[:, None]
+    mean_vector = area_vectors.mean(axis=1)
+    return np.linalg.norm(area_vectors, axis=2) / divisor, mean_vector / np.linalg.norm(mean_vector, axis=1)[:, None]
 
 
 def normal_frames(n: Array) -> Array:

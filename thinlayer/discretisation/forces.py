@@ -58,7 +58,7 @@ class Forces:
     Args:
         domain: the distributed mesh, with the joint's names.
         kinematics: kinematics of the mesh, with the factor of all measures (2 pi r in axisymmetry).
-        points: maker of the forms of loads at points and along lines.
+        maker: maker of the forms of loads at points and along lines.
         structure: the structure, which has the tractions, body forces, and loads at points and along lines.
 
     Attributes:
@@ -69,8 +69,8 @@ class Forces:
         InputError: an unknown name, a traction on S or inside the bodies, a load that is not a vector.
     """
 
-    def __init__(self, domain: Domain, kinematics: Kinematics, points: ConcentratedForms, structure: Structure) -> None:
-        self.domain, self.at, self._kinematics = domain, points.at, kinematics
+    def __init__(self, domain: Domain, kinematics: Kinematics, maker: ConcentratedForms, structure: Structure) -> None:
+        self.domain, self.at, self._kinematics = domain, maker.at, kinematics
         self.user_loads: dict[str, object] = {}
         # label, force, region, name of the seam if it is a layer's load
         self._loads: list[tuple[str, Expr, LoadRegion, str]] = []
@@ -82,7 +82,7 @@ class Forces:
         require(isinstance(tractions, Mapping), "tractions", tractions, "give {name: traction}")
         for name in sorted(tractions, key=str):  # in the same order on all ranks
             load = tractions[name]
-            tags = boundary_tags(domain, kinematics, name, f"traction on {name!r}", side=True)
+            tags = boundary_tags(domain, kinematics, name, f"traction on {name!r}", layer_side=True)
             self._add_boundary_load(f"traction on {name!r}", load, ds(tags) if tags else None)
             self._warn_of_gaps(name)
             layer_side = str(FacetName(FacetName.parse(name).set_name, LAYER))
@@ -97,7 +97,7 @@ class Forces:
             self._add_boundary_load(label, load, dx(domain.region_tags(name)))
         for concentrated_load in structure.loads:
             self.user_loads[f"{concentrated_load.what}, {len(self.user_loads)}"] = concentrated_load
-            for density, measure in points.densities(concentrated_load):  # total forces: without the factor of measures
+            for density, measure in maker.densities(concentrated_load):  # total forces: without the factor of measures
                 self.add_weighted_load("", concentrated_load.what, density, LoadRegion(measure, 1))
         self._whole_dx = dx
 

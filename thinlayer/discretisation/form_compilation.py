@@ -68,8 +68,8 @@ def checked_user_form(form: ufl.Form, model: Model, what: str = "a form") -> ufl
         data = form.subdomain_data()[integral.ufl_domain()][kind]
         present = model.comm.allgather({"everywhere", "otherwise"}.union(*(_tags(item, kind, model) for item in data)))
         if missing := ", ".join(str(tag) for tag in ids if tag not in set[object]().union(*present)):
-            tags = TAGS_TEXT_OF_MEASURE.get(name, "model.domain.values(name)")
-            raise InputError(f"{what} integrates over {name}({missing}), which is nothing here; tags: {tags}")
+            tags_text = TAGS_TEXT_OF_MEASURE.get(name, "model.domain.values(name)")
+            raise InputError(f"{what} integrates over {name}({missing}), which is nothing here; tags: {tags_text}")
     factor = model.kinematics.factor
     return ufl.Form([part.reconstruct(integrand=factor * part.integrand()) for part in form.integrals()])
 
@@ -168,11 +168,11 @@ def _estimated_degree(integral: ufl.Integral) -> object:
 def mesh_origin(domain: Domain) -> MeshOrigin:
     """Return how a distributed mesh is related to its joint: numbers of its cells and facets, and coordinates."""
     joint, x = domain.joint, Coordinates.of_domain(domain).x
-    columns = partial(column_numbers, joint)
+    find_columns = partial(column_numbers, joint)
     if joint.parted is None:
-        return MeshOrigin(domain.comm, x, domain.numbers, columns)
+        return MeshOrigin(domain.comm, x, domain.numbers, find_columns)
     x_on_s = x + cellwise_function(domain, ("DG", joint.degree, (joint.dim,)), offset_to_middle(joint))
-    return MeshOrigin(domain.comm, x, domain.numbers, columns, x_on_s, points_on_middle(joint))
+    return MeshOrigin(domain.comm, x, domain.numbers, find_columns, x_on_s, points_on_middle(joint))
 
 
 def checked_term(term: Term, V: fem.FunctionSpace, origin: MeshOrigin) -> Term:

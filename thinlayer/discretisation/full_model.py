@@ -67,8 +67,8 @@ class FullModel(Model):
             raise InputError(f"{text}: their shape is lost in rounding; is eps in the unit of the mesh?")
         profiles = {name: layer.profile for name, layer in thin_layers.items()}
         fractions = {name: layer.fractions for name, layer in thin_layers.items()}
-        first_seams, n_cells, gaps = (*self._junctions, *thin_layers), self._cells_through, [*self.gaps]
-        inflater = partial(inflate, self.joint, eps, cells_through=n_cells, bodies=self._bodies, junctions=first_seams)
+        by_priority, n_cells, gaps = (*self._junctions, *thin_layers), self._cells_through, [*self.gaps]
+        inflater = partial(inflate, self.joint, eps, cells_through=n_cells, bodies=self._bodies, junctions=by_priority)
         inflated = on_root(self.structure.comm, partial(inflater, profile=profiles, fractions=fractions, gaps=gaps))
         self._check_junctions(band_of(inflated))
         require_revolution(self.structure.kinematics, inflated)

@@ -341,7 +341,7 @@ class SeamLayer:
         return prescribed_strain(self.thin_layer.eigenstrain, context)
 
     @property
-    def profile(self) -> object:
+    def described_profile(self) -> object:
         """Description of the thickness profile, as JSON; None for a uniform thickness."""
         profile = self.thin_layer.profile if self.thin_layer else None
         return describe(self.structure.joint.relative_thickness(profile, self.name)) if profile else None
@@ -349,14 +349,14 @@ class SeamLayer:
     @property
     def mesh_data(self) -> tuple[object, ...]:
         """Thickness, profile and fractions of sublayers, on which the layer's mesh depends; () without a thickness."""
-        return (self.thin_layer.eps, self.profile, self.thin_layer.fractions) if self.thin_layer else ()
+        return (self.thin_layer.eps, self.described_profile, self.thin_layer.fractions) if self.thin_layer else ()
 
     def identity(self) -> dict[str, object]:
         """Return a description of the layer without its law, as JSON, for the data that identify a model."""
         thin = self.thin_layer
         eps, order, eigenstrain = (float(thin.eps), thin.order, thin.eigenstrain) if thin else (None, None, None)
         optional = {} if eigenstrain is None else {"eigenstrain": describe(eigenstrain)}
-        return {"eps": eps, "order": order, "profile": self.profile, **optional}
+        return {"eps": eps, "order": order, "profile": self.described_profile, **optional}
 
 
 def loads_of_layers(model: Model) -> dict[str, LoadInput]:

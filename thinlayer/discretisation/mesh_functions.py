@@ -40,7 +40,7 @@ def cellwise_function(domain: Domain, element: Element, values: Array) -> fem.Fu
     """
     f = fem.Function(fem.functionspace(domain.mesh, element))
     dofs = f.function_space.dofmap.list
-    f.x.array.reshape(-1, values.shape[2])[dofs.ravel()] = domain.on_cells(values).reshape(-1, values.shape[2])
+    f.x.array.reshape(-1, values.shape[2])[dofs.ravel()] = domain.to_local(values).reshape(-1, values.shape[2])
     return f
 
 
@@ -179,13 +179,13 @@ class SharedDofs:
         continuous_space: the continuous space with the same element.
         keys: (n,) distinct keys of the dofs of the local cells, the same on all ranks, in the order of the dofs of
             `continuous_space`.
-        meeting_rank: (n,) for each key the rank that decides which rank owns the dof, the same on all ranks.
+        meeting_ranks: (n,) for each key the rank that decides which rank owns the dof, the same on all ranks.
         cell_dofs: (cells, dofs per cell) indices in `keys`.
     """
 
     continuous_space: fem.FunctionSpace
     keys: IntArray
-    meeting_rank: IntArray
+    meeting_ranks: IntArray
     cell_dofs: IntArray
 
     @classmethod
@@ -233,8 +233,8 @@ class SharedDofs:
         np.minimum.at(first_dof, key_indices.ravel(), np.asarray(space.dofmap.list, np.int64).ravel())
         order = np.lexsort((distinct, first_dof))
         distinct, key_indices = distinct[order], np.argsort(order)[key_indices.reshape(np.shape(space.dofmap.list))]
-        meeting_rank = distinct * comm.size // comm.allreduce(int(distinct.max(initial=0)) + 1, op=max)
-        return cls(space, distinct, meeting_rank, key_indices)
+        meeting_ranks = distinct * comm.size // comm.allreduce(int(distinct.max(initial=0)) + 1, op=max)
+        return cls(space, distinct, meeting_ranks, key_indices)
 
 
 def _dof_values(space: fem.FunctionSpace, entity_values: EntityKeys, default: int) -> IntArray:
@@ -257,11 +257,11 @@ def _dof_values(space: fem.FunctionSpace, entity_values: EntityKeys, default: in
 
 def broken_space(comm: MPI.Intracomm, shared: SharedDofs) -> fem.FunctionSpace:
     """Return the function space with one degree of freedom for each key of `shared`. Collective."""
-    rank, space, keys, meeting_rank = comm.rank, shared.continuous_space, shared.keys, shared.meeting_rank
+    rank, space, keys, meeting_ranks = comm.rank, shared.continuous_space, shared.keys, shared.meeting_ranks
     n_cells = space.mesh.topology.index_map(space.mesh.topology.dim).size_local
-    used = np.zeros(len(keys), np.int64)
-    used[shared.cell_dofs[:n_cells]] = 1
-    owner = query(comm, meeting_rank, np.column_stack([keys, used]), lambda q, src: _elect_owners(q, src, rank))
+    is_used = np.zeros(len(keys), np.int64)
+    is_used[shared.cell_dofs[:n_cells]] = 1
+    owner = query(comm, meeting_ranks, np.column_stack([keys, is_used]), lambda q, src: _elect_owners(q, src, rank))
     is_owned = owner == rank
     n_own = int(is_owned.sum())
     first_number = comm.exscan(n_own) or 0
@@ -291,13 +291,13 @@ def _elect_owners(requests: IntArray, source_rank: IntArray, rank: int) -> IntAr
     Returns:
         Owner (n,) of each dof.
     """
-    key, used = requests[:, 0], (requests[:, 1] == 1) | (source_rank == rank)
-    candidate, votes = key[used], np.where(source_rank[used] == rank, -1, source_rank[used])
-    order = np.lexsort((votes, candidate))
-    distinct, start = np.unique(candidate[order], return_index=True)
-    winner = votes[order][start]
-    winner[winner < 0] = rank
-    return winner[np.searchsorted(distinct, key)]
+    key, is_used = requests[:, 0], (requests[:, 1] == 1) | (source_rank == rank)
+    used_keys, votes = key[is_used], np.where(source_rank[is_used] == rank, -1, source_rank[is_used])
+    order = np.lexsort((votes, used_keys))
+    distinct, start = np.unique(used_keys[order], return_index=True)
+    winners = votes[order][start]
+    winners[winners < 0] = rank
+    return winners[np.searchsorted(distinct, key)]
 
 
 def vector_space(domain: Domain, cut: Splitting, degree: int, family: str) -> fem.FunctionSpace:
@@ -312,11 +312,11 @@ def vector_space(domain: Domain, cut: Splitting, degree: int, family: str) -> fe
     mesh, dim, comm = domain.mesh, domain.joint.dim, domain.comm
     element = basix.ufl.element(family, mesh.basix_cell(), degree, shape=(dim,))
     if domain.joint.periods:
-        entity_keys = [domain.on_cells(of_dim) for of_dim in cut.entity_keys]
+        entity_keys = [domain.to_local(of_dim) for of_dim in cut.entity_keys]
         return broken_space(comm, SharedDofs.of_entities(comm, mesh, element, entity_keys))
     used = [any(map(len, of_dim)) for of_dim in element.basix_element.entity_dofs]
     none = np.empty((0, 0), np.int64)
-    components = [domain.on_cells(cut.components(k) if k else cut.at_vertices) if used[k] else none for k in range(dim)]
+    components = [domain.to_local(cut.components(k) if k else cut.at_vertices) if used[k] else none for k in range(dim)]
     return broken_space(comm, SharedDofs.of_components(comm, mesh, element, components))
 
 

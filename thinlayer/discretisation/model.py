@@ -61,10 +61,10 @@ from thinlayer.discretisation.rigid_motions import (
     Resultant,
     free_axes,
     moment_centre,
+    motion_factors,
     require_support,
     resistance_matrix,
     resultants_of_loads,
-    scaled_motions,
 )
 from thinlayer.discretisation.supports import Place, SupportConditions, Supports, SupportsByPlace, is_same_or_part
 from thinlayer.discretisation.time_functions import TimeLevel
@@ -186,10 +186,10 @@ class Model(ABC):
         self.structure, self.joint, self.plane = structure, structure.joint, structure.plane
         self.element, self.body_laws, self.parts = structure.element, structure.body_laws, structure.parts
         self._options, self.family, self.issued_warnings = options, ModelFamily(), set[tuple[Hashable, ...]]()
-        inflated = self._set_layers(layer, self._checked_joint)
-        self.domain = Domain.of(inflated, structure.comm)
+        domain_joint = self._set_layers(layer, self._checked_joint)
+        self.domain = Domain.of(domain_joint, structure.comm)
         self.comm = self.domain.comm
-        self.centre = moment_centre(structure.kinematics, np.asarray(inflated.points.mean(axis=0), float))
+        self.centre = moment_centre(structure.kinematics, np.asarray(domain_joint.points.mean(axis=0), float))
         self.V = self.space(structure.degree, family="S" if self.element[0] == "S" else None)
         free_petsc_objects(self.comm, self.V)
         self.unknowns = int(self.V.dofmap.index_map.size_global * self.V.dofmap.index_map_bs)
@@ -240,7 +240,7 @@ class Model(ABC):
             if self.joint.periods:
                 self.supports.anchor_axes = free_axes(self.joint, self.kinematics, resistance_matrix(self, resistances))
                 self.constraints = self._make_constraints()
-            require_support([*scaled_motions(self.domain.joint, self.kinematics)], resistance_matrix(self, resistances))
+            require_support([*motion_factors(self.domain.joint, self.kinematics)], resistance_matrix(self, resistances))
 
     def _set_layers(self, data: Layers, check: Callable[[], T]) -> T:
         """Set the layers of the seams from a user's data, and return the result of a check of them. Collective.
@@ -293,8 +293,8 @@ class Model(ABC):
         for names in groups.values():
             law = self.kinematics.law(self.body_laws[names[0]])
             law = law if law.traits.compiled else law_with_constants(law, self.domain.mesh)
-            regions = {str(Key(BODY_KIND, name)): [name] for name in names} if law.traits.compiled else {"": names}
-            for key, bodies in regions.items():
+            by_key = {str(Key(BODY_KIND, name)): [name] for name in names} if law.traits.compiled else {"": names}
+            for key, bodies in by_key.items():
                 measure = self.dx(self.domain.region_tags(*bodies), **self._metadata(self.dx))
                 term = forms.body(law, measure, self.kinematics, self.volume_strain_degree(law))
                 term = replace(term, key=key, prescribed_strain=self.body_strains[names[0]])
@@ -307,11 +307,11 @@ class Model(ABC):
     def _make_supports(self, supports: SupportsByPlace) -> Supports:
         clamped_sets = [name for name in self.bonds if name in self.joint.base_seams]
         clamped_sets += [BASE] if BASE in self.domain.joint.facets and not self.broken else []
-        return Supports(self.domain, supports, self.coordinates.with_own_breaks, clamped_sets, self.kinematics)
+        return Supports(self.domain, supports, self.coordinates.with_own_kinks, clamped_sets, self.kinematics)
 
     # ---------------------------------------------------------------- differences between kinds of models
     def _make_forces(self) -> Forces:
-        at = self.coordinates.with_own_breaks
+        at = self.coordinates.with_own_kinks
         concentrated_forms = ConcentratedForms(self.domain, self.joint, self.structure.degree, at)
         forces = Forces(self.domain, self.kinematics, concentrated_forms, self.structure)
         for name, load in loads_of_layers(self).items():
@@ -526,9 +526,9 @@ class Model(ABC):
         The degree is set on quadrilaterals and hexahedra, in axisymmetry, and if `always` is true. The latter is for
         laws for which UFL would estimate a high degree.
         """
-        if not (always or is_tensor(self.joint.cell_type) or self.kinematics.degree):
+        if not (always or is_tensor(self.joint.cell_type) or self.kinematics.factor_degree):
             return {}
-        return {"metadata": {"quadrature_degree": quadrature_degree(self.V, measure) + self.kinematics.degree}}
+        return {"metadata": {"quadrature_degree": quadrature_degree(self.V, measure) + self.kinematics.factor_degree}}
 
     def volume_strain_degree(self, law: BulkLaw) -> int | None:
         """Return the polynomial degree to which the volume strain is projected in each cell, for isochoric flow laws.
@@ -537,7 +537,7 @@ class Model(ABC):
         and tetrahedra the volume strain has this degree anyway. Other cells have more modes of volume strain. A flow
         without volume change would have to keep all of them at zero, so that the cells lock (Sloan and Randolph 1982).
         """
-        is_straight = not (is_tensor(self.joint.cell_type) or self.kinematics.degree)
+        is_straight = not (is_tensor(self.joint.cell_type) or self.kinematics.factor_degree)
         return self.structure.degree - 1 if law.traits.isochoric and not is_straight else None
 
     def _with_mean_strain(self, terms: list[forms.Term]) -> list[forms.Term]:
@@ -571,7 +571,7 @@ class Model(ABC):
         return TimeLevel(t).terms_at_level(self.terms)
 
     @cached_property
-    def surface_meshes(self) -> dict[str, object]:
+    def surface_mesh_cache(self) -> dict[str, object]:
         """Meshes of S (`SurfaceMesh`) made so far, by the name of their seam."""
         return {}
 
@@ -629,8 +629,8 @@ class Model(ABC):
     @cached_property
     def linear(self) -> bool:
         """Whether all laws, and the forces of all `parts` such as springs, are linear."""
-        linear_laws = not self.contact and all(p.law.traits.linear for p in self.terms)
-        return linear_laws and all(part.is_linear(self) for part in self.parts)
+        has_linear_laws = not self.contact and all(p.law.traits.linear for p in self.terms)
+        return has_linear_laws and all(part.is_linear(self) for part in self.parts)
 
     @cached_property
     def symmetric(self) -> bool:

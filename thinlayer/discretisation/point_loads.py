@@ -25,7 +25,7 @@ EDGE_GAUSS_POINTS = 4  # Gauss points on an edge: exact for degree 7
 
 
 @dataclass(frozen=True)
-class LoadNodes:
+class LoadPlaces:
     """Places in n cells, k in each, at which a load at points or along lines acts.
 
     Attributes:
@@ -91,7 +91,7 @@ class PointLoad:
         """Name of the load in error messages."""
         return f"point load at {self.place!r}"
 
-    def nodes(self, joint: Joint) -> LoadNodes:
+    def nodes(self, joint: Joint) -> LoadPlaces:
         """Return the vertex at which the load acts, as a place in one cell of the loaded body.
 
         Raises:
@@ -102,7 +102,7 @@ class PointLoad:
         cells, corners = np.nonzero(is_loaded[joint.corners])
         index = _chosen_cell(joint, cells, joint.split_mesh.components(0)[cells, corners], self)
         X = np.asarray(basix.geometry(basix.CellType[joint.cell_type]))
-        return LoadNodes(cells[index : index + 1], X[corners[index : index + 1], None])
+        return LoadPlaces(cells[index : index + 1], X[corners[index : index + 1], None])
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class LineLoad:
         """Name of the load in error messages."""
         return f"line load between {self.first!r} and {self.second!r}"
 
-    def nodes(self, joint: Joint) -> LoadNodes:
+    def nodes(self, joint: Joint) -> LoadPlaces:
         """Return the Gauss points at which the load acts, on the edges that both facet sets share.
 
         Raises:
@@ -157,7 +157,7 @@ class LineLoad:
         cells, cell_edges = all_cells[chosen_rows], local_edges[chosen_rows]
         s, w = basix.make_quadrature(basix.CellType.interval, 2 * EDGE_GAUSS_POINTS - 1)
         X = np.asarray(basix.geometry(cell_type))[np.array(edges)[cell_edges]][:, :, None]  # (n, 2, 1, d)
-        return LoadNodes(cells, X[:, 0] + s[:, :1] * (X[:, 1] - X[:, 0]), w[:, None] * (X[:, 1] - X[:, 0]))
+        return LoadPlaces(cells, X[:, 0] + s[:, :1] * (X[:, 1] - X[:, 0]), w[:, None] * (X[:, 1] - X[:, 0]))
 
 
 def _chosen_cell(joint: Joint, cells: IntArray, components: Indices, load: ConcentratedLoad) -> int:
@@ -220,8 +220,8 @@ class ConcentratedForms:
     """
 
     def __init__(self, domain: Domain, joint: Joint, degree: int, at: Coordinates) -> None:
-        self.domain, self.joint, self.at, rule = domain, joint, at, {"quadrature_degree": 2 * degree}
-        self._dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags, metadata=rule)
+        self.domain, self.joint, self.at, metadata = domain, joint, at, {"quadrature_degree": 2 * degree}
+        self._dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags, metadata=metadata)
         cell_type = basix.CellType[joint.cell_type]
         self._ufl = basix.ufl.element("DG", domain.mesh.basix_cell(), degree)
         self._element = self._ufl.basix_element
@@ -246,15 +246,15 @@ class ConcentratedForms:
         body_dx = self._dx(self.domain.region_tags(*self.joint.bodies))
         batches = [(r, slice(j, j + 1)) for r in _disjoint_groups(nodes.cells) for j in range(weights.shape[1])]
         for rows, column in batches if varies else [(np.arange(len(nodes.cells)), slice(None))]:
-            part = LoadNodes(nodes.cells[rows], nodes.reference_points[rows, column])
-            g = cellwise_function(self.domain, self._ufl, self._g_values(part, weights[rows, column])) / self._jacobian
+            batch = LoadPlaces(nodes.cells[rows], nodes.reference_points[rows, column])
+            g = cellwise_function(self.domain, self._ufl, self._g_values(batch, weights[rows, column])) / self._jacobian
             places = np.zeros((len(joint.cells), 1, d))
-            places[part.cells] = x[rows, column][:, :1]
+            places[batch.cells] = x[rows, column][:, :1]
             at = self.at.with_place(cellwise_function(self.domain, ("DG", 0, (d,)), places)) if varies else self.at
             densities.append((at.coefficient(load.force, load.what, (d,)).expression * g, body_dx))
         return densities
 
-    def _g_values(self, nodes: LoadNodes, weights: Array) -> Array:
+    def _g_values(self, nodes: LoadPlaces, weights: Array) -> Array:
         """Return the weighted sum of the polynomials g of all loaded places, as coefficients (n_cells, m, 1).
 
         The coefficients are those of the m basis functions of each cell. The integral of g v over the reference cell is

@@ -316,22 +316,22 @@ class Prestress(Eigenstrain):
             sigma = [row[:2] for row in sigma[:2]]
         if len(sigma) == 2 and 2 in context.kinematics.strain_indices(2):
             raise InputError(f"the prestress of {context.name} lacks that of hoops, sigma_33; give (3, 3)")
-        mandel_slots = [slot for slot, (_, j) in enumerate(MANDEL_PAIRS) if j < len(sigma)]
-        index_pairs = [(*MANDEL_PAIRS[slot], 1.0 if slot < 3 else SQRT2) for slot in mandel_slots]
+        mandel_indices = [index for index, (_, j) in enumerate(MANDEL_PAIRS) if j < len(sigma)]
+        index_pairs = [(*MANDEL_PAIRS[index], 1.0 if index < 3 else SQRT2) for index in mandel_indices]
         strain: TensorRows = [[0.0] * 3 for _ in range(3)]
-        for row, (i, j, scale) in zip(self._compliance(context, mandel_slots), index_pairs, strict=True):
+        for row, (i, j, scale) in zip(self._compliance(context, mandel_indices), index_pairs, strict=True):
             summands = [-float(c) * s / scale * sigma[k][m] for c, (k, m, s) in zip(row, index_pairs, strict=True) if c]
             strain[i][j] = strain[j][i] = sum(summands, 0.0)
         return strain
 
-    def _compliance(self, context: EigenstrainContext, mandel_slots: Sequence[int]) -> Array:
+    def _compliance(self, context: EigenstrainContext, mandel_indices: Sequence[int]) -> Array:
         """Return the compliance (k, k), strain per stress, of k components in Mandel's notation, at zero strain.
 
         Strains in the other components are zero.
 
         Args:
             context: data of the body or layer.
-            mandel_slots: (k,) positions of the components in Mandel's order.
+            mandel_indices: (k,) positions of the components in Mandel's order.
 
         Raises:
             InputError: the stiffness is not known, varies from place to place, or cannot be inverted.
@@ -351,14 +351,14 @@ class Prestress(Eigenstrain):
             raise prestress_error(f"its stiffness varies from place to place ({', '.join(law.fields)})") from error
         if C is None or not np.isfinite(C).all():
             raise prestress_error(f"the stiffness of {type(law).__name__} is not known at rest")
-        C = C[np.ix_(mandel_slots, mandel_slots)]
+        C = C[np.ix_(mandel_indices, mandel_indices)]
         singular_values = np.linalg.svd(C, compute_uv=False)
         if singular_values[-1] <= SINGULARITY_TOLERANCE * singular_values[0]:
             raise prestress_error(f"no strain of {type(law).__name__} causes some stresses")
         compliance = np.asarray(np.linalg.inv(C))
         if law.traits.constrained and not law.volume_compliance:
-            is_normal = np.array(mandel_slots) < 3  # the pressure carries volumetric stresses
-            deviator = np.eye(len(mandel_slots)) - np.outer(is_normal, is_normal) / is_normal.sum()
+            is_normal = np.array(mandel_indices) < 3  # the pressure carries volumetric stresses
+            deviator = np.eye(len(mandel_indices)) - np.outer(is_normal, is_normal) / is_normal.sum()
             compliance = deviator @ compliance @ deviator
         return compliance
 

@@ -44,7 +44,7 @@ def motion_count(dim: int) -> int:
     return dim + len(ROTATION_PLANES[dim])
 
 
-def motion_fields(x: Array, about: Array) -> Array:
+def unit_motions_at(x: Array, about: Array) -> Array:
     """Return the displacements (n, d, k) of the k unit rigid motions at n places `x` (n, d) in d dimensions.
 
     The motions are d translations, then rotations about the point `about` (d,).
@@ -93,10 +93,10 @@ def motion_values(x: Array, about: Array, dofs: IntArray) -> Array:
         about: (d,) the point about which motions rotate.
         dofs: (m,) local numbers of the displacement components: d for each node.
     """
-    return motion_fields(x[dofs // x.shape[1]], about)[np.arange(len(dofs)), dofs % x.shape[1]]
+    return unit_motions_at(x[dofs // x.shape[1]], about)[np.arange(len(dofs)), dofs % x.shape[1]]
 
 
-def scaled_motions(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
+def motion_factors(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
     """Return the rigid motions that the kinematics and periods of a joint admit, each by name with k factors.
 
     The factors (k,) multiply the k unit motions: d translations, then rotations about the centre. Factors of rotations
@@ -120,7 +120,7 @@ def scaled_motions(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
 
 
 def model_motion_values(model: Model, dofs: IntArray, kinematics: Kinematics | None = None) -> Array:
-    """Return the values (m, k) of the structure's k rigid motions, `scaled_motions`, at m displacement components.
+    """Return the values (m, k) of the structure's k rigid motions, `motion_factors`, at m displacement components.
 
     Args:
         model: the model.
@@ -128,21 +128,21 @@ def model_motion_values(model: Model, dofs: IntArray, kinematics: Kinematics | N
         kinematics: kinematics that decide which motions there are; None: those of the model.
     """
     joint = model.domain.joint
-    factors = [*scaled_motions(joint, kinematics or model.kinematics).values()]
+    factors = [*motion_factors(joint, kinematics or model.kinematics).values()]
     return motion_values(model.node_coordinates, joint.points.mean(axis=0), dofs) @ np.transpose(factors)
 
 
 def model_motions(model: Model, kinematics: Kinematics | None = None) -> dict[str, fem.Function]:
     """Return the rigid motions of a model's structure as displacements in its space, by name. Collective.
 
-    The motions are those of `scaled_motions`.
+    The motions are those of `motion_factors`.
 
     Args:
         model: the model.
         kinematics: kinematics that decide which motions there are; None: those of the model.
     """
     values = model_motion_values(model, np.arange(model.node_coordinates.size), kinematics)
-    modes = {name: fem.Function(model.V) for name in scaled_motions(model.domain.joint, kinematics or model.kinematics)}
+    modes = {name: fem.Function(model.V) for name in motion_factors(model.domain.joint, kinematics or model.kinematics)}
     for f, column in zip(modes.values(), values.T, strict=True):
         f.x.array[:] = column
     return modes
@@ -151,7 +151,7 @@ def model_motions(model: Model, kinematics: Kinematics | None = None) -> dict[st
 def resistance_matrix(model: Model, resistances: Sequence[ResistanceFunction]) -> Array:
     """Return a matrix (m, m) whose null space is the rigid motions that nothing prevents. Collective.
 
-    Rows and columns belong to the m motions of `scaled_motions`. Entry (i, j) is the sum of two contributions. The
+    Rows and columns belong to the m motions of `motion_factors`. Entry (i, j) is the sum of two contributions. The
     first is the scalar product of the displacements in motions i and j along the directions of all support conditions.
     Multi-point constraints, such as rigid plates, adapt so that these displacements are least. The second is the
     stiffness of other parts, such as springs. The stiffness of each part is made symmetric and divided by its largest
@@ -181,7 +181,7 @@ def free_axes(joint: Joint, kinematics: Kinematics, resistance: Array) -> tuple[
         resistance: (m, m) matrix from `resistance_matrix`. Its first diagonal entries belong to the translations. An
             entry of about 0 means that neither supports nor other parts resist this translation.
     """
-    # translations are the first motions of `scaled_motions`
+    # translations are the first motions of `motion_factors`
     axes = [*kinematics.translation_axes(joint.dim)]
     diagonal = np.diag(resistance)[: len(axes)]
     limit = MIN_RELATIVE_EIGENVALUE * max(*diagonal, 1.0)
@@ -264,9 +264,9 @@ def resultants_of_loads(model: Model, t: float, work: Callable[[Expr], Mapping[s
         work: function from a motion v, in UFL, to the virtual work of the loads in v: name of a load -> UFL form.
     """
     level = TimeLevel(t)
-    motion, v = motion_expression(model.domain.mesh, model.centre)
+    factors, v = motion_expression(model.domain.mesh, model.centre)
     return {
-        name: resultant(model, unit_values(model.comm, level.at_level(form), motion)) for name, form in work(v).items()
+        name: resultant(model, unit_values(model.comm, level.at_level(form), factors)) for name, form in work(v).items()
     }
 
 
@@ -280,8 +280,8 @@ def resultant(model: Model, motion_works: Array) -> Resultant:
         motion_works: (k,) work in the translations, then in the rotations.
     """
     d = model.joint.dim
-    work = np.asarray(motion_works) * resultant_mask(model.kinematics, d)
-    return Resultant(work[:d], work[d] if d == 2 else work[d:], model.centre)
+    works = np.asarray(motion_works) * resultant_mask(model.kinematics, d)
+    return Resultant(works[:d], works[d] if d == 2 else works[d:], model.centre)
 
 
 def default_moment_point(model: Model, place: Place, places: Sequence[Place]) -> Array:

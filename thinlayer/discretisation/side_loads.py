@@ -66,7 +66,7 @@ class SideLoad:
 
     @classmethod
     def loads_on_sides(cls, model: Model, layer: SeamLayer) -> Iterator[SideLoad]:
-        """Yield the tractions on the sides of a layer in an interface model, except those that are zero."""
+        """Yield the tractions, except zero ones, on a layer's lateral sides (at ends of S) in an interface model."""
         rim = layer.sheet.rim
         for name, load in sorted((model.structure.tractions or {}).items()):
             facet_set, value = FacetName.parse(name).continued_set, load.p if isinstance(load, Pressure) else load
@@ -88,16 +88,16 @@ def add_side_loads(forces: Forces, model: Model, layer: SeamLayer, sides: Interf
         InputError: it is not known how the layer transfers such a traction to its faces.
     """
     r = model.applicability[layer.name]
-    open_keys = ridge_keys(r.loose_rim.vertices)
+    loose_keys = ridge_keys(r.loose_rim.vertices)
     for load in SideLoad.loads_on_sides(model, layer):
-        if layer.has_pressure_flow or r.weights is None or not np.isin(ridge_keys(load.rim.vertices), open_keys).all():
+        if layer.has_pressure_flow or r.weights is None or not np.isin(ridge_keys(load.rim.vertices), loose_keys).all():
             violation = None if layer.has_pressure_flow else r.why_not("ends")
             why = "a support holds the side" if not violation else violation.reason
             why = "its pressure of order 1 is zero at free ends" if layer.has_pressure_flow else why
             reason = f"the {load.what} acts on the side of {layer}, and how it reaches the faces is not known: {why}"
             raise Violation("loaded side", reason, "use order=0, which leaves it out, or mesh the layer").error()
-        for force, place in _end_load(load, forces.at, model, layer, sides):
-            forces.add_weighted_load(layer.name, load.what, force, place)
+        for force, region in _end_load(load, forces.at, model, layer, sides):
+            forces.add_weighted_load(layer.name, load.what, force, region)
 
 
 def _end_load(load: SideLoad, at: Coordinates, model: Model, layer: SeamLayer, sides: Interface) -> Iterator[LoadPiece]:
@@ -119,8 +119,8 @@ def _end_load(load: SideLoad, at: Coordinates, model: Model, layer: SeamLayer, s
         cell_factors[upper_cells, 0] = _transfer_factors(end, load.rim, layer)
         facet_factors = sides.upper(cellwise_function(model.domain, ("DG", 0, (5,)), cell_factors))
         m, offset = fem.Constant(mesh, end.m), fem.Constant(mesh, end.offset)
-        end_place = at.with_place(at.x + (offset - ufl.dot(m, at.x)) * m)
-        yield end_place.traction(load.load, load.what, m), _transferred_load(facet_factors, m, sides, on_base)
+        end_coordinates = at.with_place(at.x + (offset - ufl.dot(m, at.x)) * m)
+        yield end_coordinates.traction(load.load, load.what, m), _transfer_region(facet_factors, m, sides, on_base)
 
 
 def _transfer_factors(end: StraightEnd, rim: Rim, layer: SeamLayer) -> FloatArray:
@@ -143,15 +143,15 @@ def _transfer_factors(end: StraightEnd, rim: Rim, layer: SeamLayer) -> FloatArra
     midpoints = points[rim.vertices].mean(axis=1)
     end_factor = kinematics.factors_at(midpoints[end.contains(midpoints)]).mean()
     l_N, l_T = strips.opening.length, strips.shear.length
-    lengths = strips.transfer_length_axial, strips.transfer_length_shear, 2 * ANTIPLANE_LOAD_DISTANCE
-    shares = [share_of_strip(eps * length) for length in lengths]
+    transfer_lengths = strips.transfer_length_axial, strips.transfer_length_shear, 2 * ANTIPLANE_LOAD_DISTANCE
+    shares = [share_of_strip(eps * length) for length in transfer_lengths]
     force_factors = [eps * end.length * end_factor * share / (share @ weighted_areas) for share in shares]
     opening_factor = constants.inward_displacement / l_N * share_of_strip(eps * l_N)
     shear_factor = constants.c_T / l_T * share_of_strip(eps * l_T)
     return np.stack([*force_factors, opening_factor, shear_factor], axis=1)
 
 
-def _transferred_load(factors: Expr, m: Expr, sides: Interface, based: bool) -> LoadRegion:
+def _transfer_region(factors: Expr, m: Expr, sides: Interface, based: bool) -> LoadRegion:
     """Return the region on S in which a traction on the layer's side does its work on the layer's faces.
 
     Args:

@@ -15,7 +15,7 @@ from forms.work import Interface
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.seam import FacetName, S
-from geometry.sheet import Rim, Sheet, StraightEnd, continued_ridges, fraction_below
+from geometry.sheet import Rim, Sheet, StraightEnd, continued_ridge_keys, fraction_below
 from geometry.topology import FloatArray, ridge_keys
 from thinlayer.discretisation.boundary import AXIS_NAMES, nodes_on_axis, side_normals
 from thinlayer.discretisation.layer import SeamLayer
@@ -72,7 +72,7 @@ def held_projectors(layer: SeamLayer, of_layer: bool = True) -> FloatArray:
         name = FacetName.parse(place).continued_set if isinstance(place, str) else S
         if name in (S, *joint.seams) or name not in joint.facets or (name != place and not of_layer):
             continue  # a vertex, the side of one body, or that of the layer
-        on_rim = np.isin(rim_keys, continued_ridges(joint, joint.facets[name]))
+        on_rim = np.isin(rim_keys, continued_ridge_keys(joint, joint.facets[name]))
         for axis in components:
             direction = np.eye(d)[axes.index(axis)] if axis in axes else _rim_normals(joint, rim, name)
             dyads += np.where(on_rim[:, None], direction, 0.0)[:, :, None] * direction[..., None, :]
@@ -147,7 +147,7 @@ class FacetWeights:
         return cls(weights[0], weights[1], weights[2], m, offset, sheet, eps, strips)
 
     @property
-    def overlap(self) -> bool:
+    def strips_overlap(self) -> bool:
         """Whether strips of several ends overlap so far that no stiffness is left: a relative loss is 1 or more."""
         return bool(max(self.a_N.max(initial=0.0), self.a_T.max(initial=0.0)) >= 1)
 

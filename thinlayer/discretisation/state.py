@@ -194,14 +194,14 @@ class State(Configuration):
         half the work of the loads (Clapeyron). An energy is NaN if a law does not declare its energy.
         """
         model, layers = self.model, self.layers
-        added = {part.key: self.stored.get(part.key, 0.0) for part in model.parts if not part.has_constraint}
+        of_parts = {part.key: self.stored.get(part.key, 0.0) for part in model.parts if not part.has_constraint}
         of_bodies = {p.key: self.stored[p.key] for p in model.bodies if p.key in self.stored}
-        of_layers = {key: energy for key, energy in self.stored.items() if key not in {*added, *of_bodies}}
+        of_layers = {key: energy for key, energy in self.stored.items() if key not in {*of_parts, *of_bodies}}
         for key in {p.key: None for p in layers}:
             of_layers[key] = of_layers.get(key, 0.0) + self._form_energy([p for p in layers if p.key == key])
-        bodies, layer = self._form_energy(self.bodies) + sum(of_bodies.values()), sum(of_layers.values())
+        body_energy, layer_energy = self._form_energy(self.bodies) + sum(of_bodies.values()), sum(of_layers.values())
         seams = {str(Key(LAYER_KIND, name)): energy for name, energy in model.seam_sums(of_layers).items()}
-        return {BODIES: bodies, LAYER_KIND: layer, **seams, **added, "loads": self.load_work()}
+        return {BODIES: body_energy, LAYER_KIND: layer_energy, **seams, **of_parts, "loads": self.load_work()}
 
     def load_work(self) -> float:
         """Return the work of the loads at the state's time in its displacements. Collective."""
@@ -352,8 +352,8 @@ class State(Configuration):
                 continue
             if p.measure.integral_type() != "cell":
                 raise InputError(f"{type(p.law.law_3d).__name__} on S has no field of stress; see Surface.traction")
-            rules = self.model.quadratures.items()
-            key, points = next((key, quadrature) for key, quadrature in rules if quadrature.term.measure is p.measure)
+            items = self.model.quadratures.items()
+            key, points = next((key, quadrature) for key, quadrature in items if quadrature.term.measure is p.measure)
             values = self.stresses.get(key, np.zeros((points.count, len(MANDEL_PAIRS))))
             yield p, mandel_tensor(points.mesh_function(values)), points.measure
 

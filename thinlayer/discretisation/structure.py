@@ -288,8 +288,8 @@ class Structure:
         """
         joint, laws = self.joint, []
         for name, law in self.body_laws.items():
-            cells = joint.corners[joint.region == joint.regions.index(name)] if law.fields else joint.corners[:1]
-            laws += law.laws_at_extremes(joint.points[cells].mean(axis=1).T)
+            cell_corners = joint.corners[joint.region == joint.regions.index(name)] if law.fields else joint.corners[:1]
+            laws += law.laws_at_extremes(joint.points[cell_corners].mean(axis=1).T)
         return laws
 
     def _check_choices(self) -> None:

@@ -18,7 +18,7 @@ from geometry.domain import Domain
 from geometry.refusals import require_known
 from geometry.seam import FacetName
 from geometry.topology import BoolArray, Indices
-from thinlayer.discretisation.boundary import AXIS_NAMES, boundary_tags, node_normals, nodes_on_axis, smooth_surfaces
+from thinlayer.discretisation.boundary import AXIS_NAMES, boundary_tags, group_facets, node_normals, nodes_on_axis
 from thinlayer.discretisation.coefficient import Coefficient, Coordinates, Value
 from thinlayer.system.compat import interpolate, interpolation_points
 
@@ -73,7 +73,7 @@ class Supports:
         entries: list[tuple[Place, AxisValues]] = []
         for place, support in supports.items():
             if isinstance(place, str):
-                boundary_tags(domain, kinematics, place, f"support on {place!r}", inside=True, side=True)
+                boundary_tags(domain, kinematics, place, f"support on {place!r}", inside=True, layer_side=True)
             else:
                 domain.joint.nearest_point(place)
             entries.append((place, self._components(place, support)))
@@ -137,10 +137,10 @@ class Supports:
             return np.empty(0, np.int32)
         n_owned = self.domain.mesh.topology.index_map(self.domain.joint.dim).size_local
         cells = np.flatnonzero(self.domain.original_cells[:n_owned] == 0)
-        corner_dofs = np.asarray(V.dofmap.list)[cells][:, V.dofmap.dof_layout.entity_dofs(0, 0)].ravel()
+        corner_nodes = np.asarray(V.dofmap.list)[cells][:, V.dofmap.dof_layout.entity_dofs(0, 0)].ravel()
         marked = fem.Function(V)
         for axis in self.anchor_axes:
-            marked.x.array[corner_dofs * V.dofmap.bs + self.axes.index(axis)] = 1.0
+            marked.x.array[corner_nodes * V.dofmap.bs + self.axes.index(axis)] = 1.0
         marked.x.scatter_reverse(la.InsertMode.add)  # another rank may own the corner of this rank's cell
         marked.x.scatter_forward()
         return np.flatnonzero(marked.x.array).astype(np.int32)
@@ -200,7 +200,7 @@ class _ValueSource:
     """Values of one component of a support: a function in the displacement space, and an expression if it varies.
 
     Attributes:
-        entry: index of the support in `Supports.entries`.
+        entry_index: index of the support in `Supports.entries`.
         place: place of the support.
         axis: the component, such as "x", or "n" for the normal.
         value: the function with the values.
@@ -231,9 +231,9 @@ class SupportConditions:
         extent: largest extent of the structure along an axis, a length.
         entry: (k,) for each of the k conditions of this rank the index of its support in `supports.entries`. -1: the
             condition is that of the vertex at which a periodic joint is fixed, or of the axis of revolution.
-        blocks: (k,) local numbers of the nodes of the conditions.
+        condition_nodes: (k,) local numbers of the nodes of the conditions.
         directions: (k, d) unit directions of the conditions.
-        conditions: (k, size) sparse matrix of the conditions on the displacements of this rank.
+        condition_rows: (k, size) sparse matrix of the conditions on the displacements of this rank.
     """
 
     def __init__(self, supports: Supports, V: fem.FunctionSpace) -> None:
@@ -251,18 +251,18 @@ class SupportConditions:
     def _make_source(self, entry: int, place: Place, axis: str) -> _ValueSource:
         value, coefficient = fem.Function(self.V), self.supports.values.get((entry, axis))
         if coefficient is not None and coefficient.varies:
-            on_mesh = fem.Constant(self.V.mesh, np.zeros(self.d))  # as functions may return plain numbers
-            expression = ufl.as_vector([coefficient.expression] * self.d) + on_mesh
+            zero = fem.Constant(self.V.mesh, np.zeros(self.d))  # as functions may return plain numbers
+            expression = ufl.as_vector([coefficient.expression] * self.d) + zero
             return _ValueSource(entry, place, axis, value, fem.Expression(expression, interpolation_points(self.V)))
         if coefficient is not None and coefficient.value:
             interpolate(value, lambda x: np.full((self.d, x.shape[1]), float(coefficient.components[()])))
         return _ValueSource(entry, place, axis, value)
 
     def _find_conditions(self) -> None:
-        """Set the attributes of the conditions on this rank.
+        """Set `entry`, `directions`, `condition_nodes` and `condition_rows` for the conditions on this rank.
 
-        For each condition also store where its value comes from: a `_ValueSource`, and the degree of freedom of its
-        function.
+        For each condition also store the index of the `_ValueSource` whose function has its value, and the degree of
+        freedom of this function that is the value.
         """
         supports, V, d = self.supports, self.V, self.d
         along_axes = ((k, c) for k, c in enumerate(self._sources) if c.axis != NORMAL_COMPONENT)
@@ -272,14 +272,14 @@ class SupportConditions:
             owned = np.unique(dofs[dofs < self.size])
             conditions.append((np.full(len(owned), source_index), owned, np.eye(d)[owned % d]))
         conditions.append(self._normal_conditions())
-        source_indices, dof, directions = (np.concatenate(column) for column in zip(*conditions, strict=True))
-        entry = np.array([*(value_source.entry_index for value_source in self._sources), -1])[source_indices]
-        by_clamping = entry >= len(supports.user_entries)  # other conditions are dropped at a base
+        source_indices, value_dofs, directions = (np.concatenate(column) for column in zip(*conditions, strict=True))
+        entry_indices = np.array([*(value_source.entry_index for value_source in self._sources), -1])[source_indices]
+        by_clamping = entry_indices >= len(supports.user_entries)  # other conditions are dropped at a base
         is_clamped = np.zeros(self.size, bool)
-        is_clamped[dof[by_clamping]] = True
-        is_kept = by_clamping | ~((np.abs(directions) > 0) & is_clamped.reshape(-1, d)[dof // d]).any(axis=1)
-        self.entry, self._source_indices = entry[is_kept], source_indices[is_kept]
-        self._value_dofs, self.directions = dof[is_kept], directions[is_kept]
+        is_clamped[value_dofs[by_clamping]] = True
+        is_kept = by_clamping | ~((np.abs(directions) > 0) & is_clamped.reshape(-1, d)[value_dofs // d]).any(axis=1)
+        self.entry, self._source_indices = entry_indices[is_kept], source_indices[is_kept]
+        self._value_dofs, self.directions = value_dofs[is_kept], directions[is_kept]
         self.condition_nodes = self._value_dofs // d
         bsr_arrays = self.directions[:, None], self.condition_nodes, np.arange(len(self.entry) + 1)
         self.condition_rows = scipy.sparse.bsr_matrix(bsr_arrays, (len(self.entry), self.size)).tocsr()
@@ -301,9 +301,9 @@ class SupportConditions:
         table, rows = np.concatenate(tables), [np.empty((0, d + 2))]
         table = table[np.argsort(table[:, 1], kind="stable")]
         for node_rows in np.split(table, np.flatnonzero(np.diff(table[:, 1])) + 1) if len(table) else []:
-            surface_numbers, unit_normals = smooth_surfaces(node_rows[:, 2:])
-            pairs = np.unique(np.column_stack([node_rows[:, 0], surface_numbers]), axis=0).astype(int)
-            rows += [np.array([[source, node_rows[0, 1] * d, *unit_normals[k]]]) for source, k in pairs]
+            surface_numbers, unit_normals = group_facets(node_rows[:, 2:])
+            source_surfaces = np.unique(np.column_stack([node_rows[:, 0], surface_numbers]), axis=0).astype(int)
+            rows += [np.array([[source, node_rows[0, 1] * d, *unit_normals[k]]]) for source, k in source_surfaces]
         conditions = np.concatenate(rows)
         return conditions[:, 0].astype(int), conditions[:, 1].astype(int), conditions[:, 2:]
 

@@ -136,9 +136,9 @@ class TimeLevel:
     def at_level(self, expression: Expr) -> Expr:
         """Return an expression or a form in which constants of this time level replace those of the clock."""
         constants = time_constants(expression)
-        for clock in constants:
-            if clock not in self._constants:
-                self._constants[clock] = fem.Constant(clock.mesh, np.array(clock.at(self._t), float))
+        for constant in constants:
+            if constant not in self._constants:
+                self._constants[constant] = fem.Constant(constant.mesh, np.array(constant.at(self._t), float))
         return ufl_replace(expression, {c: self._constants[c] for c in constants}) if constants else expression
 
     def terms_at_level(self, terms: Iterable[Term]) -> list[Term]:
@@ -248,8 +248,8 @@ class PiecewiseLinear:
         """
         times, slopes = [*map(float, self.times)], map(float, np.diff(column) / np.diff(self.times))
         in_range = ufl.And(ufl.ge(t, times[0]), ufl.le(t, times[-1]))
-        lengths = (ufl.max_value(0, ufl.min_value(t, b) - a) for a, b in pairwise(times))
-        value = sum((slope * length for slope, length in zip(slopes, lengths, strict=True)), float(column[0]))
+        durations = (ufl.max_value(0, ufl.min_value(t, b) - a) for a, b in pairwise(times))
+        value = sum((slope * duration for slope, duration in zip(slopes, durations, strict=True)), float(column[0]))
         return ufl.conditional(in_range, value, ufl.sqrt(-1 - t * t))
 
 

@@ -102,8 +102,8 @@ def estimate(
             model.applicability[name].require("bonded", "estimate: ")
         for goal in named_goals.values():
             goal.check(model)
-    order_1 = {name: _order_1_layer(model.applicability[name]) for name in seams}
-    meshed_layers = {name: replace(thin_layer, order=0, edges=None) for name, thin_layer in order_1.items()}
+    order_1_layers = {name: _order_1_layer(model.applicability[name]) for name in seams}
+    meshed_layers = {name: replace(thin_layer, order=0, edges=None) for name, thin_layer in order_1_layers.items()}
     subproblem = LayerSubproblem(model, meshed_layers, solution.t)
     goal_values = {name: goal.value(solution, model) for name, goal in named_goals.items()}
     bounds: dict[str, GoalBounds] = {}
@@ -112,7 +112,7 @@ def estimate(
     has_bounds = model.linear and model.symmetric and isinstance(state, State)
     bound_width = width if has_bounds else None
     for order, candidate in enumerate(
-        _start_models(model, order_1)
+        _start_models(model, order_1_layers)
     ):  # their tangents are preconditioners of the iteration
         try:
             *earlier, first_state = _states_of_path(state, candidate, order > 0, options)
@@ -265,7 +265,7 @@ def _require_subproblem(model: InterfaceModel, state: State | History, meshed_la
     for name in model.layers:
         model.applicability[name].require("estimate", "estimate: ")
     remedy = f"mesh the {'layers' if len(model.layers) > 1 else 'layer'} (structure.full)"
-    if _has_multi_point_constraints(model):
+    if _has_mpcs_on_S(model):
         raise InputError(f"estimate: plates or inclined supports tie nodes on S; {remedy}")
     if isinstance(state, State) and state.sudden:
         return
@@ -294,7 +294,7 @@ def _checked_goals(goals: Sequence[Goal]) -> dict[str, Goal]:
     return dict(zip(names, goal_list, strict=True))
 
 
-def _has_multi_point_constraints(model: InterfaceModel) -> bool:
+def _has_mpcs_on_S(model: InterfaceModel) -> bool:
     """Return whether plates, inclined supports or other multi-point constraints act on nodes of S. Collective.
 
     `model` is the interface model; all its seams with layers count.

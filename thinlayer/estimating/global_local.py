@@ -60,7 +60,7 @@ GAIN_TOLERANCE = 1e-20  # gain of a step, over the work of the forces on the lay
 RESIDUAL_TOLERANCE = 1e-3  # largest final residual, over the residual of the interface law
 FACE_FORCE_TOLERANCE = 1e-4  # part of the largest final residual, over the forces on the faces
 NARROW_WIDTH_RATIO = 1e3  # width of bounds over their rounding below which they are narrow in any case
-MIN_CG_GAIN = 1e-3  # gain of a conjugate step over the gain of its Newton step at which conjugate steps end
+MIN_CG_GAIN_RATIO = 1e-3  # gain of a conjugate step over the gain of its Newton step at which conjugate steps end
 ENERGY_TOLERANCE = 1e-6  # gain of a Newton step over the gain of all steps at which Newton's method ends
 DEFAULT_WIDTH = 0.05  # default width of bounds over the change at which steps end
 
@@ -115,7 +115,7 @@ class GoalBounds(NamedTuple):
     upper: float = math.inf
     rounding: float = 0.0
 
-    def within(self, other: GoalBounds) -> GoalBounds:
+    def cut_to(self, other: GoalBounds) -> GoalBounds:
         """Return the intersection of these bounds with the bounds of `other`, from an earlier iterate.
 
         Earlier bounds may be much better. The estimate is moved into the intersection.
@@ -169,7 +169,7 @@ class GlobalLocal:
         self._couples: list[tuple[Array, Array]] = []
 
     # ---------------------------------------------------------------- the interface model
-    def _field(self, u: Array) -> fem.Function:
+    def _to_fem(self, u: Array) -> fem.Function:
         return set_owned_values(fem.Function(self.model.V), u)
 
     def _missing_forces(self, u: Array) -> Array:
@@ -177,14 +177,14 @@ class GlobalLocal:
 
         They are the loads minus the forces of bodies, springs and all other parts except the layers' laws.
         """
-        others = self.adjoint.forces(self._other_parts, self.state, self._field(u), self.adjoint.interval)
-        return np.asarray(self._loads - others)
+        other_forces = self.adjoint.forces(self._other_parts, self.state, self._to_fem(u), self.adjoint.interval)
+        return np.asarray(self._loads - other_forces)
 
     def _face_forces(self, forces: Array) -> Array:
         """Return the nodal forces on the layers' faces (n,), which are some of the nodal forces `forces` (m,)."""
         return self.layers.free_face_values(self.layers.to_layers(forces))
 
-    def _resistance(self, d: Array) -> Array:
+    def _resisting_forces(self, d: Array) -> Array:
         """Return the forces (m,) with which all parts except the layers' laws resist small displacements `d` (m,).
 
         The forces are linearised at the state from which the iteration starts.
@@ -196,7 +196,7 @@ class GlobalLocal:
         out.destroy()
         return forces
 
-    def _displacements_under(self, r: Array) -> tuple[Array, Array]:
+    def _response_to(self, r: Array) -> tuple[Array, Array]:
         """Solve the linearised interface model for forces `r` (n,) on the layers' faces.
 
         Returns:
@@ -204,7 +204,7 @@ class GlobalLocal:
             bodies and other parts bear.
         """
         d = self.adjoint.displacements(*self.layers.to_interface(r))
-        return d, r - self._face_forces(self._resistance(d))
+        return d, r - self._face_forces(self._resisting_forces(d))
 
     def _with_couples(self, u: Array, F: Array, load: Array, side_u: Array) -> BodyEquilibrium:
         """Return an iterate with additional loads on the layers' faces ("couples"), which balance their resultants.
@@ -221,7 +221,7 @@ class GlobalLocal:
         """
         iterate = BodyEquilibrium(u, self.layers.to_layers(u), F, load, side_u)
         for _ in range(len(self._axes) + 1):  # a couple may leave a resultant along other axes
-            resultant, limit = self._resultant(iterate)
+            resultant, limit = self._resultant_and_limit(iterate)
             if resultant <= COUPLE_REDUCTION * limit:  # well below rounding, as the resultants of steps add up
                 break
             along = self._motion_basis.T @ (iterate.F + load)
@@ -232,7 +232,7 @@ class GlobalLocal:
             iterate = BodyEquilibrium(u, self.layers.to_layers(u), F, load, side_u)
         return iterate
 
-    def _add_couple(self, along: Array) -> None:
+    def _add_couple(self, resultant: Array) -> None:
         """Add a couple, a load on the layers' faces that can cancel a resultant, and the response to it.
 
         A couple consists of the nodal forces of a rigid motion, multiplied by the diagonal of the layers' stiffness.
@@ -240,17 +240,17 @@ class GlobalLocal:
         nothing is added.
 
         Args:
-            along: (k,) the resultant, as coefficients of the k orthonormal rigid motions of the layers.
+            resultant: (k,) the resultant, as coefficients of the k orthonormal rigid motions of the layers.
         """
-        new_part = along - self._axes @ (self._axes.T @ along)
-        if norm(new_part) > NEW_AXIS_SHARE * norm(along):  # a smaller part is left to the next pass, or is rounding
+        new_part = resultant - self._axes @ (self._axes.T @ resultant)
+        if norm(new_part) > NEW_AXIS_SHARE * norm(resultant):  # a smaller part is left to the next pass, or is rounding
             axis = new_part / norm(new_part)
             couple = self._face_stiffnesses[:, 0] * (self._motion_basis @ axis)
-            d, law_forces = self._displacements_under(couple)
+            d, law_forces = self._response_to(couple)
             self._couples.append((d, law_forces - couple))
             self._axes = np.column_stack([self._axes, axis])
 
-    def _resultant(self, iterate: BodyEquilibrium) -> tuple[float, float]:
+    def _resultant_and_limit(self, iterate: BodyEquilibrium) -> tuple[float, float]:
         """Return the largest resultant of the forces on the layers in `iterate`, and a bound of its rounding error."""
         total, layers = iterate.F + iterate.load, self.layers
         rounding = FORCE_ROUNDING * float(np.abs(layers.K.diagonal()).sum() * np.abs(iterate.face_u).max())
@@ -280,7 +280,7 @@ class GlobalLocal:
         b = q.array_r[: self.n].copy()
         z = self.adjoint.weights(q, g).u.x.array[: self.n].copy()
         with self._transposed():
-            return b, self._with_couples(z, self._face_forces(b - self._resistance(z)), layer_q, layer_g)
+            return b, self._with_couples(z, self._face_forces(b - self._resisting_forces(z)), layer_q, layer_g)
 
     @contextmanager
     def _transposed(self) -> Iterator[None]:
@@ -314,7 +314,7 @@ class GlobalLocal:
     def cg_step(self, old: BodyEquilibrium) -> BodyEquilibrium:
         """Return the iterate after one conjugate-gradient step from `old` towards the structure with meshed layers."""
         layers, r, zero = self.layers, self.residual(old), np.zeros_like(old.face_u)
-        d, F = self._displacements_under(r)
+        d, F = self._response_to(r)
         new = self._with_couples(d, F, zero, zero)
         d, v, F = new.u, new.face_u, new.F - r
         Kd = layers.dirichlet_reactions(v, zero, zero) - F
@@ -346,7 +346,7 @@ class GlobalLocal:
         missing = self._missing_forces(start.u)
         missing[self.layers.to_interface(start.F)[0]] = 0.0
         d = self.adjoint.displacements(np.arange(self.n), missing)
-        v, F = start.face_u + self.layers.to_layers(d), start.F - self._face_forces(self._resistance(d))
+        v, F = start.face_u + self.layers.to_layers(d), start.F - self._face_forces(self._resisting_forces(d))
         return start._replace(u=start.u + d, face_u=v, F=F, energy_gain=start.energy_gain + self._work(missing, d))
 
     def _work(self, forces: Array, d: Array) -> float:
@@ -370,22 +370,22 @@ class GlobalLocal:
         cg_end = self._equilibrate_bodies(iterate)
         for _ in range(MAX_CG_STEPS):
             old_gain, cg_end = cg_end.energy_gain, self.cg_step(cg_end)
-            if cg_end.energy_gain - old_gain <= MIN_CG_GAIN * (cg_end.energy_gain - iterate.energy_gain):
+            if cg_end.energy_gain - old_gain <= MIN_CG_GAIN_RATIO * (cg_end.energy_gain - iterate.energy_gain):
                 break
         else:
             text = f"estimate: the interface law is too far from its layer: {MAX_CG_STEPS} steps hardly lead to it"
             raise SolveError(text, advice=MESH_ADVICE)
         du, dv, new = cg_end.u - iterate.u, cg_end.face_u - iterate.face_u, iterate
 
-        def decrease(step_length: float) -> float:
+        def decrease_rate(step_length: float) -> float:
             nonlocal new
             u, face_u = iterate.u + step_length * du, iterate.face_u + step_length * dv
             missing = self._missing_forces(u)
             new = self._linearised(cg_end._replace(u=u, face_u=face_u, F=self._face_forces(missing)))
             return self._work(missing, du) - float(self.layers.dirichlet_reactions(face_u, new.load, new.side_u) @ dv)
 
-        if (start := cg_end.energy_gain - iterate.energy_gain) > GAIN_TOLERANCE * abs(iterate.F @ iterate.face_u):
-            line_search_fraction(decrease, start)
+        if (rate_0 := cg_end.energy_gain - iterate.energy_gain) > GAIN_TOLERANCE * abs(iterate.F @ iterate.face_u):
+            line_search_fraction(decrease_rate, rate_0)
         return new
 
     def newton(self) -> BodyEquilibrium:
@@ -414,7 +414,7 @@ class GlobalLocal:
 
     def _require_balance(self, iterate: BodyEquilibrium) -> None:
         """Raise SolveError if the forces on the layers in `iterate` have a resultant that is more than rounding."""
-        resultant, limit = self._resultant(iterate)
+        resultant, limit = self._resultant_and_limit(iterate)
         if resultant > 2 * limit:
             raise SolveError(f"estimate: forces on the layers have a resultant, {resultant:.2g}; allowed: {limit:.2g}")
 
@@ -451,7 +451,7 @@ class GlobalLocal:
             law_bounds = layers.bregman_divergence(layers.equilibrate_dirichlet(layers.to_layers(u)), w_neumann)
         except SolveError:
             return None
-        body_energy = self._dot(du, self._resistance(du)) / 2
+        body_energy = self._dot(du, self._resisting_forces(du)) / 2
         lower, upper = (body_energy + part for part in law_bounds)
         return GoalBounds((lower - gap + upper) / 2, max(lower - gap, 0.0), upper)
 
@@ -534,12 +534,12 @@ class GlobalLocal:
             forces[self.equations.constraints.bc_dofs] = 0.0
             return z.u * forces
         adjoint.forces(self._law_parts, self.state, u, adjoint.interval)
-        return adjoint.work(self._law_parts, Configuration(self._field(z.u), self.state.t)) - z.u * adjoint.layer_loads
+        return adjoint.work(self._law_parts, Configuration(self._to_fem(z.u), self.state.t)) - z.u * adjoint.layer_loads
 
     def states(self, last: BodyEquilibrium) -> tuple[State, State]:
         """Return a state of the interface model and a state of the meshed layers, both for the last iterate `last`."""
         w = self.layers.equilibrate_dirichlet(last.face_u)
-        return replace(self.state, u=self._field(last.u)), self.layers.state(w)
+        return replace(self.state, u=self._to_fem(last.u)), self.layers.state(w)
 
     def run(
         self, goals: Mapping[str, Goal], values: Mapping[str, float], bounds: dict[str, GoalBounds], width: float | None
@@ -568,7 +568,7 @@ class GlobalLocal:
                 if width is None:
                     bounds[name] = GoalBounds(self.goal_estimate(value_at_rest, q, iterate, z), math.nan, math.nan)
                 else:
-                    bounds[name] = self.goal_bounds(value_at_rest, q, iterate, z).within(bounds.get(name, GoalBounds()))
+                    bounds[name] = self.goal_bounds(value_at_rest, q, iterate, z).cut_to(bounds.get(name, GoalBounds()))
             if step == MAX_ITERATIONS or self.may_end(iterate, values, bounds, width):
                 break
             iterate = self.cg_step(iterate)

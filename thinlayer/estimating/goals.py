@@ -217,8 +217,8 @@ class Reaction(DirectedGoal):
         forces = [reaction.force for reaction in state.reactions_by_place().values()]
         force_sum = float(sum(np.linalg.norm(force) for force in [*forces, state.applied().force]))
         surfaces = [Surface(model, name) for name in model.layers]  # under pure moments all resultants are zero
-        loads = (_rms_traction(surface, state) * float(surface.integral(1.0)) for surface in surfaces)
-        return max(force_sum, sum(loads))
+        seam_forces = (_rms_traction(surface, state) * float(surface.integral(1.0)) for surface in surfaces)
+        return max(force_sum, sum(seam_forces))
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         model, direction = adjoint.model, self.unit(adjoint.model)
@@ -265,7 +265,7 @@ class MeanTraction(DirectedGoal):
     def value(self, state: State, model: InterfaceModel) -> float:
         if any(term.law.traits.compiled for term in model.bodies) and state.model is not model:
             raise InputError(f"{self.name} of bonded bodies: their laws are not linear")
-        v, u = self._test_function(model), displacements_of(state, model)
+        v, u = self._virtual_displacements(model), displacements_of(state, model)
         bodies = replace(state, model=model, u=u).bodies  # with the strains that are prescribed at its time
         work_forms = [state.work(bodies, v)] if state.model.V is model.V else [forms.work(bodies, u, v)]
         work_forms += [-model.external_work(v, state.t), model.work_of_parts(u, v)]
@@ -280,13 +280,13 @@ class MeanTraction(DirectedGoal):
         linear = all(term.law.traits.linear and not term.law.traits.compiled for term in model.bodies)
         if not linear or not all(part.is_linear(model) for part in model.parts):
             raise InputError(f"{self.name}: a law of the bodies, or a part, is not linear; its weights are not known")
-        u, du, v = fem.Function(model.V), ufl.TestFunction(model.V), self._test_function(model)
+        u, du, v = fem.Function(model.V), ufl.TestFunction(model.V), self._virtual_displacements(model)
         work_form = forms.work([replace(term, prescribed_strain=None) for term in model.bodies], du, v)
-        if (added := model.work_of_parts(u, v)).integrals():
-            work_form += ufl.derivative(added, u, du)
+        if (parts_work := model.work_of_parts(u, v)).integrals():
+            work_form += ufl.derivative(parts_work, u, du)
         return adjoint.form_weights(work_form), adjoint.zero_vector()
 
-    def _test_function(self, model: InterfaceModel) -> fem.Function:
+    def _virtual_displacements(self, model: InterfaceModel) -> fem.Function:
         """Return virtual displacements in which the work of the bodies' nodal forces on the seam is the mean traction.
 
         Each side of S contributes half of the work. If a node of one side is constrained, or lies on another seam, too,
@@ -299,9 +299,9 @@ class MeanTraction(DirectedGoal):
         is_fixed.x.array[model.bc_dofs_in(W)] = 1.0
         for name in [self.seam] if self.seam in model.layers else [*model.layers]:
             others = [nodes for other, pair in sides.items() if other != name for nodes in pair]
-            mixed = nodal_sums(W, others, [np.ones(len(e))] * len(others)) + is_fixed.x.array.reshape(-1, len(e))
+            n_others = nodal_sums(W, others, [np.ones(len(e))] * len(others)) + is_fixed.x.array.reshape(-1, len(e))
             w, v_on_S, surface = fem.Function(W), fem.Function(model.V), SurfaceMesh(model, name)
-            w.x.array[:] = (_reaction_factors(W, *sides[name], mixed > 0) * e).ravel()
+            w.x.array[:] = (_reaction_factors(W, *sides[name], n_others > 0) * e).ravel()
             v_on_S.interpolate(w)
             lower, upper = surface.side_values(v_on_S, model, surface.quadrature)
             area, jump = surface.integral(1.0), surface.integral(lower - upper) @ e

@@ -136,7 +136,7 @@ class Estimate:
     energy: GoalBounds | None
     _subproblem: LayerSubproblem
     _initial: State  # state from which steps led to `better`
-    _before: State | None  # previous state of `state`, or of the state solved in place of bonds; None: rest
+    _previous: State | None  # previous state of `state`, or of the state solved in place of bonds; None: rest
     _adjoint_solutions: Mapping[str, BodyEquilibrium]  # adjoint solutions of the goals
     _goals: Mapping[str, Goal]
     _options: Options | None
@@ -174,7 +174,7 @@ class Estimate:
             InputError: no such goal.
         """
         require_known("goal", goal, self._goals, "estimate")
-        with Adjoint(self._initial if self.state.model.bonds else self.state, self._before, self._options) as adjoint:
+        with Adjoint(self._initial if self.state.model.bonds else self.state, self._previous, self._options) as adjoint:
             iteration = GlobalLocal(adjoint, self._subproblem)
             density = change_density(iteration, self.state, self.better, self._adjoint_solutions[goal])
             linear = iteration.model.linear and self._goals[goal].is_linear(iteration.model)
@@ -286,8 +286,8 @@ class Estimate:
 
 
 def _fields_text(traction: float, jump: float) -> list[str]:
-    pairs = (("traction", traction), ("jump", jump))
-    return [f"{_percent(error)} in {name}" for name, error in pairs if math.isfinite(error)]
+    named_errors = (("traction", traction), ("jump", jump))
+    return [f"{_percent(error)} in {name}" for name, error in named_errors if math.isfinite(error)]
 
 
 def _goal_text(name: str, goal: GoalError) -> str:

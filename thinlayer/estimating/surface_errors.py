@@ -22,11 +22,11 @@ from thinlayer.surface.surface_mesh import SurfaceMesh
 FIELD_ROUNDING = (1e-11, 1e-9)
 
 
-def squared_norms(before: State, better: State, seam_layer: SeamLayer, layers: State) -> Array:
+def squared_norms(state: State, better: State, seam_layer: SeamLayer, layers: State) -> Array:
     """Return squared L2 norms on a seam of traction t, of jump [u], and of their changes by meshing. Collective.
 
     Args:
-        before: the state u_0 with interface laws or bonds.
+        state: the state u_0 with interface laws or bonds.
         better: u_1, the state of the interface model whose bodies are in equilibrium with the meshed layers.
         seam_layer: the layer on the seam.
         layers: state of the meshed layers, from which the tractions t(u_1) are taken.
@@ -36,8 +36,8 @@ def squared_norms(before: State, better: State, seam_layer: SeamLayer, layers: S
         they are only rounding.
     """
     surface = Surface(better.model, seam_layer.name)
-    has_law = seam_layer.name in before.model.layers
-    t, w = (surface.traction if has_law else surface.reaction)(before), surface.jump(before)
+    has_law = seam_layer.name in state.model.layers
+    t, w = (surface.traction if has_law else surface.reaction)(state), surface.jump(state)
     fields = [surface.traction(layers) - t, t] + ([surface.jump(better) - w, w] if has_law else [])
     squares = np.array([surface.norm(f) ** 2 for f in fields] + [0.0] * (4 - len(fields)))
     u_squared = float(better.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) ** 2 * surface.integral(1.0)
@@ -87,11 +87,11 @@ def change_density(iteration: GlobalLocal, state: State, better: State, z: BodyE
     layer_z, z_residual = iteration.layer_unknowns(z), iteration.residual(z)
     layers.transpose()
     w = layers.equilibrate_dirichlet(v)
-    layer_work = layers.work(w, layer_z)
-    layer_work -= (z_residual * (better_v - v) + z.load * w)[: len(layer_work)]
+    work_at_dofs = layers.work_shares(w, layer_z)
+    work_at_dofs -= (z_residual * (better_v - v) + z.load * w)[: len(work_at_dofs)]
     layer_joint = layers.model.domain.joint
     layer_sums = np.zeros(len(layer_joint.points))
-    _add_at_vertices(layer_sums, layers.model, layer_work)
+    _add_at_vertices(layer_sums, layers.model, work_at_dofs)
     _, joint_vertices = cKDTree(model.joint.points).query(layer_joint.reference)
     vertex_sums = model.comm.allreduce(vertex_sums) - np.bincount(joint_vertices, layer_sums, len(vertex_sums))
     np.add.at(areas, surface.vertices, surface.areas)

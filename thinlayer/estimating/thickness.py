@@ -31,8 +31,8 @@ from thinlayer.time.marching import march
 THICKNESS_TOLERANCE = 0.01  # relative tolerance of the thickness
 THICKNESS_RATIO = math.sqrt(2)  # ratio of successive thicknesses, from the largest
 N_ALLOWED_IN_TURN = 5  # number of successive thicknesses at which the error must be allowed
-FALLING_STEPS = 16  # steps over which an error should fall; it stays over seven of them in nearly incompressible layers
-STALLED_ERROR_RATIO = 0.92  # error over the largest error of the last FALLING_STEPS steps above which it hardly falls
+N_FALLING_STEPS = 16  # steps over which an error should fall; it stays over seven in nearly incompressible layers
+STALLED_ERROR_RATIO = 0.92  # error over the largest error of the last N_FALLING_STEPS above which it hardly falls
 MAX_THICKNESSES = 40  # largest number of steps in search of a thickness that is thin enough
 
 
@@ -121,17 +121,17 @@ def thin_enough(
         >>> f"{limit.eps:.3g}"
         '0.123'
     """
-    on_seams, thinned_layer = _check_arguments(structure, layer, tolerance, goal, seam, bonded)
-    seams = list(on_seams) if seam == S else [seam]
+    seam_layers, thinned_layer = _check_arguments(structure, layer, tolerance, goal, seam, bonded)
+    seams = list(seam_layers) if seam == S else [seam]
 
     def solve_model(model: Model) -> State | History:
         return solve(model, t, options=options) if times is None else march(model, times, options=options)
 
     quantity, goals = (goal, []) if isinstance(goal, str) else (goal.name, [goal])
 
-    first_model = structure.interface(on_seams, bodies=bodies)
+    first_model = structure.interface(seam_layers, bodies=bodies)
     make_model = first_model.with_layer if bodies == "kept" else partial(structure.interface, bodies=bodies)
-    bonds = {**on_seams, **dict.fromkeys(seams, Bond())}
+    bonds = {**seam_layers, **dict.fromkeys(seams, Bond())}
     for name in seams if bonded else ():
         first_model.applicability[name].require("bonded", "thin_enough: ")
     bonded_state = solve_model(structure.interface(bonds, bodies=bodies)) if bonded else None
@@ -142,7 +142,7 @@ def thin_enough(
         with warnings.catch_warnings(record=True) as warnings_at[eps]:  # warnings at the final thickness are passed on
             warnings.simplefilter("always", RangeWarning)
             layers = dict.fromkeys(seams, replace(thinned_layer, eps=eps, law=thinned_layer.material, at=None))
-            state = bonded_state or solve_model(make_model({**on_seams, **layers}))
+            state = bonded_state or solve_model(make_model({**seam_layers, **layers}))
             error_estimate = estimate(state, layers if bonded else None, goals, seam=seam, options=options)
         caveats[eps] = error_estimate.caveats
         return _relative_error(error_estimate, quantity)
@@ -176,18 +176,18 @@ def _check_arguments(
     """
     require(isinstance(structure, Structure), "thin_enough: the structure", structure, "it takes a Structure")
     with errors_on_all(structure.comm):
-        on_seams: dict[str, SeamContent] = value_by_seam(structure.joint, layer, "layer")
+        seam_layers: dict[str, SeamContent] = value_by_seam(structure.joint, layer, "layer")
         if not (seam == S and isinstance(layer, ThinLayer)):
-            require_known("seam", seam, on_seams, "thin_enough: seam=... names the layer that becomes thinner")
-        thin, is_goal = on_seams.get(seam, layer), isinstance(goal, Goal) or goal in ESTIMATED_FIELDS
-        if not isinstance(thin, ThinLayer):
-            raise InputError(f"thin_enough: the layer is {thin!r:.200}; give a ThinLayer")
+            require_known("seam", seam, seam_layers, "thin_enough: seam=... names the layer that becomes thinner")
+        thinned_layer, is_goal = seam_layers.get(seam, layer), isinstance(goal, Goal) or goal in ESTIMATED_FIELDS
+        if not isinstance(thinned_layer, ThinLayer):
+            raise InputError(f"thin_enough: the layer is {thinned_layer!r:.200}; give a ThinLayer")
         in_range, names = is_number(tolerance) and 0 < tolerance < 1, ", ".join(ESTIMATED_FIELDS)
         require(in_range, "thin_enough: the tolerance", tolerance, "allowed: between 0 and 1")
         require(is_goal, "thin_enough: the goal", goal, f"allowed: {names}, or one of thinlayer.goals")
         if bonded and goal == "jump":
             raise InputError("thin_enough: bonded bodies have no jump; take the traction, or a goal")
-    return on_seams, thin
+    return seam_layers, thinned_layer
 
 
 def _relative_error(error_estimate: Estimate, quantity: str) -> float:
@@ -260,8 +260,8 @@ def _require_falling(errors: Sequence[float], low: float, n_passed: int) -> None
         low: the last and smallest of these thicknesses.
         n_passed: number of successive thicknesses, up to the last one, at which the error is allowed.
     """
-    stalled_error = STALLED_ERROR_RATIO * max(errors[-1 - FALLING_STEPS : -1], default=math.inf)
-    if not n_passed and len(errors) > FALLING_STEPS and (errors[-1] > stalled_error or len(errors) > MAX_THICKNESSES):
+    stalled_error = STALLED_ERROR_RATIO * max(errors[-1 - N_FALLING_STEPS : -1], default=math.inf)
+    if not n_passed and len(errors) > N_FALLING_STEPS and (errors[-1] > stalled_error or len(errors) > MAX_THICKNESSES):
         text = f"no thickness down to {low:.3g} is thin enough: the error is {errors[-1]:.3g} there, and hardly falls"
         advice = "is the layer much softer than the bodies, and are there loads at this time?"
         raise InputError(f"thin_enough: {text} with it; {advice}")

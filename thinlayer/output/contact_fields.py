@@ -130,9 +130,9 @@ class Contact:
         nodes, m = self.surface.nodes, len(self.status)
         a, b = nodes[:, np.triu_indices(nodes.shape[1], 1)].swapaxes(0, 1).reshape(2, -1)
         _, status_codes = np.unique(self.status, return_inverse=True)
-        _, vertex_sets = np.unique(np.stack([self.surface.vertices, status_codes.ravel()]), axis=1, return_inverse=True)
+        _, pair_labels = np.unique(np.stack([self.surface.vertices, status_codes.ravel()]), axis=1, return_inverse=True)
         is_same = self.status[a] == self.status[b]
-        edge_starts, edge_ends = np.append(a[is_same], np.arange(m)), np.append(b[is_same], m + vertex_sets.ravel())
+        edge_starts, edge_ends = np.append(a[is_same], np.arange(m)), np.append(b[is_same], m + pair_labels.ravel())
         zone_labels = components(edge_starts, edge_ends, 2 * m)[:m]
         zone_nodes = [np.flatnonzero(zone_labels == label) for label in dict.fromkeys(map(int, zone_labels))]
         return [self._make_zone(members) for members in zone_nodes if self.status[members[0]] != NO_CONTACT_STATUS]
@@ -155,8 +155,8 @@ class Contact:
 
     @property
     def _counts_text(self) -> str:
-        counts = ", ".join(f"{count} {name}" for name, count in self.counts.items() if count)
-        return counts if self.surface.seam == S else f"{self.surface.seam}: {counts}"
+        text = ", ".join(f"{count} {name}" for name, count in self.counts.items() if count)
+        return text if self.surface.seam == S else f"{self.surface.seam}: {text}"
 
     def __repr__(self) -> str:
         return f"Contact({self._counts_text})"
@@ -182,12 +182,12 @@ def contact_values(surface: SurfaceMesh, state: State) -> dict[str, np.ndarray]:
     results = [result for name in seams for result in state.model.comm.allgather(_rank_values(state, name))]
     if not results:
         return {}
-    rows_of_name = {name: np.concatenate([result[name] for result in results]) for name in results[0]}
-    nodes, m = surface.positions_of(rows_of_name.pop("number")), len(surface.node_numbers)
-    is_vertex, areas = rows_of_name.pop("vertex"), rows_of_name.pop("areas")
+    array_of_name = {name: np.concatenate([result[name] for result in results]) for name in results[0]}
+    nodes, m = surface.positions_of(array_of_name.pop("number")), len(surface.node_numbers)
+    is_vertex, areas = array_of_name.pop("vertex"), array_of_name.pop("areas")
     area_sums = sum_by_number(nodes, areas, m)
     values: dict[str, np.ndarray] = {"areas": area_sums}
-    for name, array in rows_of_name.items():
+    for name, array in array_of_name.items():
         if name in ("p", "t_T", "threshold"):  # vertices share the forces of nodes between them
             values[name] = (sum_by_number(nodes, (array.T * areas).T, m).T / np.where(area_sums > 0, area_sums, 1.0)).T
             continue
@@ -224,10 +224,10 @@ def _rank_values(state: State, seam: str) -> dict[str, np.ndarray]:
     status_names = np.array([STATUS_NAMES[Status(int(code))] for code in statuses], dtype="<U9")
     status_names[nodes.is_fixed.all(axis=1)] = PINNED_STATUS
     row_nodes, pair_keys = body_pairs(model.joint, seam, nodes.node_ids)
-    vertex_count = np.bincount(row_nodes, minlength=len(w))
+    n_vertices = np.bincount(row_nodes, minlength=len(w))
     values: dict[str, np.ndarray] = {
-        "vertex": vertex_count == 1, "status": status_names, "u_T": w[:, :-1], "u_N": -w[:, -1], "p": p, "t_T": t[:, :-1],
-        "threshold": threshold, "slip": slip, "areas": nodes.weights / vertex_count, "frames": nodes.frames,
+        "vertex": n_vertices == 1, "status": status_names, "u_T": w[:, :-1], "u_N": -w[:, -1], "p": p, "t_T": t[:, :-1],
+        "threshold": threshold, "slip": slip, "areas": nodes.weights / n_vertices, "frames": nodes.frames,
     }  # fmt: skip
     nodes.destroy()
     return {"number": pair_keys} | {name: array[row_nodes] for name, array in values.items()}

@@ -108,7 +108,7 @@ def ensemble(
     with ExitStack() as stack, lock_from_root(path and path.parent, name=lock_name):
         subcomm = MPI.Intracomm(comm.Split(group))
         stack.callback(subcomm.Free)
-        stored_rows = {} if path is None else on_root(None, lambda: _stored_rows(path, make, inputs, resume))
+        stored_rows = {} if path is None else on_root(None, lambda: _read_stored_rows(path, make, inputs, resume))
         runs = [k for k in range(first_run, len(inputs), step) if k not in stored_rows]
         file_name = f"{first_run}-of-{step}.json"
         file = RowFile(_row_folder(path) / file_name, make, "ensemble") if path and subcomm.rank == 0 else None
@@ -123,11 +123,11 @@ def ensemble(
             error = problem
         all_rows = stored_rows | {k: row for group_rows in comm.allgather(rows) for k, row in group_rows.items()}
         if path is not None:
-            all_rows |= on_root(None, lambda: _merge_rows(path, inputs))
+            all_rows |= on_root(None, lambda: _write_merged_table(path, inputs))
         failure = None if error is None else f"group {group} of ranks has failed: {type(error).__name__}: {error}"
         if failures := [*filter(None, comm.allgather(failure))]:
             raise error or InputError(failures[0])
-        return _table(inputs, all_rows)
+        return _make_table(inputs, all_rows)
 
 
 def _compute(
@@ -176,7 +176,7 @@ def _row_folder(path: Path) -> Path:
     return path.with_name(f"{path.name}.parts")
 
 
-def _stored_rows(path: Path, make: Callable[[], RunFunction], cases: list[Row], resume: Resume) -> dict[int, Row]:
+def _read_stored_rows(path: Path, make: Callable[[], RunFunction], cases: list[Row], resume: Resume) -> dict[int, Row]:
     """Read the rows that earlier jobs of an ensemble have stored; with resume=False move their files away first.
 
     Args:
@@ -193,7 +193,7 @@ def _stored_rows(path: Path, make: Callable[[], RunFunction], cases: list[Row], 
     """
     move_or_check_files(path, _row_folder(path), resume)
     files = [RowFile(file, make, "ensemble") for file in sorted(_row_folder(path).glob("*-of-*.json"))]
-    rows = _row_of_run([row for file in files for row in file.read(resume)])
+    rows = _map_by_run([row for file in files for row in file.read(resume)])
     for k, row in rows.items():
         case = cases[k] if k < len(cases) else {}
         changed_inputs = [f"{name} = {row.get(name)!r} there" for name, value in case.items() if row.get(name) != value]
@@ -203,23 +203,24 @@ def _stored_rows(path: Path, make: Callable[[], RunFunction], cases: list[Row], 
     return rows
 
 
-def _merge_rows(path: Path, cases: list[Row]) -> dict[int, Row]:
+def _write_merged_table(path: Path, cases: list[Row]) -> dict[int, Row]:
     """Write the rows that all jobs have stored to the csv table `path`, and return them: number of a run -> its row.
 
     A lock on the folder of stored rows prevents two jobs from doing so at the same time.
     """
     with lock_folder(_row_folder(path), f".merge{LOCK_FILE}", wait=True):
-        rows = _row_of_run([row for file in _row_folder(path).glob("*-of-*.json") for row in read_sealed(file)["rows"]])
+        rows = _map_by_run([row for file in _row_folder(path).glob("*-of-*.json") for row in read_sealed(file)["rows"]])
         if rows:
-            _table(cases, rows).write_on_this_rank(path)
+            _make_table(cases, rows).write_on_this_rank(path)
     return rows
 
 
-def _row_of_run(rows: Sequence[Row]) -> dict[int, Row]:
+def _map_by_run(rows: Sequence[Row]) -> dict[int, Row]:
+    """Return number of a run -> its row, from rows with a column of these numbers."""
     return {int(row[RUN_COLUMN]): row for row in rows}  # type: ignore[arg-type]
 
 
-def _table(cases: list[Row], rows: Mapping[int, Row]) -> Table:
+def _make_table(cases: list[Row], rows: Mapping[int, Row]) -> Table:
     """Make the table of `rows`, number of a run -> row, ordered by run; entries that a row lacks are None."""
     ordered = [rows[k] for k in sorted(rows)]
     names = dict.fromkeys(name for row in ([RUN_COLUMN, *cases[0]], *ordered) for name in row if name != FAILURE_COLUMN)

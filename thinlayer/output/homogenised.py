@@ -15,7 +15,7 @@ from thinlayer.system.ranks import errors_on_all
 
 # difference of the stiffness from its transpose, over its size, above which a law or a solve must be wrong
 ASYMMETRY_TOLERANCE = 1e-8
-BODY_ASYMMETRY_TOLERANCE = 1e-12  # the same over the stiffness of the bodies, whose strains have rounding errors
+ASYMMETRY_ROUNDING_RATIO = 1e-12  # the same over the stiffness of the bodies, whose strains have rounding errors
 
 
 def homogenised_stiffness(model: Model) -> Array:
@@ -51,13 +51,13 @@ def homogenised_stiffness(model: Model) -> Array:
     """
     with errors_on_all(model.comm if isinstance(model, Model) else default_comm()):
         _require_linear_periodic(model)
-    with Solver(model.under_mean_strain(_unit_strain_function(model.joint.dim))) as solver:
+    with Solver(model.under_mean_strain(_make_unit_strain_function(model.joint.dim))) as solver:
         times = map(float, range(len(VOIGT_PAIRS_OF_DIM[model.joint.dim])))
         stresses = [solver.step(solver.rest_state(t), t).mean_stress() for t in times]
     stiffness = np.column_stack([[stress[pair] for pair in VOIGT_PAIRS_OF_DIM[len(stress)]] for stress in stresses])
     asymmetry, norm = float(np.abs(stiffness - stiffness.T).max()), float(np.abs(stiffness).max())
     body_norm = max(np.abs(C).max() for C in model.structure.extreme_body_tangents if C is not None)
-    if model.symmetric and asymmetry > ASYMMETRY_TOLERANCE * norm + BODY_ASYMMETRY_TOLERANCE * body_norm:
+    if model.symmetric and asymmetry > ASYMMETRY_TOLERANCE * norm + ASYMMETRY_ROUNDING_RATIO * body_norm:
         raise SolveError(f"the homogenised stiffness is not symmetric: entries of {norm:.1e} differ by {asymmetry:.1e}")
     return stiffness
 
@@ -77,7 +77,7 @@ def _require_linear_periodic(model: Model) -> None:
         raise InputError(f"the support on {moving_places[0]!r} moves; homogenised_stiffness needs supports at rest")
 
 
-def _unit_strain_function(d: int) -> MeanTensorInput:
+def _make_unit_strain_function(d: int) -> MeanTensorInput:
     """Return a function of (x, t), whose value at the time t = k is the unit strain of the column k of the stiffness.
 
     It is a mean strain (d, d) in d = 2 or 3 dimensions, the same at all places x. Columns, from 0, and their unit

@@ -32,8 +32,8 @@ def layer_forces(state: State, bonds_joined: bool = False) -> fem.Function:
     v = ufl.TestFunction(W)
     # Separate forms: in a sum DOLFINx 0.9 loses integrals over overlapping sets of regions with different quadratures.
     r = nodal_forces(W, state.work(state.bodies, v))
-    if (added := model.work_of_parts_in(state, v)).integrals():
-        r.x.array[:] += nodal_forces(W, added).x.array
+    if (parts_work := model.work_of_parts_in(state, v)).integrals():
+        r.x.array[:] += nodal_forces(W, parts_work).x.array
     r.x.array[:] -= nodal_forces(W, model.external_work(v, state.t)).x.array
     return r
 

@@ -121,33 +121,33 @@ class Probe:
             InputError: points outside the bodies and meshed layers; an unknown side or seam.
         """
         located = self._locate(x, side, seam)
-        cell_stresses = np.zeros((len(located.entity), 9))
+        pair_stresses = np.zeros((len(located.entity), 9))
         for points in law_points(self.state):
             if points.quadrature.region.dim == self._joint.dim:
-                cell_stresses += self._fit_in_cells(points, points.stress().reshape(-1, 9), located)
-        cell_stresses = self._comm.allreduce(cell_stresses)
-        means = located.point_means(cell_stresses).reshape(-1, 3, 3)
+                pair_stresses += self._fit_and_evaluate(points, points.stress().reshape(-1, 9), located)
+        pair_stresses = self._comm.allreduce(pair_stresses)
+        means = located.point_means(pair_stresses).reshape(-1, 3, 3)
         return means if np.ndim(x) > 1 else means[0]
 
-    def _locate(self, x: npt.ArrayLike, side: str | None = None, seam: str = S, facets: bool = False) -> LocatedPoints:
+    def _locate(self, x: npt.ArrayLike, side: str | None = None, seam: str = S, on_s: bool = False) -> LocatedPoints:
         """Find the cells, or the facets of S, that contain points; all ranks get the same result or error. Collective.
 
         Args:
             x: (n, d) coordinates, or (d,) for one point.
             side: "lower" or "upper": at points on S find only cells on this side; None: all cells. Not for facets.
             seam: name of the seam to which `side` refers; "S": all seams.
-            facets: True: find facets of S; False: find cells.
+            on_s: True: find facets of S that contain the points; False: find cells.
 
         Returns:
             Pairs of a point and a cell, or facet, that contains it.
         """
         model = self.state.model
         with errors_on_all(self._comm):
-            located = SurfaceMesh(model).at(x)[0] if facets else cells_at(model, x, side, seam)
+            located = SurfaceMesh(model).at(x)[0] if on_s else cells_at(model, x, side, seam)
         require_same(self._comm, places=located.x, side=side, seam=seam)
         return located
 
-    def _fit_in_cells(self, points: LawPoints, values: Array, located: LocatedPoints) -> Array:
+    def _fit_and_evaluate(self, points: LawPoints, values: Array, located: LocatedPoints) -> Array:
         """Fit a polynomial in each cell to values at the quadrature points of a law, and evaluate it at given points.
 
         Args:
@@ -166,8 +166,8 @@ class Probe:
             cell_points = points.quadrature.cells[row_of_cell[cell]]
             x = points.quadrature.x[cell_points]
             centre, cell_size = x.mean(axis=0), np.ptp(self._joint.points[self._joint.cells[cell]], axis=0).max()
-            monomials = _monomials((x - centre) / cell_size, degree)
-            pair_monomials = _monomials((located.x[located.point[pair]] - centre)[None] / cell_size, degree)
+            monomials = _evaluate_monomials((x - centre) / cell_size, degree)
+            pair_monomials = _evaluate_monomials((located.x[located.point[pair]] - centre)[None] / cell_size, degree)
             fitted_values[pair] = pair_monomials @ np.linalg.lstsq(monomials, values[cell_points], rcond=None)[0]
         return fitted_values
 
@@ -210,8 +210,8 @@ class Probe:
         entity[quadrature.cells] = points.joint_entities[:, None]
         owned = (entity, quadrature.x, quadrature.weights, values)
         entity, x, weights, values = (np.concatenate(parts) for parts in zip(*self._comm.allgather(owned), strict=True))
-        order = np.lexsort([np.argsort(place_order(x, self._joint.size)), entity])
-        return PointValues(key, x[order], values[order], weights[order], entity[order])
+        permutation = np.lexsort([np.argsort(place_order(x, self._joint.size)), entity])
+        return PointValues(key, x[permutation], values[permutation], weights[permutation], entity[permutation])
 
     def internal(self, name: str, x: npt.ArrayLike, key: str | None = None) -> Array:
         """Return the value of an internal variable at the quadrature point nearest to each of n points.
@@ -232,7 +232,7 @@ class Probe:
         """
         points = self.points(name, key)
         is_on_s = self._variables[points.key][name][0].quadrature.region.dim < self._joint.dim
-        located = self._locate(x, facets=is_on_s)
+        located = self._locate(x, on_s=is_on_s)
         entity = self._joint.surface_rows[located.entity] if is_on_s else located.entity
         nearest_values = np.empty((len(located.x), *points.values.shape[1:]))
         for k, point in enumerate(located.x):
@@ -285,7 +285,7 @@ def cells_at(model: Model, x: npt.ArrayLike, side: str | None = None, seam: str 
     return SurfaceMesh(model, seam).on_side(located, side)
 
 
-def _monomials(x: Array, degree: int) -> Array:
+def _evaluate_monomials(x: Array, degree: int) -> Array:
     """Return the values (n, k) at n points `x` (n, d) of the k monomials whose total degree is at most `degree`."""
-    factors = [k for n in range(degree + 1) for k in combinations_with_replacement(range(x.shape[1]), n)]
-    return np.column_stack([x[:, k].prod(axis=1) for k in factors])
+    factor_axes = [k for n in range(degree + 1) for k in combinations_with_replacement(range(x.shape[1]), n)]
+    return np.column_stack([x[:, k].prod(axis=1) for k in factor_axes])

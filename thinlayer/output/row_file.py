@@ -145,9 +145,9 @@ def checked_row(row: Mapping[str, object], row_name: str, reserved: Collection[s
             raise InputError(f"{row_name} has {name!r}; names of columns are texts, other than {', '.join(reserved)}")
         if not (value is None or isinstance(value, str) or (isinstance(value, Real) and not isinstance(value, bool))):
             raise InputError(f"{row_name}: {name} = {value!r} is neither a number nor a text")
-        kept = entries[name] = value if value is None or isinstance(value, str) else float(value)
-        if isinstance(value, Integral) and value != kept:
-            raise InputError(f"{row_name}: {name} = {value!r}, of which a table keeps {kept:.17g}; take it below 2^53")
+        entry = entries[name] = value if value is None or isinstance(value, str) else float(value)
+        if isinstance(value, Integral) and value != entry:
+            raise InputError(f"{row_name}: {name} = {value!r}, of which a table keeps {entry:.17g}; take it below 2^53")
     return entries
 
 

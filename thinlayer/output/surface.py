@@ -93,8 +93,8 @@ class Surface(SurfaceMesh):
         all_of_s = SurfaceMesh(self.model)  # forces at junctions are sums over all seams there
         tractions, is_bond = consistent_tractions(all_of_s, state), np.isin(all_of_s.seams, state.model.bonds)
         if is_bond.any() and not is_bond.all() and state.model.broken:
-            at_bond = all_of_s.nodal_sums(np.broadcast_to(is_bond[:, None], all_of_s.nodes.shape).astype(float)) > 0
-            tractions = np.where(at_bond[:, None], tractions, consistent_tractions(all_of_s, state, bonds_joined=True))
+            has_bond = all_of_s.nodal_sums(np.broadcast_to(is_bond[:, None], all_of_s.nodes.shape).astype(float)) > 0
+            tractions = np.where(has_bond[:, None], tractions, consistent_tractions(all_of_s, state, bonds_joined=True))
         return self.at_points(tractions[all_of_s.positions_of(self.node_numbers)])
 
     # ---------------------------------------------------------------- status, phases, contact
@@ -122,13 +122,13 @@ class Surface(SurfaceMesh):
             raise InputError(f"a status is of a state of an interface model, not of {model!r}")
         areas = {name: np.zeros(len(self.rows)) for name in all_statuses(model)}
         for name in model.joint.seams:
-            if len(words := seam_statuses(model, name)) == 1:
-                areas[words[0]][self.seams == name] = 1.0
+            if len(statuses := seam_statuses(model, name)) == 1:
+                areas[statuses[0]][self.seams == name] = 1.0
         for points, facets in layer_points(self, state):
-            if len(words := law_statuses(points.term.law)) > 1:
+            if len(statuses := law_statuses(points.term.law)) > 1:
                 status, weights = _statuses_at_points(self, points, facets), self.rule(points.quadrature.degree).weights
                 facets = facets[facets >= 0]
-                for name in words:
+                for name in statuses:
                     np.add.at(areas[name], facets, (weights[facets] * (status == name)).sum(axis=1))
         if contact := contact_values(self, state):
             corner_statuses = contact["status"][self.nodes]
@@ -152,8 +152,8 @@ class Surface(SurfaceMesh):
                     weights = fraction * points.quadrature.weights[cells]
                     for integral, values in zip(integrals, (weights * internal["phase"][cells], weights), strict=True):
                         np.add.at(integral, facets[facets >= 0], values.sum(axis=1))
-        phase_integral, volume = state.model.comm.allreduce(integrals)
-        return np.where(volume > 0, phase_integral / np.where(volume > 0, volume, 1.0), np.nan)[:, None]
+        phase_integrals, volumes = state.model.comm.allreduce(integrals)
+        return np.where(volumes > 0, phase_integrals / np.where(volumes > 0, volumes, 1.0), np.nan)[:, None]
 
     def contact(self, state: State) -> Contact:
         """Return status, jumps and tractions of contact laws at the nodes of this surface, in a state.

@@ -43,7 +43,7 @@ def layer_tractions(surface: SurfaceMesh, state: State) -> Array:
     """
     corner_forces = np.zeros((*surface.corners.shape, surface.joint.dim))
     for points, facets in layer_points(surface, state):
-        add_forces = _add_law_forces if points.quadrature.region.dim < surface.joint.dim else _add_cell_forces
+        add_forces = _add_interface_forces if points.quadrature.region.dim < surface.joint.dim else _add_meshed_forces
         add_forces(corner_forces, surface, facets, points)
     corner_forces = state.model.comm.allreduce(corner_forces)
     tractions = surface.lumped(corner_forces) if surface.model.contact else surface.projected(corner_forces)
@@ -71,7 +71,7 @@ def layer_points(surface: SurfaceMesh, state: State) -> Iterator[tuple[LawPoints
             yield points, facet_of_cell[points.joint_entities]
 
 
-def _add_law_forces(corner_forces: Array, surface: SurfaceMesh, facets: IntArray, points: LawPoints) -> None:
+def _add_interface_forces(corner_forces: Array, surface: SurfaceMesh, facets: IntArray, points: LawPoints) -> None:
     """Add to `corner_forces` the integrals of an interface law's traction times the shape functions of degree 1.
 
     Args:
@@ -80,9 +80,9 @@ def _add_law_forces(corner_forces: Array, surface: SurfaceMesh, facets: IntArray
         facets: for each facet where the law acts, its number on the surface; -1: it is not on this surface.
         points: quadrature points of the law.
     """
-    rule, present = surface.rule(points.quadrature.degree), facets[facets >= 0]
+    rule, s_facets = surface.rule(points.quadrature.degree), facets[facets >= 0]
     t = _point_tractions(points)[match_law_points(rule, facets, points)]
-    np.add.at(corner_forces, present, np.einsum("fq,fqa,fqd->fad", rule.weights[present], rule.shapes[present], t))
+    np.add.at(corner_forces, s_facets, np.einsum("fq,fqa,fqd->fad", rule.weights[s_facets], rule.shapes[s_facets], t))
 
 
 def match_law_points(rule: FacetPoints, facets: IntArray, points: LawPoints) -> IntArray:
@@ -142,7 +142,7 @@ def _facets_of_cells(surface: SurfaceMesh, state: State) -> IntArray:
     return np.where(column_of_cell >= 0, facet_of_column[column_of_cell], -1)
 
 
-def _add_cell_forces(corner_forces: Array, surface: SurfaceMesh, facets: IntArray, points: LawPoints) -> None:
+def _add_meshed_forces(corner_forces: Array, surface: SurfaceMesh, facets: IntArray, points: LawPoints) -> None:
     """Add to `corner_forces` the integrals of a meshed layer's mean traction times the shape functions of degree 1.
 
     Args:
@@ -154,19 +154,19 @@ def _add_cell_forces(corner_forces: Array, surface: SurfaceMesh, facets: IntArra
     """
     joint, q, own_cells = surface.joint, points.quadrature, np.flatnonzero(facets >= 0)
     layer = next(seam_layer for seam_layer in points.state.model.layers.values() if seam_layer.key == points.term.key)
-    point_numbers, facets = q.cells[own_cells], facets[own_cells]
+    point_ids, facets = q.cells[own_cells], facets[own_cells]
     X, _ = basix.make_quadrature(basix.CellType[joint.cell_type], q.degree)
     shapes, submesh = lagrange(joint.cell_type, 1).tabulate(0, X)[0, :, :, 0], q.region.mesh
     vertices = np.asarray(submesh.geometry.input_global_indices)[cell_nodes(submesh)[own_cells][:, : shapes.shape[1]]]
     facet_x, cell_x = joint.points[surface.corners[facets]], points.state.model.domain.joint.reference[vertices]
     nearest_corner = np.linalg.norm(cell_x[:, :, None] - facet_x[:, None], axis=3).argmin(axis=2)
     N = np.einsum("qc,fca->fqa", shapes, (nearest_corner[..., None] == np.arange(facet_x.shape[1])).astype(float))
-    eps = np.einsum("fqa,fa->fq", N, surface.thickness(layer, surface.corners[facets]))
+    point_eps = np.einsum("fqa,fa->fq", N, surface.thickness(layer, surface.corners[facets]))
     n = q.n[:, : joint.dim]
     t = np.einsum("pij,pj->pi", points.stress(), q.n)[:, : joint.dim]
     tangential_weight, normal_weight = _sublayer_weights(layer, points)
     t = tangential_weight * t + (normal_weight - tangential_weight) * np.einsum("pi,pi,pj->pj", t, n, n)
-    np.add.at(corner_forces, facets, np.einsum("fq,fqa,fqd->fad", q.weights[point_numbers] / eps, N, t[point_numbers]))
+    np.add.at(corner_forces, facets, np.einsum("fq,fqa,fqd->fad", q.weights[point_ids] / point_eps, N, t[point_ids]))
 
 
 def _sublayer_weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float]:
@@ -213,12 +213,12 @@ def consistent_tractions(surface: SurfaceMesh, state: State, *, bonds_joined: bo
     bc_marker.x.array[model.bc_dofs_in(r.function_space)] = 1.0
     bc_marker.x.scatter_forward()
     # both of shape (2, n, k, d)
-    forces, bc_values = (
+    forces, bc_markers = (
         np.moveaxis(surface.side_values(f, model, surface.corner_points), 1, -1) for f in (r, bc_marker)
     )
     side_nodes, n_nodes = _side_nodes(surface, bonds_joined)
     nodal_force, is_known = np.zeros((n_nodes, d)), np.zeros((n_nodes, d), bool)
-    nodal_force[side_nodes], is_known[side_nodes] = forces, bc_values < 0.5
+    nodal_force[side_nodes], is_known[side_nodes] = forces, bc_markers < 0.5
     has_traction, is_split = np.zeros(n_nodes, bool), side_nodes[0] != side_nodes[1]
     is_tip = surface.nodal_sums(is_split.astype(float)) == 0  # both sides share one node there
     has_traction[side_nodes[1][is_split]] = True
@@ -234,11 +234,11 @@ def consistent_tractions(surface: SurfaceMesh, state: State, *, bonds_joined: bo
     for k in range(d):
         guess = _first_guess(surface, side_nodes, nodal_force[:, k] / node_areas, is_known[:, k] & has_one_pair)
         known_rows = np.flatnonzero(is_known[:, k])
-        guess, scale = np.where(is_tip, 0.0, [guess, areas**-0.5])
-        A = scipy.sparse.diags(node_areas[known_rows] ** -0.5) @ M[known_rows] @ scipy.sparse.diags(scale)
+        guess, column_scale = np.where(is_tip, 0.0, [guess, areas**-0.5])
+        A = scipy.sparse.diags(node_areas[known_rows] ** -0.5) @ M[known_rows] @ scipy.sparse.diags(column_scale)
         b = (nodal_force[known_rows, k] - M[known_rows] @ guess) * node_areas[known_rows] ** -0.5
         b_norm = np.abs(b).max(initial=0.0) or 1.0
-        tractions[:, k] = guess + b_norm * scale * scipy.sparse.linalg.lsqr(A, b / b_norm, **LSQR_OPTIONS)[0]
+        tractions[:, k] = guess + b_norm * column_scale * scipy.sparse.linalg.lsqr(A, b / b_norm, **LSQR_OPTIONS)[0]
     return tractions
 
 
@@ -255,14 +255,14 @@ def _side_nodes(surface: SurfaceMesh, bonds_joined: bool) -> tuple[IntArray, int
     """
     joint = surface.joint
     split_mesh = surface.model.split_mesh if bonds_joined else joint.split_mesh
-    components = np.stack([joint.components_at(cells, surface.corners, split_mesh) for cells in surface.cells.T])
-    keys = joint.masters[surface.corners] * (components.max() + 2) + components + 1
+    body_numbers = np.stack([joint.components_at(cells, surface.corners, split_mesh) for cells in surface.cells.T])
+    keys = joint.masters[surface.corners] * (body_numbers.max() + 2) + body_numbers + 1
     unique_keys, node_numbers = np.unique(keys, return_inverse=True)
     return node_numbers.reshape(keys.shape), len(unique_keys)
 
 
 def _traction_to_force_matrix(surface: SurfaceMesh, side_nodes: IntArray, n_nodes: int) -> scipy.sparse.csr_matrix:
-    """Return the sparse matrix (count, m) that converts nodal values of a traction on S to nodal forces on the bodies.
+    """Return the sparse matrix (n_nodes, m) from nodal values of a traction on S to nodal forces on the bodies.
 
     The traction acts on the lower body, and its opposite on the upper body.
 
@@ -283,8 +283,9 @@ def _first_guess(surface: SurfaceMesh, side_nodes: IntArray, tractions: Array, i
     Args:
         surface: the surface, with n facets of k corners.
         side_nodes: (2, n, k) numbers of the bodies' nodes below and above the corners.
-        tractions: (count,) force over area at each of the bodies' nodes.
-        is_known: (count,) whether this force is known. Nodes of S without such a force get the mean over their neighbours.
+        tractions: (n_nodes,) force over area at each of the bodies' nodes.
+        is_known: (n_nodes,) whether this force is known. Nodes of S without such a force get the mean over their
+            neighbours.
     """
     signs = np.array([1.0, -1.0])[:, None, None]
     n_known = surface.nodal_sums(is_known[side_nodes].sum(axis=0).astype(float))
@@ -292,9 +293,9 @@ def _first_guess(surface: SurfaceMesh, side_nodes: IntArray, tractions: Array, i
         n_known, 1.0
     )
     corner_weights = np.minimum(n_known, 1.0)[surface.nodes]
-    facet_sums = corner_weights.sum(axis=1)
-    facet_means = (averages[surface.nodes] * corner_weights).sum(axis=1) / np.maximum(facet_sums, 1.0)
-    facet_weights = np.broadcast_to(np.minimum(facet_sums, 1.0)[:, None], surface.nodes.shape)
+    weight_sums = corner_weights.sum(axis=1)
+    facet_means = (averages[surface.nodes] * corner_weights).sum(axis=1) / np.maximum(weight_sums, 1.0)
+    facet_weights = np.broadcast_to(np.minimum(weight_sums, 1.0)[:, None], surface.nodes.shape)
     neighbour_means = surface.nodal_sums(facet_means[:, None] * facet_weights) / np.maximum(
         surface.nodal_sums(facet_weights), 1.0
     )

@@ -139,7 +139,7 @@ class Zoom:
         refined_model = LayerModel(model, layers, cells_through, at_ends)
         coarse_problem = LayerSubproblem(model, layers, state.t, cells_through)
         w = coarse_problem.equilibrate_dirichlet(coarse_problem.to_layers(state.u.x.array))
-        self._warn_of_faces(coarse_problem.state(w))
+        self._warn_of_tractions(coarse_problem.state(w))
         fine_problem = DirichletLayers(refined_model, state.t)
         return fine_problem.state(
             fine_problem.equilibrate_dirichlet(coarse_problem.interpolate_to_refined(w, fine_problem))
@@ -155,7 +155,7 @@ class Zoom:
         """The law of stress and strain of the layer's material; in plane stress the law of strains in the plane."""
         return self._applicability.law
 
-    def _warn_of_faces(self, layer_state: State) -> None:
+    def _warn_of_tractions(self, layer_state: State) -> None:
         """Warn if the tractions of the layer on S differ too much from those of the bodies' nodal forces.
 
         The face displacements are then inaccurate. Too much means that the L2 norm of the difference over S exceeds 0.3
@@ -270,11 +270,11 @@ class Zoom:
         points = self._surface.in_layer(surface_points, np.tile(side * (0.5 - arc_points[:, 1]), len(x)))
         u = (self._probe.displacement(points) @ axes[:, : x.shape[1]].T).reshape(len(x), -1, 2)
         stress = self._probe.stress(points).reshape(len(x), -1, 3, 3)
-        in_axes = np.einsum("ai,nqij,bj->nqab", axes, stress, axes)[:, :-2]
+        local_stress = np.einsum("ai,nqij,bj->nqab", axes, stress, axes)[:, :-2]
         rotation = (u[:, -1, 1] - u[:, -2, 1]) / r  # rotation of the face
         u -= u[:, -2:-1] + rotation[:, None, None] * self.eps * np.stack([-arc_points[:, 1], arc_points[:, 0]], axis=1)
-        components = np.stack([in_axes[..., 0, 0], in_axes[..., 1, 1], in_axes[..., 0, 1]], axis=2)
-        H = [corner.intensity(r, mu * u_arc, s_arc) for u_arc, s_arc in zip(u[:, :-2], components, strict=True)]
+        arc_stress = np.stack([local_stress[..., 0, 0], local_stress[..., 1, 1], local_stress[..., 0, 1]], axis=2)
+        H = [corner.intensity(r, mu * u_arc, s_arc) for u_arc, s_arc in zip(u[:, :-2], arc_stress, strict=True)]
         return CornerStrength(x, end.m, "upper" if side > 0 else "lower", corner.exponent, corner.t_ratio, np.array(H))
 
 

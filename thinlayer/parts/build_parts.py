@@ -116,4 +116,4 @@ def _zero_p_points(model: Model, term: Term) -> Array | None:
         return None
     layer = next(layer for layer in model.layers.values() if layer.key == term.key)
     applicability = model.applicability[layer.name]
-    return points_on_middle(model.domain.joint)[np.unique(applicability.loose_rim[~applicability.coarse_rim].vertices)]
+    return points_on_middle(model.domain.joint)[np.unique(applicability.loose_rim[~applicability.coarse_mask].vertices)]

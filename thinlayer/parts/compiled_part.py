@@ -162,7 +162,7 @@ class CompiledPart(Part):
         Raises:
             InputError: the tangent is not symmetric, but solvers assume it and read only half of the matrix.
         """
-        if self._symmetric and (skew := self.comm.allreduce(self._response.skew, MPI.MAX)) > ASYMMETRY_TOLERANCE:
+        if self._symmetric and (skew := self.comm.allreduce(self._response.asymmetry, MPI.MAX)) > ASYMMETRY_TOLERANCE:
             raise InputError(ASYMMETRY_MESSAGE.format(type(self.law.law_3d).__name__, skew))
         self._tangent = self.points.stiffness(self._response.tangent, relative_residual, self._tangent)
         return [Block(matrix, kept=True) for matrix in (self._tangent, *self.points.constant_matrices)]

@@ -95,11 +95,11 @@ class ContactPart(Part):
         if not self._jumped:
             return self.tangents(relative_residual)
         nodes, p, C = self.nodes, self.law.pressure(self._w), self.law_now.tangent(self._w, self.slip)
-        upper = rounding.array_r[nodes.dim * nodes.upper]
-        lower = np.where(nodes.pairs[:, 1] >= 0, nodes.lower_side(rounding)[:, 0], np.inf)
-        min_force = np.minimum(upper, lower)  # the force is as accurate as on the side with the smaller rounding error
-        C[nodes.weights * p <= min_force, -1] = 0.0
-        C[nodes.weights * self.law.threshold(p) <= min_force, :-1] = 0.0
+        upper_error = rounding.array_r[nodes.dim * nodes.upper]
+        lower_error = np.where(nodes.global_pairs[:, 1] >= 0, nodes.lower_side(rounding)[:, 0], np.inf)
+        min_error = np.minimum(upper_error, lower_error)  # the force is as accurate as on the more accurate side
+        C[nodes.weights * p <= min_error, -1] = 0.0
+        C[nodes.weights * self.law.threshold(p) <= min_error, :-1] = 0.0
         return [Block(nodes.stiffness(C))]
 
     @property

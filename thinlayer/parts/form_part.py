@@ -17,13 +17,13 @@ from ufl.algorithms.check_arities import ArityMismatch
 from forms.base import Array, InputError
 from forms.check import check
 from forms.law import BulkLaw, Step
-from forms.law_tangents import law_identity
+from forms.law_tangents import equations_key
 from forms.tensors import Expr
 from forms.work import Term, energy, stress, work
 from thinlayer.discretisation.form_compilation import compiled, compiled_summands, zero_matrix
 from thinlayer.discretisation.state import Configuration
 from thinlayer.discretisation.time_functions import StepStrains
-from thinlayer.errors import getattr_with_former_names
+from thinlayer.errors import make_module_getattr
 from thinlayer.parts.compiled_part import find_softening, prescribed_strain_function
 from thinlayer.parts.part import Block, Part, PartTraits, Softening, StepOutcome, TimeStep
 from thinlayer.pointwise.compiled_term import CompiledTerm
@@ -133,9 +133,9 @@ class FormPart(Part):
             supplied = self._supplied_work()
             work_done = float(self._K_u.dot(change)) + supplied
             u_values = self._u.x.array.copy()  # `now` may share these values, which `_energy_at` overwrites
-            F_new, F_old = self._energy_at(now, self.interval), self._energy_at(old, self.interval, at_start=True)
+            psi_new, psi_old = self._energy_at(now, self.interval), self._energy_at(old, self.interval, at_start=True)
             self._u.x.array[:] = u_values
-            before, after, remainder = before + F_old, after + F_new, remainder + work_done - (F_new - F_old)
+            before, after, remainder = before + psi_old, after + psi_new, remainder + work_done - (psi_new - psi_old)
         change.destroy()
         return StepOutcome(before, after, 0.0, remainder, kept=self._kept, supplied=supplied)
 
@@ -339,7 +339,7 @@ def _form_traits(term: Term) -> PartTraits:
 
 
 def _with_strains(terms: Iterable[Term], new_strain: Callable[[Expr], Expr]) -> list[Term]:
-    """Return copies of `terms` in which each prescribed strain e, if there is one, is replaced by `change(e)`."""
+    """Return copies of `terms` in which each prescribed strain e, if there is one, is replaced by `new_strain(e)`."""
     pairs = [(p, p.prescribed_strain) for p in terms]
     return [p if strain is None else replace(p, prescribed_strain=new_strain(strain)) for p, strain in pairs]
 
@@ -395,11 +395,11 @@ def _linear_stiffness(
         for summand in compiled_summands(form) if linear else ():
             dolfinx.fem.petsc.assemble_matrix(K, summand)
     except ArityMismatch as error:
-        names = " or ".join(sorted({type(p.law).__name__ for p in linear if law_identity(p.law) is None}))
+        names = " or ".join(sorted({type(p.law).__name__ for p in linear if equations_key(p.law) is None}))
         text = f"{names} says linear = True, but is not linear, or UFL does not see that it is: {error}"
         raise InputError(f"{text}; write linear = False in the class") from error
     K.assemble()
     return K
 
 
-__getattr__ = getattr_with_former_names(__name__, {"matrix": assemble_plain_matrix})
+__getattr__ = make_module_getattr(__name__, {"matrix": assemble_plain_matrix})

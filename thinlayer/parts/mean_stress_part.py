@@ -61,7 +61,7 @@ class MeanStressPart(FieldPart):
         prestress = [(p, p.law.stress(Step(self._step_strain.now(p.prescribed_strain), p.n))) for p in strained_terms]
         virtual_work = sum(ufl.inner(s, test_strain) * p.weight * p.measure for p, s in prestress)
         self._strain_work = fem.form(virtual_work) if strained_terms else None
-        self._forces, self._own, self._D_E = self.B.createVecLeft(), self.D.createVecLeft(), self.D.createVecLeft()
+        self._forces, self._own_r, self._D_E = self.B.createVecLeft(), self.D.createVecLeft(), self.D.createVecLeft()
         self._mid, self._old, self._change = (self.D.createVecRight() for _ in range(3))
 
     # ---------------------------------------------------------------- a step
@@ -75,9 +75,9 @@ class MeanStressPart(FieldPart):
         theta, self._u = self.interval.theta, u
         self._mid.array[:] = theta * self.field.x.array[: self.own_size] + (1 - theta) * self._old.array_r
         self.B.mult(self._mid, self._forces)
-        self.B.multTranspose(mid.x.petsc_vec, self._own)
+        self.B.multTranspose(mid.x.petsc_vec, self._own_r)
         self.D.mult(self._mid, self._D_E)
-        self._own.axpy(1.0, self._D_E)
+        self._own_r.axpy(1.0, self._D_E)
 
     def add_forces(self, out: PETSc.Vec) -> float:
         out.axpy(1.0, self._forces)
@@ -88,7 +88,7 @@ class MeanStressPart(FieldPart):
         return np.asarray(mean_stress.voigt_components(t) * self._volume / mean_stress.size, float)[: self.own_size]
 
     def own_residual(self) -> Array:
-        return np.asarray(self._own.array_r + self._strain_forces_of_step[2] - self.load)
+        return np.asarray(self._own_r.array_r + self._strain_forces_of_step[2] - self.load)
 
     def tangents(self, relative_residual: float) -> list[Block]:
         u, E, theta = DISPLACEMENT_KEY, self.key, self.interval.theta
@@ -134,4 +134,4 @@ class MeanStressPart(FieldPart):
 
     def destroy(self) -> None:
         """Free the part's PETSc matrices and vectors."""
-        destroy(self.B, self.D, self._B_trans, self._forces, self._own, self._D_E, self._mid, self._old, self._change)
+        destroy(self.B, self.D, self._B_trans, self._forces, self._own_r, self._D_E, self._mid, self._old, self._change)

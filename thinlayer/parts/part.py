@@ -18,7 +18,7 @@ from forms.traits import accept_renamed
 from geometry.topology import IntArray
 from thinlayer.discretisation.state import Configuration
 from thinlayer.discretisation.time_functions import StepStrains
-from thinlayer.errors import getattr_with_former_names
+from thinlayer.errors import make_module_getattr
 from thinlayer.pointwise.quadrature import assemble_values
 
 Memory = Array | Mapping[str, fem.Function]  # (n, values) at entities, or functions by name
@@ -561,4 +561,4 @@ class FieldPart(Part):
         """Order in which the part's own unknowns, those besides displacements, are written to files, with ghosts."""
 
 
-__getattr__ = getattr_with_former_names(__name__, {"Interval": TimeStep, "Outcome": StepOutcome})
+__getattr__ = make_module_getattr(__name__, {"Interval": TimeStep, "Outcome": StepOutcome})

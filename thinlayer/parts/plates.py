@@ -21,9 +21,9 @@ from thinlayer.discretisation.rigid_motions import (
     centroid,
     moment_centre,
     motion_count,
-    motion_fields,
     require_point,
     resultant_mask,
+    unit_motions_at,
 )
 from thinlayer.discretisation.state import State
 
@@ -108,7 +108,7 @@ class RigidPlate(PartDefinition):
         """Return the constraint by which the displacements of the plate's nodes follow its few motions. Collective."""
         d, size = model.joint.dim, model.domain.joint.size
         units = np.where(np.arange(motion_count(d)) < d, 1.0, size)
-        keys, loads, vals = self.prescribed_motions(model), self._resultants(model), self._motions(model)
+        keys, loads, vals = self.prescribed_motions(model), self._prescribed_loads(model), self._motions(model)
         motion = {k: partial(lambda k, t: float(vals[k].at_time(t) * units[k]) if k in vals else 0.0, k) for k in keys}
         R = self._motion_matrix(model, self.point(model), size)
         return MultiPointConstraint(self.key, motion_names(d), R, motion, lambda t: self._at(t, loads, keys, d) / units)
@@ -147,7 +147,7 @@ class RigidPlate(PartDefinition):
             extrema = np.array(model.comm.allgather((low, high)))
             middle = (extrema[:, 0].min(axis=0) + extrema[:, 1].max(axis=0)) / 2  # the reference point does not shift
             x = x + node_shifts[nodes] - middle
-        motion_values = motion_fields(x, about)
+        motion_values = unit_motions_at(x, about)
         motion_values[:, :, d:] /= size
         k = motion_values.shape[2]
         indices = np.repeat(nodes[:, None] * d + np.arange(d), k), np.tile(np.arange(k), len(nodes) * d)
@@ -169,10 +169,10 @@ class RigidPlate(PartDefinition):
                 raise InputError(f"{self.title}: a plate of revolution has no motion {name!r}; it moves along the axis")
         if self.about is not None:
             require_point(self.about, d)
-        if not any(value.varies for value in [*self._resultants(model).values(), *self._motions(model).values()]):
-            self._at(0.0, self._resultants(model), self.prescribed_motions(model), d)
+        if not any(value.varies for value in [*self._prescribed_loads(model).values(), *self._motions(model).values()]):
+            self._at(0.0, self._prescribed_loads(model), self.prescribed_motions(model), d)
 
-    def _resultants(self, model: HostModel) -> dict[str, Coefficient]:
+    def _prescribed_loads(self, model: HostModel) -> dict[str, Coefficient]:
         """Return the prescribed loads of the plate, under the names "force" and "moment", if they are not None."""
         d, loads = model.joint.dim, (("force", self.force), ("moment", self.moment))
         shapes: dict[str, tuple[int, ...]] = {"force": (d,), "moment": () if d == 2 else (3,)}

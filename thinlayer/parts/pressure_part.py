@@ -123,8 +123,8 @@ class PressurePart(FieldPart):
         if not isinstance(compliance := ufl.as_ufl(law.volume_compliance), Zero):
             forms.append(compliance * region.plus_side(p) * region.plus_side(q) * term.weight * measure)
         if flows_along_surface(term):  # gradients on the mesh of S are gradients along S
-            flow = self._cell_means(term.mobility) * term.kinematics.on_mesh(region.mesh).factor
-            forms.append(flow * ufl.inner(ufl.grad(p), ufl.grad(q)) * ufl.dx(region.mesh))
+            mobility = self._cell_means(term.mobility) * term.kinematics.on_mesh(region.mesh).factor
+            forms.append(mobility * ufl.inner(ufl.grad(p), ufl.grad(q)) * ufl.dx(region.mesh))
         if not forms:
             return None
         C, *other_matrices = (assemble_matrix(region.compiled(form)) for form in forms)
@@ -171,8 +171,8 @@ class PressurePart(FieldPart):
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         self.G.mult(u.x.petsc_vec, self._volume_change)
-        volume = self._volume_change.array_r + self._strain_volume
-        self._residual: Array = volume if self.C is None else volume - self._multiply_C(self.C, self._p_at_end())[0]
+        volume_change: Array = self._volume_change.array_r + self._strain_volume
+        self._residual = volume_change - (0.0 if self.C is None else self._multiply_C(self.C, self._p_at_end())[0])
 
     def law_traits(self) -> dict[str, PartTraits]:
         return {type(self._term.law).__name__: self.traits}
@@ -232,7 +232,7 @@ class PressurePart(FieldPart):
         assert self._origin is not None, "a mesh without a joint"
         space, region = self._vertex_space, self.region
         cells, x = np.asarray(space.dofmap.list), space.tabulate_dof_coordinates()[:, : region.mesh.geometry.dim]
-        ordered = FileOrder.by_place(self._origin.numbers(region.dim, region.indices)[: len(cells)], cells, x)
+        ordered = FileOrder.by_place(self._origin.to_joint(region.dim, region.indices)[: len(cells)], cells, x)
         dof_numbers = np.empty(len(x), np.int64)
         dof_numbers[cells] = self._p.function_space.dofmap.list  # one dof may have several vertices, on periodic sides
         return FileOrder(ordered.file_rows, dof_numbers[ordered.value_positions])
@@ -264,14 +264,14 @@ def periodic_space(region: MeasureRegion, masters: IntArray) -> fem.FunctionSpac
     return broken_space(comm, SharedDofs.of_entities(comm, mesh, element, [masters[vertices]]))
 
 
-def dofs_at_vertices(space: fem.FunctionSpace, places: Array) -> IntArray:
-    """Return this rank's owned dofs of `space`, of degree 1, at the vertices with coordinates `places`. Collective.
+def dofs_at_vertices(space: fem.FunctionSpace, vertex_x: Array) -> IntArray:
+    """Return this rank's owned dofs of `space`, of degree 1, at the vertices with coordinates `vertex_x`. Collective.
 
-    `places` is (n, d) for n vertices in d dimensions; rounding errors of coordinates are allowed.
+    `vertex_x` is (n, d) for n vertices in d dimensions; rounding errors of coordinates are allowed.
     """
-    x = space.tabulate_dof_coordinates()[: space.dofmap.index_map.size_local, : places.shape[1]]
+    x = space.tabulate_dof_coordinates()[: space.dofmap.index_map.size_local, : vertex_x.shape[1]]
     boxes = space.mesh.comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)))
     low, high = (np.array(bounds) for bounds in zip(*boxes, strict=True))
     size = float((high.max(axis=0) - low.min(axis=0)).max())
-    distance, _ = cKDTree(places).query(x)
-    return np.flatnonzero(distance <= VERTEX_TOLERANCE * size).astype(np.int64)
+    distances, _ = cKDTree(vertex_x).query(x)
+    return np.flatnonzero(distances <= VERTEX_TOLERANCE * size).astype(np.int64)

@@ -34,13 +34,13 @@ class ColumnTerm(CompiledTerm):
 
     def __init__(self, V: fem.FunctionSpace, term: Term, origin: MeshOrigin | None = None) -> None:
         super().__init__(V, term, origin)
-        self._B_of_means, B_deviations = self._column_mean.projected_matrix(self.B), self.B.copy()
+        self._B_of_means, B_deviations = self._mean_projection.projected_matrix(self.B), self.B.copy()
         B_deviations.axpy(-1.0, self._B_of_means)
         self.constant_matrices = (self._tangent_matrix(self._C_start[:, self.mandel], B_deviations),)
         destroy(B_deviations)
 
     @cached_property
-    def _column_mean(self) -> Projection:
+    def _mean_projection(self) -> Projection:
         """Projection that replaces strains at quadrature points by their means through the layer's thickness.
 
         Along S the means vary as polynomials in each column of cells. In quadrilaterals and hexahedra the polynomials
@@ -50,15 +50,15 @@ class ColumnTerm(CompiledTerm):
         is_tensor_cell = is_tensor(self.region.mesh.topology.cell_name())
         max_degree = self.degree if is_tensor_cell else self._V.ufl_element().basix_element.degree
         exponents = [p for p in product(range(max_degree + 1), repeat=self.dim - 1) if sum(p) <= max_degree]
-        column, positions = self.columns.column_of[self.cells[:, 0]], self.joint_x.T
+        column, joint_x = self.columns.column_of[self.cells[:, 0]], self.joint_x.T
         n_cells, bases = np.bincount(column), []
         for k in np.unique(n_cells[column]):  # columns at junctions of layers have other numbers of cells
             rows = np.flatnonzero(n_cells[column] == k)
-            groups = self.cells[rows[np.argsort(column[rows], kind="stable")]].reshape(-1, k * self.cells.shape[1])
-            x = positions[groups]
+            points = self.cells[rows[np.argsort(column[rows], kind="stable")]].reshape(-1, k * self.cells.shape[1])
+            x = joint_x[points]
             U, sigma, _ = np.linalg.svd(x - x.mean(axis=1, keepdims=True), full_matrices=False)
             U *= np.sqrt(x.shape[1]) * (sigma > INDEPENDENCE_TOLERANCE * np.abs(x).max(axis=(1, 2))[:, None])[:, None]
-            bases.append((groups, np.stack([np.prod(U[..., : self.dim - 1] ** p, axis=2) for p in exponents], axis=2)))
+            bases.append((points, np.stack([np.prod(U[..., : self.dim - 1] ** p, axis=2) for p in exponents], axis=2)))
         return Projection(self, bases, np.eye(6))
 
     @cached_property
@@ -70,9 +70,9 @@ class ColumnTerm(CompiledTerm):
         law = self.term.law
         laws = list(law.at_places(self.joint_x)) if law.fields else repeat(law)
         n = self.n if law.fields or depends_on_normal(law) else self.n[:1]
-        n, positions = (n, np.arange(len(n))) if law.fields else np.unique(n.round(12), axis=0, return_inverse=True)
+        n, n_indices = (n, np.arange(len(n))) if law.fields else np.unique(n.round(12), axis=0, return_inverse=True)
         C = np.array([tangent_at_rest(law, v[: self.dim]) for law, v in zip(laws, n, strict=False)]).reshape(-1, 6, 6)
-        return np.broadcast_to(C[positions.ravel()][..., self.mandel], (self.count, 6, len(self.mandel)))
+        return np.broadcast_to(C[n_indices.ravel()][..., self.mandel], (self.count, 6, len(self.mandel)))
 
     def respond(self, e: Array, e_old: Array, memory: Array, dt: float, theta: float) -> Response:
         """Return the law's response to mean strains over columns, plus the elastic response to deviations from them.
@@ -85,10 +85,10 @@ class ColumnTerm(CompiledTerm):
             dt: length of the step.
             theta: fraction of the step after which forces balance.
         """
-        mean, old = self._column_mean(e), self._column_mean(e_old)
+        mean, old = self._mean_projection(e), self._mean_projection(e_old)
         response, deviation = super().respond(mean, old, memory, dt, theta), e - mean
         elastic_stress = np.einsum("pij,pj->pi", self._C_start, deviation)
-        stress = self._column_mean(response.full_stress - elastic_stress) + elastic_stress
+        stress = self._mean_projection(response.full_stress - elastic_stress) + elastic_stress
         energies = response.energies + np.array([self._energy(deviation), 0.0, self._energy(deviation - e_old + old)])
         return replace(response, full_stress=stress, stress=stress[:, self.mandel], energies=energies)
 
@@ -109,7 +109,7 @@ class ColumnTerm(CompiledTerm):
             memory: (points, values) internal variables at the end of a step.
             dt: length of the step.
         """
-        mean = self._column_mean(e)
+        mean = self._mean_projection(e)
         return super().stored_energy(mean, memory, dt) + self._energy(e - mean)
 
     def stiffness(self, tangent: Array, relative_residual: float = 0.0, into: PETSc.Mat | None = None) -> PETSc.Mat:

@@ -11,12 +11,12 @@ from mpi4py import MPI
 from forms.base import Array, InputError
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw
-from forms.law_tangents import law_identity
+from forms.law_tangents import equations_key
 from forms.parameter_fields import parameter_numbers
 from thinlayer.pointwise.kernels import compile_kernels
 from thinlayer.system.compilation import c_pointers, compile_library
 
-Slots = Sequence[int]  # Mandel components
+Ints = Sequence[int]  # positions of Mandel components
 TRIAL_STRAIN_SIZES = tuple(10.0**k for k in range(-15, 7))  # sizes of trial strains, or of trial jumps in any unit
 TRIAL_STEP_LENGTHS = (1.0, 0.0, 1e12, 1e30)  # lengths of trial steps in any unit of time
 C_SOURCE = Path(__file__).with_name("response.c")
@@ -39,8 +39,8 @@ class CompiledLaw:
         self._library = compile_library(C_SOURCE, comm)
         self._n_params = np.array([len(k.parameters) for k in self._kernels], np.int32)
         addresses, fractions = (np.array([getattr(k, name) for k in self._kernels]) for name in ("address", "fraction"))
-        memory, plane = (np.array([getattr(k, name) for k in self._kernels], np.int32) for name in ("memory", "plane"))
-        self._sublayers: list[np.ndarray] = [addresses.astype(np.intp), memory, plane, self._n_params, fractions]
+        sizes, plane = (np.array([getattr(k, name) for k in self._kernels], np.int32) for name in ("memory", "plane"))
+        self._sublayers: list[np.ndarray] = [addresses.astype(np.intp), sizes, plane, self._n_params, fractions]
         self.parameters = np.concatenate([k.parameters for k in self._kernels])
         n_plies = len(self._kernels)
         self.memory_size = sum(k.memory + 3 * k.plane for k in self._kernels) + (3 * n_plies if n_plies > 1 else 0)
@@ -91,12 +91,12 @@ class CompiledLaw:
         self.parameters = np.ascontiguousarray(np.hstack(parameter_columns))
 
     def update(
-        self, slots: Slots, e: Array, e_old: Array, q: Array, n: Array, dt: float, theta: float, *, frozen: bool = False
+        self, mandel: Ints, e: Array, e_old: Array, q: Array, n: Array, dt: float, theta: float, *, frozen: bool = False
     ) -> tuple[Array, Array, Array, Array, int]:
         """Evaluate the law over a step at all points of this rank.
 
         Args:
-            slots: positions of the m components of `e` among the 6 Mandel components; the others are zero.
+            mandel: positions of the m components of `e` among the 6 Mandel components; the others are zero.
             e, e_old: (points, m) strains at the end and the beginning of the step.
             q: (points, memory) internal values at the beginning of the step.
             n: (points, 3) unit normal of the layer (director).
@@ -114,14 +114,14 @@ class CompiledLaw:
               balance;
             - the number of points where the law failed.
         """
-        slot_array = np.array(list(slots), np.int32)
-        n_points, m, parameters_vary = len(e), len(slot_array), self.parameters.ndim == 2
+        mandel_array = np.array(list(mandel), np.int32)
+        n_points, m, parameters_vary = len(e), len(mandel_array), self.parameters.ndim == 2
         s, C, energies = np.empty((n_points, 6)), np.empty((n_points, m, m)), np.empty((n_points, 3))
         q_new = np.empty((n_points, self.memory_size))
         c = self._library
         n_failed = c.lib.run(
             len(self._kernels), *c_pointers(c, *self._sublayers, self.parameters.ravel()), parameters_vary,
-            m, *c_pointers(c, slot_array), n_points, self.memory_size, *c_pointers(c, e, e_old, q, n), dt, theta, frozen,
+            m, *c_pointers(c, mandel_array), n_points, self.memory_size, *c_pointers(c, e, e_old, q, n), dt, theta, frozen,
             *c_pointers(c, s, C, q_new, energies),
         )  # fmt: skip
         if n_failed < 0:
@@ -143,7 +143,7 @@ def _check_relaxes(comm: MPI.Intracomm, law: BulkLaw) -> None:
         law: the law.
     """
     key = type(law), law.parameter_values().tobytes()
-    if not isinstance(law, KernelLaw) or law_identity(law) is not None or law.traits.rate or key in _CHECKED_KERNELS:
+    if not isinstance(law, KernelLaw) or equations_key(law) is not None or law.traits.rate or key in _CHECKED_KERNELS:
         return
     _CHECKED_KERNELS.add(key)  # before the test, whose `CompiledLaw` calls this function again
     material, name = CompiledLaw(comm, law), type(law).__name__

@@ -17,7 +17,7 @@ from forms.tensors import MANDEL_BASIS, MANDEL_PAIRS, Expr, mandel_vector
 from forms.work import Term
 from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.compiled_law import CompiledLaw
-from thinlayer.pointwise.quadrature import TRACE_SLOTS, MeshOrigin, Quadrature, add_integral_to_nodes, assemble_matrix
+from thinlayer.pointwise.quadrature import MeshOrigin, Quadrature, add_integral_to_nodes, assemble_matrix
 from thinlayer.system.ranks import destroy, errors_on_all
 
 # size of a tangent below which underflow may have lost digits
@@ -54,15 +54,15 @@ class Response:
     n_failed: int
 
     @property
-    def skew(self) -> float:
+    def asymmetry(self) -> float:
         """Asymmetry of the tangent C: the largest entry of C - C^T over the largest entry of C.
 
         It is the maximum over this rank's points.
         """
         C = self.tangent
         asymmetry, size = np.abs(C - C.swapaxes(1, 2)).max(axis=(1, 2)), np.abs(C).max(axis=(1, 2))
-        regular = np.isfinite(asymmetry) & (size > UNDERFLOW_LIMIT)
-        return float((asymmetry[regular] / size[regular]).max(initial=0.0))
+        is_regular = np.isfinite(asymmetry) & (size > UNDERFLOW_LIMIT)
+        return float((asymmetry[is_regular] / size[is_regular]).max(initial=0.0))
 
 
 class CompiledTerm(Quadrature):
@@ -90,11 +90,11 @@ class CompiledTerm(Quadrature):
         # assembled once, as strains are linear in the displacements
         self.B = B = assemble_matrix(self.strain_form(self.term.strain(ufl.TrialFunction(V))))
         B.diagonalScale(L=self._vector(np.repeat(1 / self._measure_weights, len(self.mandel))))
-        self._volume_projection = None if term.trace_degree is None else MeanVolume(self, term.trace_degree)
+        self._volume_projection = None if term.bbar_degree is None else VolumeProjection(self, term.bbar_degree)
         if self._volume_projection:
             self.B = self._volume_projection.projected_matrix(B)
             destroy(B)
-        self._zero_slots = [k for k in range(len(MANDEL_PAIRS)) if k not in term.kinematics.stress_indices(self.dim)]
+        self._zero_indices = [k for k in range(len(MANDEL_PAIRS)) if k not in term.kinematics.stress_indices(self.dim)]
         self._strain, self._forces = self.B.createVecLeft(), self.B.createVecRight()
         self.material = CompiledLaw(self.comm, term.law)
         self.switching = Switching(term.law, self.columns) if term.law.traits.switches else None
@@ -146,7 +146,7 @@ class CompiledTerm(Quadrature):
             theta: fraction of the step after which forces balance.
         """
         s, C, new, energies, n_failed = self.material.update(self.mandel, e, e_old, memory, self.n, dt, theta)
-        s[:, self._zero_slots] = 0.0
+        s[:, self._zero_indices] = 0.0
         energy_sums = self.weights @ energies if self.term.law.traits.has_energy else np.full(3, np.nan)
         return Response(s, s[:, self.mandel], C, new, energy_sums, n_failed)
 
@@ -166,9 +166,9 @@ class CompiledTerm(Quadrature):
 
         `response` is the response of the law in which the failures are looked for.
         """
-        if not (failed := np.isnan(response.full_stress[:, 0])).any():
+        if not (is_failed := np.isnan(response.full_stress[:, 0])).any():
             return ""
-        k, law = int(failed.argmax()), self.term.law
+        k, law = int(is_failed.argmax()), self.term.law
         text = "stress" if np.isfinite(response.tangent[k]).all() else "tangent (the slope of the stress)"
         plane_stress = any(sublayer.law_3d is not sublayer for _, sublayer in law.sublayers)
         why = ", or no strain out of the plane makes the stresses there zero" if plane_stress else ""
@@ -212,9 +212,9 @@ class CompiledTerm(Quadrature):
             InputError: parameters out of range on some rank; all ranks raise it.
         """
         if self.material.varies:
-            places = self.joint_x  # collective
+            joint_x = self.joint_x  # collective
             with errors_on_all(self.comm):
-                self.material.set_parameters_at(places, t)
+                self.material.set_parameters_at(joint_x, t)
 
     def tangent_at_rest(self) -> Array:
         """Return the tangents (points, m, m) before loading, for m Mandel components, with parameters of time 0.
@@ -323,8 +323,8 @@ class Projection:
             U *= (sigma > INDEPENDENCE_TOLERANCE * sigma[:, :1])[:, None]
             change = (U @ U.swapaxes(1, 2)) * root[:, None, :] / root[:, :, None] - np.eye(root.shape[1])
             mask = np.abs(change) > INDEPENDENCE_TOLERANCE  # in tensor cells positions on S decouple
-            places = [np.broadcast_to(indices, change.shape)[mask] for indices in (groups[:, :, None], groups[:, None])]
-            self._correction += scipy.sparse.csr_matrix((change[mask], places), self._correction.shape)
+            ij = [np.broadcast_to(indices, change.shape)[mask] for indices in (groups[:, :, None], groups[:, None])]
+            self._correction += scipy.sparse.csr_matrix((change[mask], ij), self._correction.shape)
 
     def __call__(self, values: Array) -> Array:
         """Return the projection (points, m) of strains or stresses `values` (points, m), as m Mandel components."""
@@ -346,7 +346,7 @@ class Projection:
         return out
 
 
-class MeanVolume(Projection):
+class VolumeProjection(Projection):
     """Projection of the volume strains (traces) on polynomials in each cell, known as B-bar.
 
     It avoids volumetric locking: elements with too many independent volume strains resist isochoric deformation.
@@ -369,4 +369,4 @@ class MeanVolume(Projection):
             centred = x - x.mean(axis=1, keepdims=True)
             size = np.abs(centred).max(axis=(1, 2), keepdims=True, initial=0)
             basis = np.concatenate([basis, centred / size], axis=2)
-        super().__init__(points, [(points.cells, basis)], np.full((len(TRACE_SLOTS),) * 2, 1 / len(TRACE_SLOTS)))
+        super().__init__(points, [(points.cells, basis)], np.full((3, 3), 1 / 3))

@@ -126,7 +126,7 @@ def drive(
         raise InputError(f"dt is missing: {type(law).__name__} depends on the length of the steps in time")
     states, parts = [point.rest()], list[int]()
 
-    def history() -> PointHistory:
+    def make_history() -> PointHistory:
         """Return the history of the steps made so far, without a row for the state before the first step."""
         t, w, traction, _, stress, memory, energies = (np.array(column)[1:] for column in zip(*states, strict=True))
         energies = energies if law.traits.has_energy else np.full_like(energies, np.nan)
@@ -137,10 +137,10 @@ def drive(
             state, n_parts = point.advance(states[-1], is_w, values, lengths[k])
         except SolveError as error:
             step_text = ", ".join(f"{name} = {value:g}" for name, value in steps[k].items())
-            raise SolveError(f"step {k + 1} of {len(path)} ({step_text}): {error}", history()) from None
+            raise SolveError(f"step {k + 1} of {len(path)} ({step_text}): {error}", make_history()) from None
         states.append(state)
         parts.append(n_parts)
-    return history()
+    return make_history()
 
 
 def _normal_and_frame(n: Sequence[float]) -> tuple[Array, Array]:

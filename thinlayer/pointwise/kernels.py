@@ -28,7 +28,7 @@ from forms.base import Array, InputError
 from forms.check import check
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw, Step
-from forms.law_tangents import SymbolicLaw, law_identity, require_known_symbols, symbolic_law
+from forms.law_tangents import SymbolicLaw, equations_key, require_known_symbols, symbolic_law
 from forms.tensors import Expr, mandel_vector
 from forms.traits import VARIABLE_SIZES
 from thinlayer.system.compilation import compile_library
@@ -81,7 +81,7 @@ _COMPILED_BY_NAME: dict[tuple[object, ...], tuple[int, object]] = {}
 
 
 def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, object]:
-    name = law_identity(law)
+    name = equations_key(law)
     if name is not None and not comm.allreduce(int(name not in _COMPILED_BY_NAME)):
         return _COMPILED_BY_NAME[name]
     symbols = symbolic_law(law)

@@ -167,7 +167,7 @@ class MaterialPoint:
             trials = (self._respond(old, now.w + 0.5**n_halvings * full_step, dt) for n_halvings in range(MAX_HALVINGS))
             return next((state for state in trials if state is not None and traction_error(state) <= max_error), None)
 
-        self._respond(old, old.w, dt)  # sets self.stiffness
+        self._respond(old, old.w, dt)  # sets self.max_tangent
         reached = self._respond(old, np.where(is_w, values, old.w), dt)
         for _ in range(MAX_NEWTON_STEPS):
             if reached is None or null_step > MAX_NULL_STEP:

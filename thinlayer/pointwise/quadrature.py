@@ -27,7 +27,7 @@ from thinlayer.pointwise.columns import Columns
 from thinlayer.system.compat import EntityMaps, compiled, create_submesh
 from thinlayer.system.ranks import communicator
 
-TRACE_SLOTS = (0, 1, 2)  # Mandel components whose sum is the trace
+DIAGONAL_MANDEL_INDICES = (0, 1, 2)  # Mandel components whose sum is the trace
 MEASURE_NAMES = {"cell": "dx", "exterior_facet": "ds", "interior_facet": "dS"}
 
 
@@ -40,8 +40,8 @@ class MeshOrigin:
     Attributes:
         comm: communicator for the sums and messages of laws at quadrature points.
         x: (d,) UFL coordinates in the joint as drawn.
-        numbers: function (topological dimension, local numbers of cells or facets) -> their numbers in the joint.
-        layer_columns: function without arguments that returns two arrays about the layer's columns, the cells above
+        to_joint: function (topological dimension, local numbers of cells or facets) -> their numbers in the joint.
+        get_columns: function without arguments that returns two arrays about the layer's columns, the cells above
             each other through the thickness. The first has the number of the column of each cell (-1 outside the
             layer), or of each facet. The second has the centres (columns, d) of the columns.
         x_on_s: (d,) UFL coordinates on S in the joint as drawn, to be restricted to a side; None: S lies on facets of
@@ -52,8 +52,8 @@ class MeshOrigin:
 
     comm: MPI.Intracomm
     x: Expr
-    numbers: Callable[[int, Indices], IntArray]
-    layer_columns: Callable[[], tuple[IntArray, Array]]
+    to_joint: Callable[[int, Indices], IntArray]
+    get_columns: Callable[[], tuple[IntArray, Array]]
     x_on_s: Expr | None = None
     middle_points: Array | None = None
 
@@ -80,14 +80,14 @@ class MeasureRegion:
         self.dim = mesh.topology.dim - (measure.integral_type() != "cell")
         self.mesh, self.entity_maps, self.indices = create_submesh(mesh, self.dim, _measured_entities(mesh, measure))
 
-    def move_nodes(self, places: Array) -> None:
+    def move_nodes(self, new_x: Array) -> None:
         """Move the nodes of the submesh to other coordinates, for S for instance to those midway between its sides.
 
         Args:
-            places: (n, d) new coordinates for all n points of the undistributed mesh; d: number of dimensions.
+            new_x: (n, d) new coordinates for all n points of the undistributed mesh; d: number of dimensions.
         """
         geometry = self.mesh.geometry
-        geometry.x[:, : places.shape[1]] = places[np.asarray(geometry.input_global_indices, np.int64)]
+        geometry.x[:, : new_x.shape[1]] = new_x[np.asarray(geometry.input_global_indices, np.int64)]
 
     def compiled(self, form: Expr) -> fem.Form:
         """Compile the UFL `form`, whose functions may be defined on `mesh` and on `parent_mesh`."""
@@ -113,8 +113,8 @@ def _measured_entities(mesh: Mesh, measure: ufl.Measure) -> Indices:
     if "everywhere" in tag_ids:
         entities: Indices = np.arange(imap.size_local, dtype=np.int32)
         if kind != "cell":
-            outer = np.asarray(dolfinx.mesh.exterior_facet_indices(topology))
-            entities = outer if kind == "exterior_facet" else np.setdiff1d(entities, outer)
+            outer_facets = np.asarray(dolfinx.mesh.exterior_facet_indices(topology))
+            entities = outer_facets if kind == "exterior_facet" else np.setdiff1d(entities, outer_facets)
     elif data is None:
         name, tags = MEASURE_NAMES[kind], ", ".join(map(str, tag_ids))
         raise InputError(f"the measure {name}({tags}) has no tags; give {name} its subdomain_data")
@@ -174,12 +174,12 @@ class Quadrature:
     def __init__(self, V: fem.FunctionSpace, term: Term, origin: MeshOrigin | None = None) -> None:
         self.term, self.origin = term, origin
         metadata = dict(term.measure.metadata())
-        degree = quadrature_degree(V, term.measure) + term.kinematics.degree
+        degree = quadrature_degree(V, term.measure) + term.kinematics.factor_degree
         self.degree = metadata.setdefault("quadrature_degree", degree)
         self.region = MeasureRegion(V.mesh, term.measure)
         self.comm = origin.comm if origin else communicator(V.mesh)
         self.measure = term.measure.reconstruct(metadata=metadata)
-        self._functions: dict[int, fem.FunctionSpace] = {}
+        self._spaces: dict[int, fem.FunctionSpace] = {}
         W, mesh, parent = self._space((5 + self.dim,)), self.region.mesh, self.region.parent_mesh
         self.count = W.dofmap.index_map.size_local
         self.cells = np.asarray(W.dofmap.list)[: mesh.topology.index_map(mesh.topology.dim).size_local]
@@ -200,11 +200,11 @@ class Quadrature:
     @cached_property
     def mandel(self) -> list[int]:
         """Positions of those Mandel components, ascending, that strains may have here; the others are zero."""
-        e_0, strain_slots = self.term.prescribed_strain, self.term.kinematics.strain_indices(self.dim)
-        if self.term.trace_degree is not None:
-            strain_slots = (*strain_slots, *TRACE_SLOTS)
-        e_0_slots = [k for k, pair in enumerate(MANDEL_PAIRS) if e_0 is not None and not isinstance(e_0[pair], Zero)]
-        return sorted({*strain_slots, *e_0_slots})
+        e_0, strain_indices = self.term.prescribed_strain, self.term.kinematics.strain_indices(self.dim)
+        if self.term.bbar_degree is not None:
+            strain_indices = (*strain_indices, *DIAGONAL_MANDEL_INDICES)
+        e_0_indices = [k for k, pair in enumerate(MANDEL_PAIRS) if e_0 is not None and not isinstance(e_0[pair], Zero)]
+        return sorted({*strain_indices, *e_0_indices})
 
     def _space(self, shape: tuple[int, ...], mesh: Mesh | None = None) -> fem.FunctionSpace:
         mesh = mesh or self.region.mesh
@@ -255,9 +255,9 @@ class Quadrature:
         It can be integrated with `measure`, which must be over cells.
         """
         n_components = values.shape[1]
-        if n_components not in self._functions:
-            self._functions[n_components] = self._space((n_components,), self.region.parent_mesh)
-        f = fem.Function(self._functions[n_components])
+        if n_components not in self._spaces:
+            self._spaces[n_components] = self._space((n_components,), self.region.parent_mesh)
+        f = fem.Function(self._spaces[n_components])
         points = np.asarray(f.function_space.dofmap.list)[self.region.indices[: len(self.cells)]]
         f.x.array.reshape(-1, n_components)[points] = values[self.cells]
         f.x.scatter_forward()
@@ -274,7 +274,7 @@ class Quadrature:
     def entity_numbers(self) -> IntArray:
         """Numbers (cells,), in the joint, of the cells or facets of `region` that this rank owns."""
         assert self.origin is not None, "a mesh without a joint"
-        return self.origin.numbers(self.region.dim, self.region.indices[: len(self.cells)])
+        return self.origin.to_joint(self.region.dim, self.region.indices[: len(self.cells)])
 
     @cached_property
     def columns(self) -> Columns:
@@ -286,7 +286,7 @@ class Quadrature:
             InputError: the law acts in the cells of a layer, but there is no `origin` that knows the columns.
         """
         if self.origin:
-            numbers, centres = self.origin.layer_columns()
+            numbers, centres = self.origin.get_columns()
             columns = numbers[self.entity_numbers]
             has_points = np.zeros(len(centres), np.int8)
             has_points[columns] = 1

@@ -87,9 +87,9 @@ def _make_structure(description: Description, joint: Joint) -> Structure:
     strained_bodies = {name: entry for name, entry in description.body.items() if entry.eigenstrain is not None}
     eigenstrain = _map_all(strained_bodies, lambda entry: entry.eigenstrain) or None
     load_arguments: Arguments = {"tractions": tractions, "body_force": description.body_force, "loads": loads}
-    bodies: Arguments = {"body": _map_all(description.body, lambda entry: entry.law), "eigenstrain": eigenstrain}
+    body_args: Arguments = {"body": _map_all(description.body, lambda entry: entry.law), "eigenstrain": eigenstrain}
     plane, element = description.plane or "strain", description.element
-    return Structure(joint, supports=supports, plane=plane, element=element, **bodies, **load_arguments)
+    return Structure(joint, supports=supports, plane=plane, element=element, **body_args, **load_arguments)
 
 
 def _replace_series(value: object) -> Any:

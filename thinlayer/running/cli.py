@@ -143,7 +143,7 @@ def command_line_parser() -> argparse.ArgumentParser:
     prog = "thinlayer" if Path(sys.argv[0]).stem == "thinlayer" else "python3 -m thinlayer"
     parser = Parser(prog=prog, description="Thin soft layers, meshed or replaced by their interface law.")
     parser.add_argument("-V", "--version", action="store_true", help="print the versions of thinlayer and of DOLFINx")
-    parser.set_defaults(work=_require_subcommand)
+    parser.set_defaults(work=_run_without_command)
     commands = parser.add_subparsers(metavar="COMMAND")
     _add_json_option(_add_command(commands, "list", _print_studies, "--json"))
     _add_json_option(_add_command(commands, "info", _print_versions, "--json"))
@@ -191,7 +191,7 @@ def _add_batch_options(parser: Parser, out: Path) -> None:
     `out` is the default of --out, the folder of the results.
     """
     parser.add_argument("--quick", action="store_true", help="coarser meshes and fewer rows, of studies that have both")
-    parser.add_argument("--out", type=_folder, default=out, metavar="DIR", help=f"folder of the runs (default: {out})")
+    parser.add_argument("--out", type=_as_path, default=out, metavar="DIR", help=f"folder of the runs (default: {out})")
     parser.add_argument("-j", type=int, metavar="N", help="studies at a time (default: as many as cores)")
 
 
@@ -224,11 +224,11 @@ def _add_run_options(parser: Parser) -> Parser:
     quiet_help = "print no progress and no tables, only errors, warnings and checks that fail"
     level.add_argument("-q", "--quiet", dest="verbose", action="store_const", const=-1, help=quiet_help)
     out_help = "folder of tables and pictures (default: out/STUDY, out/estimate/NAME)"
-    parser.add_argument("--out", type=_folder, metavar="DIR", help=out_help)
+    parser.add_argument("--out", type=_as_path, metavar="DIR", help=out_help)
     return parser
 
 
-def _folder(text: str) -> Path:
+def _as_path(text: str) -> Path:
     if not text:
         raise argparse.ArgumentTypeError("it is empty; . is the working folder")
     return Path(text)
@@ -251,7 +251,7 @@ def _print_answer(args: argparse.Namespace, json_data: object, text: str) -> int
     return OK
 
 
-def _require_subcommand(parser: Parser, args: argparse.Namespace, _: Petsc) -> int:
+def _run_without_command(parser: Parser, args: argparse.Namespace, _: Petsc) -> int:
     if not args.version:
         parser.print_help()
         return BAD_INPUT
@@ -295,7 +295,7 @@ def _run_study(_: Parser, args: argparse.Namespace, petsc: Petsc) -> int:
     study = studies()[args.study]
     options = {name: value for name, value in vars(args).items() if name in study.options and value is not None}
 
-    def work(record: Record) -> None:
+    def run_and_draw(record: Record) -> None:
         from thinlayer.running.provenance import constants
 
         module = importlib.import_module(f"studies.{study.name}")
@@ -306,7 +306,7 @@ def _run_study(_: Parser, args: argparse.Namespace, petsc: Petsc) -> int:
             module.draw(record)
 
     out = args.out or Path("out", study.name)
-    return run_with_record(study.name, out, work, options, petsc, args.verbose, resume=args.resume)
+    return run_with_record(study.name, out, run_and_draw, options, petsc, args.verbose, resume=args.resume)
 
 
 def _run_batch(parser: Parser, args: argparse.Namespace, petsc: Petsc) -> int:
@@ -319,7 +319,7 @@ def _run_batch(parser: Parser, args: argparse.Namespace, petsc: Petsc) -> int:
     if petsc:
         parser.error("PETSc options are those of one study; run it by itself")
 
-    def work() -> int:
+    def run_studies() -> int:
         from thinlayer.running.batch import Job, quick_options, run_jobs
         from thinlayer.running.reproduce import reproduce
 
@@ -330,7 +330,7 @@ def _run_batch(parser: Parser, args: argparse.Namespace, petsc: Petsc) -> int:
         jobs = [Job(name, quick_options(name, quick), args.out / name, seconds) for name, seconds in durations.items()]
         return run_jobs(jobs, args.out, args.j)
 
-    return run_with_mpi(work, petsc={}, verbose=0)
+    return run_with_mpi(run_studies, petsc={}, verbose=0)
 
 
 def _run_estimate(parser: Parser, args: argparse.Namespace, petsc: Petsc) -> int:
@@ -350,7 +350,7 @@ def _run_estimate(parser: Parser, args: argparse.Namespace, petsc: Petsc) -> int
     if args.check:
         return run_function(partial(_print_summary, args, description))
 
-    def work(record: Record) -> None:
+    def run_estimate(record: Record) -> None:
         from thinlayer.running.estimation import run
 
         record.quiet |= args.json
@@ -360,13 +360,13 @@ def _run_estimate(parser: Parser, args: argparse.Namespace, petsc: Petsc) -> int
             _print_answer(args, record.results, "")
 
     out = args.out or Path("out", "estimate", args.description.stem)
-    return run_with_record("estimate", out, work, {"set": args.set}, petsc, args.verbose)
+    return run_with_record("estimate", out, run_estimate, {"set": args.set}, petsc, args.verbose)
 
 
 def _print_template(args: argparse.Namespace) -> int:
-    from thinlayer.running.template import template
+    from thinlayer.running.template import template_text
 
-    return _print_answer(args, None, template(args.description))
+    return _print_answer(args, None, template_text(args.description))
 
 
 def _print_summary(args: argparse.Namespace, description: Description) -> int:

@@ -81,10 +81,10 @@ def run(record: Record, description: Description, path: Path) -> None:
 
 
 def _solve_and_estimate(record: Record, case: DescribedCase, model: Model, layer: Layers | None = None) -> Estimate:
-    state: State | History = march(model, case.description.times) if case.description.times else solve(model)
-    for step_state in state if isinstance(state, History) else [state]:
+    solution: State | History = march(model, case.description.times) if case.description.times else solve(model)
+    for step_state in solution if isinstance(solution, History) else [solution]:
         record.add_report(step_state)
-    result = estimate(state, goals=case.goals, layer=layer)
+    result = estimate(solution, goals=case.goals, layer=layer)
     record.add_report(result.better)
     return result
 

@@ -27,10 +27,10 @@ def paragraphs_html(text: str) -> str:
     Raises:
         InputError: a formula has an unknown symbol or a group within a group.
     """
-    return "".join(f"<p>{line_of(paragraph)}</p>" for paragraph in re.split(r"\n\s*\n", text.strip()))
+    return "".join(f"<p>{line_html(paragraph)}</p>" for paragraph in re.split(r"\n\s*\n", text.strip()))
 
 
-def line_of(text: str) -> str:
+def line_html(text: str) -> str:
     """Convert a text to HTML without an element <p> around it, for use within a line.
 
     Raises:
@@ -42,7 +42,7 @@ def line_of(text: str) -> str:
         if formula:
             return f'<span class="formula">{formula_html(html.unescape(formula))}</span>'
         if link:
-            return f'<a href="{link}">{line_of(html.unescape(label))}</a>'
+            return f'<a href="{link}">{line_html(html.unescape(label))}</a>'
         return f"<code>{code}</code>" if code else f"<strong>{strong}</strong>"
 
     return MARKUP_PATTERN.sub(element_html, html.escape(text))

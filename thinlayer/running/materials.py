@@ -108,7 +108,7 @@ def _read_law(
     moduli = {key: entries[key] for key in elastic_keys if key in entries}
     arguments = {key: entries[key] for key in non_elastic_keys if key in entries}
     if elastic_keys:
-        arguments |= _lame_moduli(section, name, moduli) if "lmbda" in parameters else _shear(section, name, moduli)
+        arguments |= _lame_moduli(section, name, moduli) if "lmbda" in parameters else _find_mu(section, name, moduli)
     return _make_law(section, lambda: law_class(**arguments)), entries
 
 
@@ -134,7 +134,7 @@ def _read_parameter(section: TomlTable, key: str) -> object:
         section.refuse("it must be a table of numbers", key)
 
 
-def _shear(section: TomlTable, name: str, moduli: Mapping[str, float]) -> dict[str, float]:
+def _find_mu(section: TomlTable, name: str, moduli: Mapping[str, float]) -> dict[str, float]:
     """Return {"mu": shear modulus} for an incompressible law, from the one modulus that the user gives.
 
     Args:

@@ -76,7 +76,7 @@ def run_with_record(
             record.say(f"{'ok  ' if check.passed else 'FAIL'} {check}")
         record.say(f"written to {out}")
         if record.failures:
-            return print_error(record.root, CHECK_FAILED, "checks failed: " + "; ".join(map(str, record.failures)))
+            return print_error(record.is_root, CHECK_FAILED, "checks failed: " + "; ".join(map(str, record.failures)))
         return OK
 
     return run_with_mpi(run_and_check, petsc=petsc, verbose=verbose, note=f"\nresults so far are kept in {out}")

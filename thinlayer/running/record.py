@@ -83,7 +83,7 @@ class Record:
         parameters: name -> constant of the study's module; written to run.json.
         results: name -> number that the study computed in addition to its tables; written to run.json.
         solves: for each solved state its model, thickness, time and the solver's report; written to run.json.
-        root: whether this is rank 0.
+        is_root: whether this is rank 0.
         quiet: whether `say` prints nothing.
     """
 
@@ -97,7 +97,7 @@ class Record:
         self._file_names: set[str] = set()  # names of the run's files except run.json
         self._previous_folder: Path | None = None  # where the files of an earlier run are now
         self._lock_stack, self._start_time = ExitStack(), time.perf_counter()
-        self.root, self.quiet, self._has_lock = default_comm().rank == 0, False, False
+        self.is_root, self.quiet, self._has_lock = default_comm().rank == 0, False, False
 
     # ---------------------------------------------------------------- the folder
     def __enter__(self) -> Self:
@@ -140,7 +140,7 @@ class Record:
         with self._lock_stack:
             if error is None:
                 self.close()
-            elif self.root:
+            elif self.is_root:
                 with suppress(OSError):
                     if not isinstance(error, InputError):
                         self._write_run_file(error_reason(error))
@@ -238,7 +238,7 @@ class Record:
         """
         if name not in self._file_names:
             self._file_names.add(name)
-            if self._has_lock and self.root:  # so that run.json names the files even if the run is killed
+            if self._has_lock and self.is_root:  # so that run.json names the files even if the run is killed
                 with suppress(OSError):
                     move_away(self.out, [name])  # no file of an earlier run: these have been moved already
                     self._write_run_file("not finished")
@@ -289,7 +289,7 @@ class Record:
 
     def say(self, text: object) -> None:
         """Print `text` on rank 0, unless `quiet` is set."""
-        if self.root and not self.quiet:
+        if self.is_root and not self.quiet:
             print_safely(text)
 
     def sweep(self, run: Callable[[float], ColumnValues], eps: Sequence[float], name: str = "table.csv") -> Table:

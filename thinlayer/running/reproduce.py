@@ -25,7 +25,7 @@ from string import Template
 from typing import Any
 
 from thinlayer.running.batch import LOG_SUFFIX, Job, quick_options, run_jobs
-from thinlayer.running.markup import DATA_FOLDER, line_of, paragraphs_html
+from thinlayer.running.markup import DATA_FOLDER, line_html, paragraphs_html
 from thinlayer.running.process import CHECK_FAILED, OK, UNFINISHED
 from thinlayer.running.provenance import code_hash, package_versions
 from thinlayer.system.folder import replace_file
@@ -35,8 +35,8 @@ from thinlayer.system.version import print_safely
 STATUS_OF_VERDICT = {"holds": OK, "fails": CHECK_FAILED, "missing": UNFINISHED}  # verdict of a row -> exit status
 HEADER_PACKAGES = ("python", "thinlayer", "fenics-dolfinx", "petsc", "numpy")  # versions at the head of the page
 MAX_HALF_WIDTH_RATIO = 0.05  # half-width over lower end, up to which a range is shown as a number and a tolerance
-NUMBERS = {"label": "Number", "printed": "Paper", "computed": "Computed", "bounds": "Bounds", "verdict": "Verdict"}
-ERRATA = {"where": "Where", "printed": "Printed", "right": "Right", "shown": "Shown by"}
+COLUMNS = {"label": "Number", "printed": "Paper", "computed": "Computed", "bounds": "Bounds", "verdict": "Verdict"}
+ERRATA_COLUMNS = {"where": "Where", "printed": "Printed", "right": "Right", "shown": "Shown by"}
 Entries = Mapping[str, Any]  # a table of paper.toml, or a check of run.json
 MISSING_CHECK = {"value": None, "low": None, "high": None, "passed": None}  # entries of a missing check
 
@@ -152,7 +152,7 @@ class Page:
         values["links"] = "".join(fill_template("link", id=part["id"], short=part["short"]) for part in sections)
         values["sections"] = "".join(map(self.section_html, sections))
         values["gaps"] = "".join(fill_template("gap", name=name, log=f"{name}{LOG_SUFFIX}") for name in self.unfinished)
-        values["errata"] = html_table(ERRATA, "erratum", map(self.erratum_row, self.paper["errata"]))
+        values["errata"] = html_table(ERRATA_COLUMNS, "erratum", map(self.erratum_row, self.paper["errata"]))
         values["summary"] = self.summary
         return fill_template("page", **values, facts=html_pairs(facts), versions=html_pairs(package_versions()))
 
@@ -162,13 +162,13 @@ class Page:
         Args:
             part: table of the section in paper.toml, with its texts, pictures and entries of numbers.
         """
-        values = {"id": part["id"], "title": line_of(part["title"])}
+        values = {"id": part["id"], "title": line_html(part["title"])}
         values |= {name: paragraphs_html(part[name]) for name in ("problem", "says", "computed")}
         values["sketch"] = html_picture(DATA_FOLDER / part["sketch"], part["sketch_says"])
         values["pictures"] = "".join(html_picture(self.out / name, text) for name, text in part["pictures"].items())
         run_names = dict.fromkeys(row["run"] for row in part["rows"])
         values["details"] = "".join(self.details_html(name, part.get("tables", ())) for name in run_names)
-        return fill_template("section", **values, numbers=html_table(NUMBERS, "number", self.number_rows(part["rows"])))
+        return fill_template("section", **values, numbers=html_table(COLUMNS, "number", self.number_rows(part["rows"])))
 
     def details_html(self, run: str, tables: Iterable[str]) -> str:
         """Return the HTML of a box with details of a run, closed until a reader opens it.
@@ -184,7 +184,7 @@ class Page:
         texts = {path.name: str(Table.load(path)) for path in table_paths if path.exists()}
         values = {"command": escape(shlex.join(job.command_words)), "seconds": f"{result.get('seconds', 0):.0f}"}
         values["tables"] = "".join(fill_template("csv", name=name, text=escape(text)) for name, text in texts.items())
-        values["numbers"] = html_table(NUMBERS, "number", self.number_rows([{"run": run, "check": "*"}]))
+        values["numbers"] = html_table(COLUMNS, "number", self.number_rows([{"run": run, "check": "*"}]))
         return fill_template("details", **values, parameters=html_pairs(result.get("parameters", {})))
 
     def erratum_row(self, entry: Mapping[str, str]) -> dict[str, str]:
@@ -233,15 +233,15 @@ def bounds_text(check: Entries) -> str:
     return narrow_text if half_width <= MAX_HALF_WIDTH_RATIO * abs(low) else f"{low:.6g} to {high:.6g}"
 
 
-def html_table(headings: Mapping[str, str], part: str, rows: Iterable[Entries]) -> str:
+def html_table(headings: Mapping[str, str], piece: str, rows: Iterable[Entries]) -> str:
     """Return the HTML of a table.
 
     Args:
         headings: name of a column that is shown -> its heading.
-        part: name of the piece of the template that makes a row.
+        piece: name of the piece of the template that makes a row.
         rows: for each row, name of a column -> text.
     """
-    lines = [fill_template(part, **row | {name: line_of(row[name]) for name in headings}) for row in map(dict, rows)]
+    lines = [fill_template(piece, **row | {name: line_html(row[name]) for name in headings}) for row in map(dict, rows)]
     return fill_template("table", head="".join(f"<th>{name}</th>" for name in headings.values()), body="".join(lines))
 
 
@@ -257,6 +257,6 @@ def html_picture(path: Path, text: str) -> str:
     If the file is missing, a note stands in its place.
     """
     if not path.exists():
-        return fill_template("no figure", caption=line_of(text))
-    words = {"alt": escape(re.sub(r"[$`\\{}]", "", text)), "type": guess_type(path.name)[0] or "", "name": path.stem}
-    return fill_template("figure", **words, content=base64.b64encode(path.read_bytes()).decode(), caption=line_of(text))
+        return fill_template("no figure", caption=line_html(text))
+    img = {"alt": escape(re.sub(r"[$`\\{}]", "", text)), "type": guess_type(path.name)[0] or "", "name": path.stem}
+    return fill_template("figure", **img, content=base64.b64encode(path.read_bytes()).decode(), caption=line_html(text))

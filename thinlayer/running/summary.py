@@ -27,26 +27,26 @@ def summarise(case: DescribedCase) -> str:
     Raises:
         InputError: the interface law does not suit the layer, or a goal cannot be evaluated.
     """
-    entries, model, values = case.description, case.make_model(), case.description.file_table.values
-    joint, measures, t = model.joint, _measures(model), entries.times[-1] if entries.times else 0.0
-    of_body, of_layer = ("volume", "area") if joint.dim == 3 or entries.plane == "axisymmetric" else ("area", "length")
-    names = {S: entries.mesh.get("S") or S}  # the only seam has another name in the file
+    data, model, values = case.description, case.make_model(), case.description.file_table.values
+    joint, measures, t = model.joint, _measures(model), data.times[-1] if data.times else 0.0
+    of_body, of_layer = ("volume", "area") if joint.dim == 3 or data.plane == "axisymmetric" else ("area", "length")
+    names = {S: data.mesh.get("S") or S}  # the only seam has another name in the file
     about = "" if joint.dim == 3 else f", plane {model.plane}"
-    lines = [f"mesh {entries.mesh['path']}: {len(joint.cells)} {joint.cell_type} cells, element {model.element}{about}"]
-    lines += ["lengths in {}, stresses in {}".format(*entries.units)] if entries.units else []
+    lines = [f"mesh {data.mesh['path']}: {len(joint.cells)} {joint.cell_type} cells, element {model.element}{about}"]
+    lines += ["lengths in {}, stresses in {}".format(*data.units)] if data.units else []
     for name in joint.bodies:
-        lines.append(f"body {name}: {_law(values['body'], entries.body, name)}, {of_body} = {measures[name]:.6g}")
+        lines.append(f"body {name}: {_law_text(values['body'], data.body, name)}, {of_body} = {measures[name]:.6g}")
     for name, seam in joint.seams.items():
         sides = f"from {', '.join(seam.lower) or 'a rigid base'} to {', '.join(seam.upper)}"
         size = f"{of_layer} = {measures[name]:.6g}, {len(joint.rows_of(name))} facets"
-        lines.append(f"layer {names.get(name, name)}: {_law(values['layer'], entries.layer, name)}, {size}, {sides}")
+        lines.append(f"layer {names.get(name, name)}: {_law_text(values['layer'], data.layer, name)}, {size}, {sides}")
     lines += [f"support {place}: {_value_text(support)}" for place, support in values.get("supports", {}).items()]
     lines += [f"{key}: {_value_text(values[key])}" for key in ("tractions", "body_force", "loads") if key in values]
     lines.append(f"loads in all, at t = {t:g}: {model.applied(t).at(np.zeros(joint.dim))}")
     return "\n".join([*lines, *(f"goal {goal.name}" for goal in case.goals)])
 
 
-def _law(values: Mapping[str, Mapping[str, object]], materials: Materials, name: str) -> str:
+def _law_text(values: Mapping[str, Mapping[str, object]], materials: Materials, name: str) -> str:
     """Return a text with the name of a body's or layer's law, and with its parameters as the user wrote them.
 
     Args:
@@ -63,12 +63,12 @@ def _measures(model: InterfaceModel) -> dict[str, float]:
 
     In plane models these are areas and lengths, in models of bodies of revolution those of the whole revolution.
     """
-    places = {name: (model.kinematics.factor, model.dx(model.domain.region_tags(name))) for name in model.joint.bodies}
+    domains = {name: (model.kinematics.factor, model.dx(model.domain.region_tags(name))) for name in model.joint.bodies}
     interfaces = {name: model.sides_of(name) for name in model.joint.seams}
-    places |= {name: (interface.factor, interface.measure) for name, interface in interfaces.items()}
-    selector = fem.Constant(model.domain.mesh, np.zeros(len(places)))
-    terms = (selector[k] * factor * measure for k, (factor, measure) in enumerate(places.values()))
-    return dict(zip(places, map(float, unit_values(model.comm, sum(terms, ufl.Form([])), selector)), strict=True))
+    domains |= {name: (interface.factor, interface.measure) for name, interface in interfaces.items()}
+    selector = fem.Constant(model.domain.mesh, np.zeros(len(domains)))
+    terms = (selector[k] * factor * measure for k, (factor, measure) in enumerate(domains.values()))
+    return dict(zip(domains, map(float, unit_values(model.comm, sum(terms, ufl.Form([])), selector)), strict=True))
 
 
 def _entries_text(table: Mapping[str, object]) -> str:

@@ -14,7 +14,7 @@ from geometry.parallel import default_comm, on_root
 quote = partial(json.dumps, ensure_ascii=False)  # a text as a string or a key of TOML
 
 
-def template(mesh: Path) -> str:
+def template_text(mesh: Path) -> str:
     """Return the text of an input file in TOML that uses the names in a mesh file. Collective.
 
     A "?" stands for each value that the user must fill in; a file that still has one is refused when it is read.
@@ -31,7 +31,7 @@ def template(mesh: Path) -> str:
 def _fill_template(mesh: Path, groups: NamedGroups) -> str:
     adjacent = {name: groups.adjacent_cells(name) for name in groups.facets}
     inside = {name: groups.regions_at(cells) for name, cells in adjacent.items() if cells.size and (cells >= 0).all()}
-    seam_text, words = _seam_entries(inside, ", ".join(groups.facets))
+    seam_text, hint = _seam_entries(inside, ", ".join(groups.facets))
     layers = "\n\n".join(
         f'[layer{name}]\nlaw = "LinearElastic"\nE = "?"\nnu = "?"\neps = "?"  # thickness'
         for name in ([f".{quote(name)}" for name in inside] if len(inside) > 1 else [""])
@@ -40,7 +40,7 @@ def _fill_template(mesh: Path, groups: NamedGroups) -> str:
     outer_names = [quote(name) for name in groups.facets if name not in inside]
     bodies = "\n\n".join(f"[body.{quote(name)}]\n{moduli_text}" for name in groups.region_masks)
     supports, loaded = ("\n".join(f"{name} = {quote(value)}" for name in outer_names) for value in ("?", empty_vector))
-    values = {"bodies": bodies, "layers": layers, "held": supports, "loaded": loaded, "seam": seam_text, "words": words}
+    values = {"bodies": bodies, "layers": layers, "held": supports, "loaded": loaded, "seam": seam_text, "words": hint}
     text = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8").rstrip()
     return Template(text).substitute(values, path=quote(str(mesh)))
 

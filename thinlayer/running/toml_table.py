@@ -107,7 +107,7 @@ def _with_value(container: object, keys: Sequence[str], value: object, option_te
         k = item_numbers.index(key)
         return [*container[:k], _with_value(container[k], inner_keys, value, option_text), *container[k + 1 :]]
     if not isinstance(container, dict):
-        raise DescriptionError(f"{option_text}: {_shown(container)} has no {key!r}; set the whole entry")
+        raise DescriptionError(f"{option_text}: {_repr(container)} has no {key!r}; set the whole entry")
     return {**container, key: _with_value(container.get(key, {}), inner_keys, value, option_text)}
 
 
@@ -117,14 +117,14 @@ class TomlTable:
 
     Attributes:
         values: its entries, key -> value.
-        path: keys of the nested tables by which this table is reached from the whole file; () for the whole file.
-        file_text: name of the file, and options of the command line that replaced entries; errors start with it.
+        key_path: keys of the nested tables by which this table is reached from the whole file; () for the whole file.
+        file_label: name of the file, and options of the command line that replaced entries; errors start with it.
         time_series: values that depend on time, read so far; one list for all tables of the file.
     """
 
     values: Mapping[str, Any]
-    path: KeyPath
-    file_text: str
+    key_path: KeyPath
+    file_label: str
     time_series: list[TimeSeries]
 
     def refuse(self, reason: str, *keys: str) -> NoReturn:
@@ -134,7 +134,7 @@ class TomlTable:
             reason: what is wrong.
             *keys: keys of the nested tables, and last that of the entry; none: the error is about this table.
         """
-        raise DescriptionError(": ".join(filter(None, [self.file_text, ".".join((*self.path, *keys)), reason])))
+        raise DescriptionError(": ".join(filter(None, [self.file_label, ".".join((*self.key_path, *keys)), reason])))
 
     @contextmanager
     def locate_errors(self, *keys: str) -> Iterator[None]:
@@ -179,7 +179,7 @@ class TomlTable:
             DescriptionError: the value is not allowed.
         """
         if not is_allowed(value := self.values[key]):
-            self.refuse("it is not filled in" if "?" in str(value) else f"{_shown(value)} {error_text}", key)
+            self.refuse("it is not filled in" if "?" in str(value) else f"{_repr(value)} {error_text}", key)
         return value
 
     def number(self, key: str) -> float:
@@ -204,7 +204,7 @@ class TomlTable:
         """
         value = self.values[key]
         if not isinstance(value, str) or not value:
-            self.refuse(f"{_shown(value)} is not a text" + (f"; allowed: {', '.join(allowed)}" if allowed else ""), key)
+            self.refuse(f"{_repr(value)} is not a text" + (f"; allowed: {', '.join(allowed)}" if allowed else ""), key)
         if allowed and value not in allowed:
             self.refuse(unknown_name_message(kind, value, allowed), key)
         return value
@@ -239,8 +239,8 @@ class TomlTable:
             DescriptionError: the value is not a table.
         """
         if not isinstance(value, Mapping):
-            self.refuse(f"{_shown(value)} is not a table; it has {content}", *keys)
-        return replace(self, values=value, path=(*self.path, *keys))
+            self.refuse(f"{_repr(value)} is not a table; it has {content}", *keys)
+        return replace(self, values=value, key_path=(*self.key_path, *keys))
 
     def tables(self, key: str, what: str) -> list[TomlTable]:
         """Return the tables in the list at `key`, each as a `TomlTable`.
@@ -293,8 +293,8 @@ def series_reader(read: Reader) -> Reader:
         times, values = section.table(key, what).entries(list_readers, dict.fromkeys(list_readers, what)).values()
         if not (isinstance(values, list) and is_increasing(times) and len(times) == len(values) >= 2):
             section.refuse(what, key)
-        value_table = section.as_table({str(k): value for k, value in enumerate(values, 1)}, what, key, "values")
-        series = TimeSeries({float(t): read(value_table, str(k)) for k, t in enumerate(times, 1)}, (*section.path, key))
+        items = section.as_table({str(k): value for k, value in enumerate(values, 1)}, what, key, "values")
+        series = TimeSeries({float(t): read(items, str(k)) for k, t in enumerate(times, 1)}, (*section.key_path, key))
         section.time_series.append(series)
         return series
 
@@ -310,7 +310,7 @@ def _are_finite(value: object) -> TypeGuard[list[float]]:
     return isinstance(value, list) and all(map(is_finite, value))
 
 
-def _shown(value: object) -> str:
+def _repr(value: object) -> str:
     """Return the text of a value for errors, nearly as in TOML, cut after some 60 characters."""
     text = str(value).lower() if isinstance(value, bool) else repr(value)
     return text if len(text) < 60 else f"{text[:56]} ..."

@@ -67,11 +67,11 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         self._options = {**linear_options[0], **(options or {})}
         self._tangent: PETSc.Mat | None = None
         self.transposed = False
-        self._one_factor = self.model.linear and self.model.symmetric  # one factor serves all states, and the transpose
-        if self._one_factor and equations.factor.matrix_key == (0.0, 1.0):
+        self._has_one_factor = self.model.linear and self.model.symmetric  # for all states and the transpose
+        if self._has_one_factor and equations.factor.matrix_key == (0.0, 1.0):
             return
         with set_defaults(self._options):
-            in_place = self._one_factor and needs_factor_only()
+            in_place = self._has_one_factor and needs_factor_only()
             with equations.constrained_tangent(in_place=True) if in_place else nullcontext(equations.tangent()) as A:
                 if not in_place:
                     self._tangent = A.copy()
@@ -186,9 +186,9 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         layer_weights.array[: equations.n_displacements] = (
             self.model.constraints.forces_on_y(self.layer_loads) * on_layers
         )
-        changes = np.concatenate([(q.array_r + layer_weights.array_r) * d.array_r, g.array_r * (before - after)])
+        change_terms = np.concatenate([(q.array_r + layer_weights.array_r) * d.array_r, g.array_r * (before - after)])
         destroy(d, layer_weights)
-        expected, abs_sum = self.model.comm.allreduce(np.array([changes.sum(), np.abs(changes).sum()]))
+        expected, abs_sum = self.model.comm.allreduce(np.array([change_terms.sum(), np.abs(change_terms).sum()]))
         actual, magnitude = goal_values[0] - goal_values[1], abs_sum + abs(goal_values[0]) + abs(goal_values[1])
         if not abs(actual - expected) <= GOAL_CHANGE_TOLERANCE * magnitude:
             text = f"the goal {name!r} changes by {actual:.6g} along a random motion, its weights say {expected:.6g}"
@@ -223,7 +223,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             Configuration with the displacements of z, and those of its fields that belong to layers, such as pressures.
         """
         equations, bc_dofs = self.equations, self.equations.bc_dofs
-        if self._one_factor and self._equilibrium_is_adjoint(q, g):
+        if self._has_one_factor and self._equilibrium_is_adjoint(q, g):
             return equations.configuration(self._x)
         z, out = equations.create_vector(), equations.create_vector()
         g.array[np.setdiff1d(np.arange(g.getLocalSize()), bc_dofs)] = 0.0

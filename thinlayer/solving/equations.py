@@ -68,8 +68,8 @@ class Equations(PartSum):
     def __init__(self, model: Model) -> None:
         self.model, self.comm = model, model.comm
         self.constraints = model.constraints
-        self._strains = VaryingStrainIntegrals(model.terms, model.coordinates)
-        self.u, self._mid = fem.Function(model.V), fem.Function(model.V)
+        self._strain_integrals = VaryingStrainIntegrals(model.terms, model.coordinates)
+        self.u, self._mid_u = fem.Function(model.V), fem.Function(model.V)
         self._shared = matrices = SharedMatrices.acquire(model)
         self.bodies = matrices.bodies = matrices.bodies or body_parts(model)
         self.layers = layer_parts(model, self.constraints.bc_dofs, matrices.bodies)
@@ -84,7 +84,7 @@ class Equations(PartSum):
         self.n_displacements = self._layout.sizes[DISPLACEMENT_KEY]
         self._T = self._layout.extended_to_all_fields(self.constraints.T)
         self._reduced_tangent: PETSc.Mat | None = None
-        self.bc_dofs = self._bc_values(None)[0].astype(np.int32)
+        self.bc_dofs = self._bc_dofs_and_values(None)[0].astype(np.int32)
         diag = sum_diagonals_at_rest(self.parts, self.u.x.petsc_vec.duplicate())
         self._rigid_motions = RigidMotions(model, float(diag.norm()))
         (self.block_of, self.nesting), self.last_body = self._rigid_motions.nested_blocks, [None, *matrices.bodies][-1]
@@ -115,7 +115,7 @@ class Equations(PartSum):
             owned[:] = self.constraints.displacements(owned)
             self.u.x.scatter_forward()
 
-    def _bc_values(self, t: float | None) -> tuple[IntArray, Array]:
+    def _bc_dofs_and_values(self, t: float | None) -> tuple[IntArray, Array]:
         """Return the local numbers, ascending, of the constrained unknowns, and their values at time `t`.
 
         If `t` is None, the values are zeros.
@@ -192,7 +192,7 @@ class Equations(PartSum):
             r: residual at the last displacements; None: it is not considered.
         """
         if not self.traits.weakens:
-            limits, threshold = self.scale.max_norms(self._largest(self.u.x.array)), self.u.x.petsc_vec.duplicate()
+            limits, threshold = self.scale.max_norms(self._max_abs(self.u.x.array)), self.u.x.petsc_vec.duplicate()
             limits = limits if r is None else np.maximum(limits, self.residual_norms(r))
             threshold.array[:] = limits[self.block_of]
             self._rigid_motions.require_resisted(self.resisting_blocks(self._relative_residual, threshold))
@@ -220,9 +220,9 @@ class Equations(PartSum):
         for t, weight in ((interval.t, interval.theta), (old.t, 1 - interval.theta)):
             if weight:
                 self.loads.axpy(weight, self.loads_at(t))
-        self.prescribed = self._bc_values(interval.t)[1]
+        self.prescribed = self._bc_dofs_and_values(interval.t)[1]
         self._strain_integrals_at(interval.t)
-        max_prescribed = self._largest(self.prescribed)
+        max_prescribed = self._max_abs(self.prescribed)
         if self.model.strain:  # it moves the sides of the periodic cell, as supports would
             strain_displacement = float(np.abs(self.model.strain.tensor_at(interval.t)).max()) * self.model.strain.size
             max_prescribed = max(max_prescribed, strain_displacement)
@@ -305,12 +305,12 @@ class Equations(PartSum):
         NaN if a law failed.
         """
         self._set_unknowns(x)
-        theta, mid = self.interval.theta, self._mid.x.petsc_vec
+        theta, mid = self.interval.theta, self._mid_u.x.petsc_vec
         self.u.x.petsc_vec.copy(mid)
         mid.scale(theta)
         mid.axpy(1 - theta, self.interval.old.u.x.petsc_vec)
-        self._mid.x.scatter_forward()
-        part_norms = self.forces(self.u, self._mid, self._forces)
+        self._mid_u.x.scatter_forward()
+        part_norms = self.forces(self.u, self._mid_u, self._forces)
         common_norms = np.zeros(self.n_blocks)
         # a mean strain or stress acts on all blocks alike
         common_norms[: None if self.model.strain or self.model.stress else 1] = max(part_norms, default=0.0)
@@ -344,8 +344,9 @@ class Equations(PartSum):
         Args:
             x: vector whose values at constrained unknowns the solution shall have; None: zero values.
             b: right-hand side, to which the forces due to these values are added; None if `x` is None.
-            in_place: whether, to save memory, the tangent may be made in place from the matrix of the bodies. Within
-                the block that matrix may then serve only for a factorisation. Without effect if `x` is given.
+            in_place: whether, to save memory, the matrix of the bodies may be changed into the tangent. It is restored
+                at the end of the block, so that the tangent may serve only to be factorised in the block. Without
+                effect if `x` is given.
         """
         only_u = x is None and self._T is None and not self.field_parts
         first, *others = self.blocks(self._relative_residual) if in_place and only_u else [Block(None)]
@@ -435,12 +436,12 @@ class Equations(PartSum):
         for fraction in SAMPLED_STEP_FRACTIONS:
             mid_data = self._data_at(start + fraction * (end - start))
             for a, b, c in zip(start_data, end_data, mid_data, strict=True):
-                error = self._largest((1 - fraction) * a + fraction * b - c)
-                if error > TIME_LINEARITY_TOLERANCE * self._largest(np.array([a, b, c])):
+                error = self._max_abs((1 - fraction) * a + fraction * b - c)
+                if error > TIME_LINEARITY_TOLERANCE * self._max_abs(np.array([a, b, c])):
                     return False
         return True
 
-    def _largest(self, values: Array) -> float:
+    def _max_abs(self, values: Array) -> float:
         """Return the largest absolute value of all ranks' `values`; 0 if there are none."""
         return float(self.comm.allreduce(float(np.abs(values).max(initial=0.0)), max))
 
@@ -462,7 +463,7 @@ class Equations(PartSum):
     def _strain_integrals_at(self, t: float) -> list[Array]:
         if self.model.strain:  # it has its own error for values that are not finite
             self.model.strain.tensor_at(t)
-        return self._strains.integrals_at(t)
+        return self._strain_integrals.integrals_at(t)
 
     # ---------------------------------------------------------------- end
     def destroy(self) -> None:

@@ -85,7 +85,7 @@ class DirichletLayers:
             self._drop_factors()
 
     def _drop_factors(self) -> None:
-        for factor in ("_dirichlet", "_neumann"):
+        for factor in ("_dirichlet_factor", "_neumann_factor"):
             vars(self).pop(factor, None)
 
     def rest_state(self, t: float) -> State:
@@ -126,7 +126,7 @@ class DirichletLayers:
         return State(**vars(end), model=self.model, report=Report("layers", 0, 0.0, 0.0))
 
     @cached_property
-    def _dirichlet(self) -> _SubmatrixFactor:
+    def _dirichlet_factor(self) -> _SubmatrixFactor:
         return _SubmatrixFactor(self.K, self._inner, symmetric=self.model.symmetric)
 
     def dirichlet_displacements(self, v: Array, load: Array, side_displacements: Array) -> Array:
@@ -144,7 +144,7 @@ class DirichletLayers:
             Unknowns (n,): displacements, then other fields such as pressures.
         """
         w = np.where(self.on_face, v, np.where(self._at_sides, side_displacements, 0.0))
-        self._dirichlet.solve(load - self.K @ w, w)
+        self._dirichlet_factor.solve(load - self.K @ w, w)
         return w
 
     def equilibrate_dirichlet(self, v: Array) -> Array:
@@ -157,7 +157,7 @@ class DirichletLayers:
             SolveError: no convergence, or the layer softens.
         """
         w = self.dirichlet_displacements(v, self.load, self.side_u)
-        return self._solve_newton(w, np.zeros(len(v)), lambda: self._dirichlet)
+        return self._solve_newton(w, np.zeros(len(v)), lambda: self._dirichlet_factor)
 
     def _solve_newton(self, w: Array, forces: Array, get_factor: Callable[[], _SubmatrixFactor]) -> Array:
         """Solve by Newton's method for the unknowns (n,) at which the residual equals given forces.
@@ -171,7 +171,7 @@ class DirichletLayers:
         if self.model.linear:
             return w
 
-        def energy_decrease(fraction: float) -> float:
+        def decrease_rate(fraction: float) -> float:
             """Return the rate, per unit of `fraction`, at which the energy falls along `step`, at w + fraction step."""
             return float(step @ (forces - self.residual(w + fraction * step)))
 
@@ -184,7 +184,7 @@ class DirichletLayers:
                 if get_factor().negative_pivots > self._inner[self._n_u :].sum():  # one for each pressure
                     raise SolveError("the layer by itself softens: stresses fall as strains grow", advice=MESH_ADVICE)
                 return w
-            w = w + step * line_search_fraction(energy_decrease, work)
+            w = w + step * line_search_fraction(decrease_rate, work)
         raise SolveError(f"the layer by itself: no equilibrium after {MAX_NEWTON_STEPS} steps", advice=MESH_ADVICE)
 
     def support_force_weights(self, place: Place, direction: Array) -> Array:
@@ -261,10 +261,10 @@ class LayerSubproblem(DirichletLayers):
         self.R, self._pins = self._free_motions(self.free_faces | self._inner)
 
     @cached_property
-    def _neumann(self) -> _SubmatrixFactor:
+    def _neumann_factor(self) -> _SubmatrixFactor:
         return _SubmatrixFactor(self.K, (self.free_faces | self._inner) & ~self._pins, symmetric=self.model.symmetric)
 
-    def work(self, w: Array, z: Array) -> Array:
+    def work_shares(self, w: Array, z: Array) -> Array:
         """Return the work of the stresses in virtual displacements, minus that of the loads, divided among all nodes.
 
         Args:
@@ -275,10 +275,10 @@ class LayerSubproblem(DirichletLayers):
             Array (k,) with the part of the work of each of the layers' k displacement components. The sum is the work.
         """
         self.residual(w)
-        strained, nodal_work = fem.Function(self.model.V), fem.Function(self.model.V)
-        strained.x.array[:] = z[: self._n_u]
+        virtual_u, nodal_work = fem.Function(self.model.V), fem.Function(self.model.V)
+        virtual_u.x.array[:] = z[: self._n_u]
         for part in self._equations.layers:
-            part.add_work_in(strained, nodal_work.x.petsc_vec)
+            part.add_work_in(virtual_u, nodal_work.x.petsc_vec)
         return np.asarray(nodal_work.x.array - (z * self.nodal_loads)[: self._n_u])
 
     def _free_motions(self, free: BoolArray) -> tuple[Array, BoolArray]:
@@ -360,7 +360,7 @@ class LayerSubproblem(DirichletLayers):
             The displacements, and the work r . E^+ r with the pseudo-inverse E^+ of the stiffness E of the faces.
         """
         w = np.zeros(len(r))
-        work = self._neumann.solve(r, w)
+        work = self._neumann_factor.solve(r, w)
         work_error = abs(work - float(w @ (self.K @ w)))
         return np.where(self.on_face, w, 0.0), work if work_error <= MAX_WORK_DIFFERENCE * work else math.inf
 
@@ -376,7 +376,7 @@ class LayerSubproblem(DirichletLayers):
         Raises:
             SolveError: no convergence, or the layer softens.
         """
-        return self._solve_newton(w, F, lambda: self._neumann)
+        return self._solve_newton(w, F, lambda: self._neumann_factor)
 
     def bregman_divergence(self, w: Array, at: Array) -> tuple[float, float]:
         """Return a lower and an upper bound of the energy at `w` above its tangent plane at `at`, for convex energies.
@@ -433,22 +433,22 @@ class _SubmatrixFactor:
         return float(self._b.dot(self._x))
 
 
-def line_search_fraction(decrease: Callable[[float], float], initial: float) -> float:
+def line_search_fraction(decrease_rate: Callable[[float], float], initial: float) -> float:
     """Shorten a Newton step until the energy does not rise steeply at its end; return the fraction of it that remains.
 
     Args:
-        decrease: function of a fraction of the step. It returns the decrease of the energy, per unit of the fraction,
-            at the end of the shortened step.
-        initial: value of `decrease` at the fraction 0; it must be positive.
+        decrease_rate: function of a fraction of the step. It returns the decrease of the energy, per unit of the
+            fraction, at the end of the shortened step.
+        initial: value of `decrease_rate` at the fraction 0; it must be positive.
 
     Returns:
-        A fraction of at most 1, at which `decrease` is at least -initial/2.
+        A fraction of at most 1, at which `decrease_rate` is at least -initial/2.
 
     Raises:
         SolveError: there is no such fraction.
     """
     fraction = 1.0 if math.isfinite(initial) else 0.0
-    while fraction and not (now := decrease(fraction)) >= -initial / 2:  # NaN where a law fails
+    while fraction and not (now := decrease_rate(fraction)) >= -initial / 2:  # NaN where a law fails
         fraction *= max(initial / (initial - now), MIN_LENGTH_RATIO) if now < 0 else MIN_LENGTH_RATIO
         fraction = fraction if fraction >= MIN_LENGTH_RATIO**MAX_SHORTENINGS else 0.0
     if not fraction:
@@ -463,12 +463,12 @@ def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntAr
         Two arrays (k,): local numbers of dofs of the interface model, and numbers of the same displacements in the
             layers. Only dofs that this rank owns in the interface model occur.
     """
-    base, band, d = layers.joint, layers.domain.joint, interface.joint.dim
-    body_cells, layer_cells = _local_cells(interface, base), _local_cells(layers, band)
+    joint, band, d = layers.joint, layers.domain.joint, interface.joint.dim
+    body_cells, layer_cells = _local_cells(interface, joint), _local_cells(layers, band)
     face_nodes: dict[tuple[VertexNumbers, int, VertexNumbers], int] = {}
-    for number, seam in enumerate(base.seams):
-        facets = np.sort(base.surface[base.seam_numbers == number][:, : base.table.vertices.shape[1]], axis=1)
-        face_names = [str(FacetName(seam, face)) if len(base.seams) > 1 else face for face in (LOWER_FACE, UPPER_FACE)]
+    for number, seam in enumerate(joint.seams):
+        facets = np.sort(joint.surface[joint.seam_numbers == number][:, : joint.table.vertices.shape[1]], axis=1)
+        face_names = [str(FacetName(seam, face)) if len(joint.seams) > 1 else face for face in (LOWER_FACE, UPPER_FACE)]
         for side, name in enumerate(face_names):
             faces = band.facets.get(name, facets[:0])
             for facet, face, row in zip(facets, faces, band.table.index(faces), strict=False):
@@ -477,12 +477,12 @@ def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntAr
                 for node, vertices in _facet_nodes(layers, layer_cells, band, cell, local_facet):
                     face_nodes[tuple(facet), side, tuple(sorted(vertex_of[v] for v in vertices))] = node
     n_owned, face_node_of = interface.V.dofmap.index_map.size_local, {}
-    for row, cells in zip(base.surface_rows, base.surface_cells, strict=True):
-        facet = tuple(np.sort(base.table.vertices[row]))
+    for row, cells in zip(joint.surface_rows, joint.surface_cells, strict=True):
+        facet = tuple(np.sort(joint.table.vertices[row]))
         for side, cell in enumerate(cells):
             if cell >= 0:
-                local_facet = base.table.local[row][list(base.table.cells[row]).index(cell)]
-                for node, vertices in _facet_nodes(interface, body_cells, base, cell, local_facet):
+                local_facet = joint.table.local[row][list(joint.table.cells[row]).index(cell)]
+                for node, vertices in _facet_nodes(interface, body_cells, joint, cell, local_facet):
                     key = facet, side, tuple(sorted(vertices))
                     if node < n_owned and key in face_nodes:
                         face_node_of[node] = face_nodes[key]

@@ -83,21 +83,21 @@ def solver_options(model: Model, parts: Sequence[Part], pctype: str | None = Non
     Raises:
         InputError: the chosen type of preconditioner does not suit the model.
     """
-    direct = direct_solver_options(model)
+    direct_options = direct_solver_options(model)
     is_large = model.unknowns >= MIN_MULTIGRID_UNKNOWNS[model.joint.dim]
     if any(isinstance(part, PressurePart) for part in parts):
         if pctype in MULTIGRID_PC_TYPES:
             raise InputError(f"pc_type {pctype} cannot solve for the pressures of a layer, too; use pc_type fieldsplit")
-        attempts = [direct, {**direct, **SADDLE_POINT_OPTIONS}]
+        attempts = [direct_options, {**direct_options, **SADDLE_POINT_OPTIONS}]
         unsuited = [part.key for part in parts if isinstance(part, FieldPart) and not part.on_S]
         if pctype == "fieldsplit" and unsuited:
             reason = f"not for {unsuited[0]!r} (of a meshed layer, a plate or a mean stress); use pc_type cholesky"
             raise InputError(f"pc_type fieldsplit is for displacements and pressures on S, {reason}")
         return [FIELD_SPLIT_OPTIONS, *attempts] if pctype == "fieldsplit" or (is_large and not unsuited) else attempts
-    iterative = {**MULTIGRID_OPTIONS, "ksp_type": "cg" if model.symmetric else "gmres"}
+    iterative_options = {**MULTIGRID_OPTIONS, "ksp_type": "cg" if model.symmetric else "gmres"}
     if pctype in MULTIGRID_PC_TYPES:
-        return [iterative]
-    return [iterative, direct] if is_large else [direct]
+        return [iterative_options]
+    return [iterative_options, direct_options] if is_large else [direct_options]
 
 
 def direct_solver_options(model: Model) -> OptionDict:

@@ -534,7 +534,7 @@ def augmented_in_place(
 
 
 def _fits_pattern(comm: MPI.Intracomm, matrix: PETSc.Mat, rows: PETSc.Mat, row_numbers: PetscIndices) -> bool:
-    """Whether all nonzeros of `matrix` in certain rows have places in the nonzero pattern of `global_rows`. Collective.
+    """Whether all nonzeros of `matrix` in certain rows have places in the nonzero pattern of `rows`. Collective.
 
     Args:
         comm: communicator.

@@ -69,10 +69,10 @@ def warn_of_model(model: Model, durations: Sequence[float] = ()) -> None:
         for key, remark in _model_remarks(model, layer, durations):
             model.warn(key, remark, layer.name)
     for name, applicability in model.applicability.items() if model.broken else ():
-        if applicability.layer.has_pressure_flow and (coarse := applicability.coarse_rim).any():
-            delta, largest = applicability.decay_lengths[coarse].min(), applicability.loose_rim[coarse].depth.max()
+        if applicability.layer.has_pressure_flow and (coarse := applicability.coarse_mask).any():
+            delta, rim_depth = applicability.decay_lengths[coarse].min(), applicability.loose_rim[coarse].depth.max()
             text = f"the pressure of {applicability.layer} falls to zero at free ends over delta = {delta:.3g}"
-            effect = f"cells there are up to {largest:.3g} long, and it is not set to zero; make them shorter"
+            effect = f"cells there are up to {rim_depth:.3g} long, and it is not set to zero; make them shorter"
             model.warn("coarse ends", f"{text}: {effect}", name)
         if violation := applicability.why_not("sides"):
             model.warn(violation.key, f"{violation.reason}: what it bears is left out; {violation.remedy}", name)
@@ -92,8 +92,8 @@ def _model_remarks(model: Model, layer: SeamLayer, durations: Sequence[float]) -
         yield from _thickness_remarks(model, layer, sublayers)
     if layer.has_pressure_flow or _judged_by_jumps(layer, sublayers):
         return
-    immediate = [] if durations and layer.law.traits.rate else [sublayers]
-    yield from free_end_remark(model, layer, [*immediate, *(sublayer_moduli(layer, dt) for dt in durations)])
+    immediate_moduli = [] if durations and layer.law.traits.rate else [sublayers]
+    yield from free_end_remark(model, layer, [*immediate_moduli, *(sublayer_moduli(layer, dt) for dt in durations)])
 
 
 def warn_of_states(states: Sequence[State], start: float | None = None) -> None:

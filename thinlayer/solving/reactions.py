@@ -106,9 +106,9 @@ class SupportReactions:
         mpc_dofs = [np.flatnonzero(np.diff(mpc.R.indptr)) for mpc in constraints.mpcs]
         rows = [constraints.support_works(support_forces, self._motion_values)]
         rows += [(residual[dofs] @ self._motion_values(dofs))[None] for dofs in mpc_dofs]
-        first = len(model.supports.entries) + len(rows) - 1
+        first_base = len(model.supports.entries) + len(rows) - 1
         rows += [
-            -self._layer_resultant(model.layers[str(name)], r)[None] * layers for name in model.held_places[first:]
+            -self._layer_resultant(model.layers[str(name)], r)[None] * layers for name in model.held_places[first_base:]
         ]
         return np.asarray(model.comm.allreduce(np.concatenate(rows)))
 
@@ -135,11 +135,11 @@ class RigidMotions:
 
     Args:
         model: the model.
-        stiffness: norm of the diagonal of the stiffness matrix, to which resistance against a motion is compared.
+        stiffness_norm: norm of the diagonal of the stiffness matrix, to which resistance against a motion is compared.
     """
 
-    def __init__(self, model: Model, stiffness: float) -> None:
-        self.model, self._stiffness = model, stiffness
+    def __init__(self, model: Model, stiffness_norm: float) -> None:
+        self.model, self._stiffness_norm = model, stiffness_norm
 
     @cached_property
     def _piece_of_node(self) -> Indices:
@@ -147,7 +147,7 @@ class RigidMotions:
         model, V = self.model, self.model.V
         pieces, dofs = model.split_mesh.pieces, np.asarray(V.dofmap.list)
         piece_of = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, np.int32)
-        piece_of[dofs] = model.domain.on_cells(pieces)[: len(dofs), None]
+        piece_of[dofs] = model.domain.to_local(pieces)[: len(dofs), None]
         joint, first_cells = model.domain.joint, np.unique(pieces, return_index=True)[1]
         self._names = [joint.regions[k] for k in joint.region[first_cells]]
         return piece_of
@@ -170,20 +170,20 @@ class RigidMotions:
         layer_regions = [joint.regions.index(name) for name in joint.band.regions] if joint.band else []
         in_layer = np.isin(joint.region, layer_regions)
         pieces = np.where(in_layer, pieces[in_layer].min(initial=n_pieces), pieces)  # all layers are one block
-        cell_blocks = model.domain.on_cells(pieces)[: len(dofs)]
+        cell_blocks = model.domain.to_local(pieces)[: len(dofs)]
         for cell_mask in (~in_layer, in_layer):
-            local_mask = model.domain.on_cells(cell_mask)[: len(dofs)]
+            local_mask = model.domain.to_local(cell_mask)[: len(dofs)]
             block_of[dofs[local_mask]] = cell_blocks[local_mask, None]
         for k, name in enumerate(model.layers if joint.band is None else (), 1):
             nodes = np.concatenate([side.ravel() for side in nodes_of_sides(model, V, name)])
             block_of[nodes] = block_of[nodes] % n_pieces + k * n_pieces
         block_of = block_of.repeat(joint.dim)[: model.constraints.n]
         block_of[model.constraints.bc_dofs] %= n_pieces
-        numbers = np.unique(np.concatenate(model.comm.allgather(np.unique(block_of))))
-        is_layer = np.isin(numbers, pieces[in_layer])
-        is_within = (numbers[:, None] == numbers % n_pieces) | (is_layer & (numbers < n_pieces)[:, None])
+        block_ids = np.unique(np.concatenate(model.comm.allgather(np.unique(block_of))))
+        is_layer = np.isin(block_ids, pieces[in_layer])
+        is_within = (block_ids[:, None] == block_ids % n_pieces) | (is_layer & (block_ids < n_pieces)[:, None])
         np.fill_diagonal(is_within, True)
-        return 1 + np.searchsorted(numbers, block_of), scipy.sparse.block_diag([1.0, is_within], format="csr")
+        return 1 + np.searchsorted(block_ids, block_of), scipy.sparse.block_diag([1.0, is_within], format="csr")
 
     def _motions_gram(self, rows: IntArray) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
         """Return c rigid motions as sparse columns (n, c), and a matrix (c, c) that tells which ones supports allow.
@@ -199,7 +199,7 @@ class RigidMotions:
         model, constraints = self.model, self.model.constraints
         n, rows = constraints.n, rows if constraints.T is None else np.arange(constraints.n)
         piece_of_row, values = self._piece_of_node[rows // model.joint.dim], model_motion_values(model, rows)
-        self._n_motions = per = values.shape[1]
+        self._n_per_piece = per = values.shape[1]
         row_lengths = np.zeros(n + 1, np.int64)
         row_lengths[rows + 1] = per
         csr = values.ravel(), (piece_of_row[:, None] * per + np.arange(per)).ravel(), row_lengths.cumsum()
@@ -237,7 +237,7 @@ class RigidMotions:
                 destroy(submatrix)
         destroy(*(block.matrix for block in blocks if not block.kept))
         resistance = allowed.T @ comm.allreduce(stiffness) @ allowed
-        min_resistance = MIN_RESISTANCE_RATIO * self._stiffness
+        min_resistance = MIN_RESISTANCE_RATIO * self._stiffness_norm
         if not allowed.shape[1] or _is_definite(resistance, min_resistance):
             return
         _, singular_values, directions = np.linalg.svd(resistance.toarray())
@@ -255,8 +255,8 @@ class RigidMotions:
         Args:
             motions: (c, m) coefficients of m motions, as combinations of the c rigid motions of pieces and plates.
         """
-        d, pieces = self.model.joint.dim, len(self._names)
-        by_piece = motions[: pieces * self._n_motions].reshape(pieces, self._n_motions, -1)  # plates come last
+        d, n_pieces = self.model.joint.dim, len(self._names)
+        by_piece = motions[: n_pieces * self._n_per_piece].reshape(n_pieces, self._n_per_piece, -1)  # plates come last
         k = int(np.abs(by_piece[..., -1]).max(axis=1).argmax())
         axes, translation = [*self.model.kinematics.translation_axes(d)], np.zeros(d)
         translation[axes], rotation = np.split(by_piece[k, :, -1], [len(axes)])
@@ -264,7 +264,7 @@ class RigidMotions:
         middle = joint.points[joint.corners[self.model.split_mesh.pieces == k]].mean(axis=(0, 1))
         body = f"body {self._names[k]!r}" + f" at {place_text(middle)}" * (self._names.count(self._names[k]) > 1)
         rank = np.linalg.matrix_rank(by_piece[k], tol=INDEPENDENCE_TOLERANCE)
-        if self.model.kinematics.has_rigid_rotations and rank == self._n_motions:
+        if self.model.kinematics.has_rigid_rotations and rank == self._n_per_piece:
             return f"{body} can move and turn freely"
         if np.abs(rotation).max(initial=0.0) > np.abs(translation).max():
             if self.model.joint.periods:

@@ -331,17 +331,17 @@ class Solver(AbstractContextManager["Solver"]):
         linear_options = self._configs[0][1] or solver_options(self.model, self.equations.parts)[0]
         springs = WeakSprings(self.equations, {**linear_options, **self._user_options})
 
-        def follow(end: float) -> StepSolution:
+        def soften_to(end: float) -> StepSolution:
             step = TimeStep(old, end, end - old.t, theta)
             return springs.soften(self.rest_state(end), step, lambda begin: self._try_in_turn(attempts, begin))[0]
 
-        solution = follow(t)
+        solution = soften_to(t)
         report = Report(self.method, solution.iterations, solution.residual, time.perf_counter() - start_time)
         try:
             return self._accept(solution.x, report)
         except LooseBody:  # the loads may be exactly at their limit: then slightly higher loads have no equilibrium
             with suppress(InputError):  # tables of loads may end before this time
-                follow(2 * t - old.t)
+                soften_to(2 * t - old.t)
             raise
 
     def _solve_from_like(self, attempt: SolveAttempt, old: State) -> tuple[StepSolution, int] | None:

@@ -121,8 +121,8 @@ class StepProblem(PartSum):
         part_blocks = [part.tangents(0.0) for part in self.parts]
         form_diagonal = TangentMatrix(self.comm, self._matrix.sizes).fill(part_blocks[0]).getDiagonal()
         tangent = self._matrix.fill([block for blocks in part_blocks for block in blocks])
-        form, all_parts = (float(diag.norm(PETSc.NormType.INFINITY)) for diag in (form_diagonal, tangent.getDiagonal()))
-        return tangent, ForceScale(float(form_diagonal.norm())), form or all_parts
+        k_form, k_all = (float(diag.norm(PETSc.NormType.INFINITY)) for diag in (form_diagonal, tangent.getDiagonal()))
+        return tangent, ForceScale(float(form_diagonal.norm())), k_form or k_all
 
     @property
     def t(self) -> float:

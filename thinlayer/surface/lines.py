@@ -16,7 +16,7 @@ from thinlayer.system.table import Table
 
 Plane = tuple[Sequence[float], Sequence[float]]
 LINE_TOLERANCE = 1e-12  # difference of values over the largest, or of coordinates over the size, that counts as zero
-ARC_DEGREE = 8  # quadrature degree for the length of a curved facet
+ARC_QUADRATURE_DEGREE = 8  # quadrature degree for the length of a curved facet
 
 
 @dataclass(frozen=True)
@@ -100,30 +100,30 @@ class Segments:
         ends, x = ends.reshape(-1, 2), self.x.reshape(-1, self.x.shape[2])[first_rows]
         line_of = components(ends[:, 0], ends[:, 1], len(x))
         lines = [self._join(seam, np.flatnonzero(line_of[ends[:, 0]] == k), ends, x, size) for k in np.unique(line_of)]
-        end_places = np.array([polyline.x[[0, -1]].ravel() for polyline in lines]).reshape(len(lines), 2 * x.shape[1])
-        return [lines[k] for k in place_order(end_places, size)]
+        end_x = np.array([polyline.x[[0, -1]].ravel() for polyline in lines]).reshape(len(lines), 2 * x.shape[1])
+        return [lines[k] for k in place_order(end_x, size)]
 
-    def _join(self, seam: str, segments: IntArray, ends: IntArray, x: Array, size: float) -> Line:
+    def _join(self, seam: str, rows: IntArray, ends: IntArray, x: Array, size: float) -> Line:
         """Join some segments, which form one line without branches, in their order along it.
 
         Args:
             seam: name of the seam.
-            segments: positions, among all m segments, of the segments of the line.
+            rows: positions, among all m segments, of the segments of the line.
             ends: (m, 2) rows of `x` with the coordinates of the ends of all m segments.
             x: (n, d) coordinates of the n distinct ends.
             size: size of the structure, for rounding errors of coordinates.
         """
-        points, ends = np.unique(ends[segments], return_inverse=True)
-        ends, closed = ends.reshape(-1, 2), len(points) == len(segments)
+        points, ends = np.unique(ends[rows], return_inverse=True)
+        ends, closed = ends.reshape(-1, 2), len(points) == len(rows)
         position = np.argsort(curve_order(x[points], ends, size))[ends]
         closes_line = closed & (np.abs(position[:, 0] - position[:, 1]) > 1)  # leads back to the start
         is_reversed = (position[:, 0] > position[:, 1]) != closes_line
         order = np.argsort(np.where(closes_line, len(points), position.min(axis=1)))
-        segments, is_reversed = segments[order], is_reversed[order]
-        s = np.cumsum([0.0, *self.lengths[segments]])
+        rows, is_reversed = rows[order], is_reversed[order]
+        s = np.cumsum([0.0, *self.lengths[rows]])
         s = np.stack([s[:-1], s[1:]], axis=1).ravel()
         end_order = np.stack([is_reversed, ~is_reversed], axis=1).astype(int)[..., None]
-        arrays = self.x[segments], self.values[segments]
+        arrays = self.x[rows], self.values[rows]
         x, values = (np.take_along_axis(array, end_order, axis=1).reshape(len(s), -1) for array in arrays)
         largest_value = np.abs(self.values).max(initial=0.0)
         is_jump = np.abs(np.diff(values, axis=0, prepend=np.nan)).max(axis=1) > LINE_TOLERANCE * largest_value
@@ -148,7 +148,7 @@ def lines_on(joint: Joint, seam: str, facet_rows: IntArray, values: Array, plane
     require((plane is None) == (joint.dim == 2), "plane", plane, hint)
     corner_values, nodes = values.reshape(*values.shape[:2], -1), joint.surface[facet_rows]
     if plane is None:
-        points, weights = basix.make_quadrature(basix.CellType.interval, ARC_DEGREE)
+        points, weights = basix.make_quadrature(basix.CellType.interval, ARC_QUADRATURE_DEGREE)
         derivatives = lagrange("interval", joint.degree).tabulate(1, points)[1, :, :, 0]
         lengths = np.linalg.norm(np.einsum("qn,fnd->fqd", derivatives, joint.points[nodes]), axis=2) @ weights
         segments = Segments(nodes[:, :2], joint.points[nodes[:, :2]], corner_values, lengths)
@@ -191,6 +191,6 @@ def _cut_facets(ring_nodes: IntArray, x: Array, values: Array, heights: Array, i
     row, edge_ends = facets[:, None], np.stack([cut_edges, next_corner[cut_edges]])
     fraction = heights[row, edge_ends[0]] / (heights[row, edge_ends[0]] - heights[row, edge_ends[1]])
     first, last = (np.concatenate([x, values], axis=2)[row, end] for end in edge_ends)
-    places, cut_values = np.split(first + fraction[..., None] * (last - first), [x.shape[2]], axis=2)
+    end_x, cut_values = np.split(first + fraction[..., None] * (last - first), [x.shape[2]], axis=2)
     _, end_numbers = np.unique(np.sort(ring_nodes[row, edge_ends], axis=0).reshape(2, -1), axis=1, return_inverse=True)
-    return Segments(end_numbers.reshape(-1, 2), places, cut_values, np.linalg.norm(places[:, 1] - places[:, 0], axis=1))
+    return Segments(end_numbers.reshape(-1, 2), end_x, cut_values, np.linalg.norm(end_x[:, 1] - end_x[:, 0], axis=1))

@@ -65,8 +65,8 @@ class LocatedPoints:
         in_box = ((query[point] >= low[entity]) & (query[point] <= high[entity])).all(axis=1)
         point, entity = point[in_box], entity[in_box]
         X = _reference_coordinates(cell_type, degree, nodes[entity], query[point])
-        last = X.max(axis=1, initial=-np.inf) if is_tensor(cell_type) else X.sum(axis=1)
-        return cls(query, point, entity, X)[(X >= -REFERENCE_TOLERANCE).all(axis=1) & (last <= 1 + REFERENCE_TOLERANCE)]
+        peak = X.max(axis=1, initial=-np.inf) if is_tensor(cell_type) else X.sum(axis=1)
+        return cls(query, point, entity, X)[(X >= -REFERENCE_TOLERANCE).all(axis=1) & (peak <= 1 + REFERENCE_TOLERANCE)]
 
     @classmethod
     def in_cells(cls, joint: Joint, x: npt.ArrayLike) -> LocatedPoints:

@@ -280,37 +280,37 @@ def pressure_excess(faces: FaceDisplacements, layer: SublayerModuli) -> Pressure
     surface, joint = faces.surface, faces.surface.joint
     eps = surface.from_corners(surface.thickness(faces.layer, surface.corners))
     normal_jump = surface.from_corners(faces.normal_jump)
-    stiff, wb = layer.lmbda / eps, normal_jump + eps * faces.surface_divergence
+    k_N, wb = layer.lmbda / eps, normal_jump + eps * faces.surface_divergence
     node_vertices = np.zeros(len(surface.node_numbers), np.int64)
     node_vertices[surface.nodes] = joint.masters[surface.corners]
     vertices, number = np.unique(node_vertices, return_inverse=True)  # the pressure is continuous where bodies branch
     expand = scipy.sparse.csc_matrix((np.ones(len(node_vertices)), (np.arange(len(node_vertices)), number)))
     b = expand.T @ surface.nodal_sums(surface.moments(wb))
-    volume_matrix = expand.T @ surface.mass(1 / stiff) @ expand
+    volume_matrix = expand.T @ surface.mass(1 / k_N) @ expand
     system = volume_matrix + expand.T @ surface.stiffness(eps**3 / (12 * layer.mu)) @ expand
     if not b @ b:  # also if the squares underflow
         return PressureExcess()
     rim = faces.state.model.applicability[faces.layer.name].uncorrected_rim
     rim_eps = surface.thickness(faces.layer, rim.vertices).mean(axis=1)
     resistance = layer.decay_length * (1 - 1 / np.sqrt(1 + (rim.depth / (layer.decay_length * rim_eps)) ** 2 / 12))
-    flow = surface.ridge_lengths(rim) * rim_eps**2 / (12 * layer.mu * resistance)
-    ends, k = np.searchsorted(vertices, joint.masters[rim.vertices]), rim.vertices.shape[1]
-    outflow = np.bincount(ends.ravel(), np.repeat(flow / k, k), len(vertices))
+    conductance = surface.ridge_lengths(rim) * rim_eps**2 / (12 * layer.mu * resistance)
+    rim_rows, k = np.searchsorted(vertices, joint.masters[rim.vertices]), rim.vertices.shape[1]
+    outflow = np.bincount(rim_rows.ravel(), np.repeat(conductance / k, k), len(vertices))
     p = scipy.sparse.linalg.spsolve(system + scipy.sparse.diags_array(outflow.astype(float), format="csc"), b)
     p_0 = scipy.sparse.linalg.spsolve(volume_matrix, b)
-    law_work, layer_work = float(surface.integral(stiff * wb**2)), float(b @ p)
-    slip = surface.from_corners(faces.slip_squared) / eps
-    work_error = (law_work - layer_work) / (layer_work + layer.mu * float(surface.integral(slip)))
-    if surface.norm(surface.at_points(expand @ p_0) / stiff) <= faces.jump_rounding * math.sqrt(surface.integral(1.0)):
+    law_work, layer_work = float(surface.integral(k_N * wb**2)), float(b @ p)
+    slip_density = surface.from_corners(faces.slip_squared) / eps
+    work_error = (law_work - layer_work) / (layer_work + layer.mu * float(surface.integral(slip_density)))
+    if surface.norm(surface.at_points(expand @ p_0) / k_N) <= faces.jump_rounding * math.sqrt(surface.integral(1.0)):
         return PressureExcess(work_error=work_error)
-    t_N = surface.norm(stiff * wb + 2 * layer.mu * normal_jump / eps)
-    t_T = layer.mu * math.sqrt(surface.integral(slip / eps))
+    t_N = surface.norm(k_N * wb + 2 * layer.mu * normal_jump / eps)
+    t_T = layer.mu * math.sqrt(surface.integral(slip_density / eps))
     error_norm = surface.norm(surface.at_points(expand @ (p_0 - p)))
     return PressureExcess(float(b @ p_0) / layer_work - 1, work_error, error_norm / math.hypot(t_N, t_T))
 
 
 # ---------------------------------------------------------------- warnings
-def free_end_remark(model: Model, seam_layer: SeamLayer, layers: Sequence[list[SublayerModuli]]) -> Iterator[Remark]:
+def free_end_remark(model: Model, seam_layer: SeamLayer, moduli: Sequence[list[SublayerModuli]]) -> Iterator[Remark]:
     """Yield a warning if a nearly incompressible layer loses much stiffness at its free ends.
 
     Its pressure falls to zero there over the decay length delta of `pressure_decay_length`. Interface laws do not contain
@@ -320,22 +320,22 @@ def free_end_remark(model: Model, seam_layer: SeamLayer, layers: Sequence[list[S
     Args:
         model: the interface model.
         seam_layer: the layer.
-        layers: for each of several durations of the loads, the moduli of the layer's sublayers.
+        moduli: for each of several durations of the loads, the moduli of the layer's sublayers.
 
     Yields:
         Key of the warning, and its message; at most one such pair.
     """
-    layers, rim = [s for s in layers if any(k.rubbery for k in s)], model.applicability[seam_layer.name].uncorrected_rim
-    if not layers or not len(rim.vertices):
+    moduli, rim = [s for s in moduli if any(k.rubbery for k in s)], model.applicability[seam_layer.name].uncorrected_rim
+    if not moduli or not len(rim.vertices):
         return
-    if any(k.decay_length == math.inf for sublayers in layers for k in sublayers):
+    if any(k.decay_length == math.inf for sublayers in moduli for k in sublayers):
         text = f"{seam_layer} is incompressible: its law holds [u_N] at zero, but at free ends it is squeezed out"
         yield "incompressible", f"{text}; use order=1, mesh the layer (structure.full), {SUPPORT_HINT}"
         return
     surface, eps = surface_of(model, seam_layer.name), seam_layer.as_thin_layer.eps
     width = surface.integral(1.0) / surface.ridge_lengths(rim).sum()
-    lengths = [pressure_decay_length(sublayers, width / eps) for sublayers in layers]
-    duration = max(layers[lengths.index(max(lengths))], key=lambda k: k.decay_length).duration_text
+    lengths = [pressure_decay_length(sublayers, width / eps) for sublayers in moduli]
+    duration = max(moduli[lengths.index(max(lengths))], key=lambda k: k.decay_length).duration_text
     delta = eps * max(lengths)
     y = delta / width
     excess = 1 / (1 - math.tanh(1 / y) * y) - 1

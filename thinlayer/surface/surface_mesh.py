@@ -132,7 +132,7 @@ class SurfaceMesh:
         self.seams = np.array(list(joint.seams))[joint.seam_numbers[self.rows]]
         self.faces = joint.faces()[:, self.rows]
         self._rules: dict[int, FacetPoints] = {}
-        self.quadrature = self.rule(2 * model.structure.degree + 2 * (joint.degree - 1) + model.kinematics.degree)
+        self.quadrature = self.rule(2 * (model.structure.degree + joint.degree - 1) + model.kinematics.factor_degree)
         self.x, self.n, self.weights = self.quadrature.x, self.quadrature.n, self.quadrature.weights
         self.points, self.shapes = self.quadrature.points, np.asarray(self.quadrature.shapes[0])
 
@@ -215,13 +215,13 @@ class SurfaceMesh:
         nodes = self.joint.faces(inflated.cell_points)[:, self.rows]
         if BASE in inflated.facets:
             table, kind = inflated.table, inflated.cell_type
-            on_base = np.unique(table.nodes(table.index(inflated.facets[BASE]), inflated.cells, kind))
-            over_base = self.cells[:, 0] < 0
-            _, base_rows = cKDTree(inflated.reference[on_base]).query(nodes[0, over_base])
-            nodes[0, over_base] = inflated.points[on_base[base_rows]]
+            base_nodes = np.unique(table.nodes(table.index(inflated.facets[BASE]), inflated.cells, kind))
+            is_over_base = self.cells[:, 0] < 0
+            _, base_rows = cKDTree(inflated.reference[base_nodes]).query(nodes[0, is_over_base])
+            nodes[0, is_over_base] = inflated.points[base_nodes[base_rows]]
         located, at = self.at(x)
         shapes = tabulated(lagrange(self.kind, self.joint.degree), at.points, len(at.rows))[0]
-        lower, upper = (located.point_means(places) for places in np.einsum("fqa,sfad->sfd", shapes, nodes[:, at.rows]))
+        lower, upper = (located.point_means(face_x) for face_x in np.einsum("fqa,sfad->sfd", shapes, nodes[:, at.rows]))
         return np.asarray(lower + (np.asarray(height, float)[..., None] + 0.5) * (upper - lower))
 
     # ---------------------------------------------------------------- states, and functions of models
@@ -574,7 +574,7 @@ class SurfaceMesh:
 
 def surface_of(model: Model, seam: str) -> SurfaceMesh:
     """Return the `SurfaceMesh` of the seam `seam` of `model`; it is made once and then taken from the model."""
-    surfaces: dict[str, SurfaceMesh] = vars(model).setdefault("surface_meshes", {})
+    surfaces: dict[str, SurfaceMesh] = vars(model).setdefault("surface_mesh_cache", {})
     if seam not in surfaces:
         surfaces[seam] = SurfaceMesh(model, seam)
         surfaces[seam].model = proxy(model)  # the model owns the mesh: no reference cycle

@@ -130,18 +130,18 @@ def compiled(form: ufl.Form, maps: EntityMaps | None = None) -> fem.Form:
     """
     numbered_lists: dict[str, list[tuple[int, IntArray]]] = {}
     integrals = []
-    for (integral_type, _, ids), same_domain in integrals_by_domain(form).items():
-        data, entity_lists = same_domain[0].subdomain_data(), numbered_lists.setdefault(integral_type, [])
+    for (integral_type, _, ids), domain_group in integrals_by_domain(form).items():
+        data, entity_lists = domain_group[0].subdomain_data(), numbered_lists.setdefault(integral_type, [])
         if not isinstance(ids, str):
             tags = np.atleast_1d(ids)
             if hasattr(data, "indices"):
-                rows = _entities(integral_type, form.ufl_domain().ufl_cargo(), data.indices[np.isin(data.values, tags)])
+                flat = _entities(integral_type, form.ufl_domain().ufl_cargo(), data.indices[np.isin(data.values, tags)])
             else:
-                entities = [np.asarray(rows, np.int32).ravel() for tag, rows in data if tag in tags]
-                rows = np.concatenate([np.empty(0, np.int32), *entities])
+                entity_arrays = [np.asarray(rows, np.int32).ravel() for tag, rows in data if tag in tags]
+                flat = np.concatenate([np.empty(0, np.int32), *entity_arrays])
             ids = len(entity_lists) + 1
-            entity_lists.append((ids, rows))
-        for integral in same_domain:  # UFL would join integrals with equal integrand and metadata over several numbers
+            entity_lists.append((ids, flat))
+        for integral in domain_group:  # UFL would join integrals with equal integrand and metadata over several numbers
             metadata = {**integral.metadata(), "part": str(ids)}
             integrals.append(integral.reconstruct(subdomain_id=ids, subdomain_data=entity_lists, metadata=metadata))
     entity_maps = copy(maps or {})  # a copy: DOLFINx leaves it in a reference cycle with the form

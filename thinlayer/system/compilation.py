@@ -229,7 +229,7 @@ def compile_library(source: Path, comm: MPI.Intracomm = MPI.COMM_SELF) -> Module
     return _load_once(_library_path(source))
 
 
-own_library = functools.cache(compile_library)  # for sources of the package, which do not change while it runs
+load_own_library = functools.cache(compile_library)  # for sources of the package, which do not change while it runs
 _load_once = functools.cache(load_library)
 
 

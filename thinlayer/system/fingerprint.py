@@ -46,7 +46,7 @@ TYPES_WITHOUT_IDENTITY = (dict, types.MappingProxyType, list, tuple, set, frozen
 GENERATOR_TYPES = (  # types whose objects give other values each time
     np.random.Generator, np.random.BitGenerator, np.random.RandomState, np.random.SeedSequence, random.Random, Iterator,
 )  # fmt: skip
-_OBJECT_COUNT = itertools.count(1)
+_OBJECT_COUNTER = itertools.count(1)
 # id of an object that only this process knows -> reference to it, and its number
 _OBJECT_NUMBERS: dict[int, tuple[Callable[[], object], int]] = {}
 INCLUDED_FILE_REGEX = re.compile(rb'^[ \t]*#[^"<\n]*["<]([^">\n]+)[">]', re.MULTILINE)  # file in a preprocessor line
@@ -216,7 +216,7 @@ class _Describer:
             return self.describe(identity_method(obj), at)
         if dataclasses.is_dataclass(obj):
             return self._named({CLASS_KEY: kind} | {f.name: getattr(obj, f.name) for f in dataclasses.fields(obj)}, at)
-        description = self._describe_copied(obj, at)
+        description = self._describe_by_copy(obj, at)
         # QMCEngine is of scipy.stats
         if isinstance(obj, GENERATOR_TYPES) or any(base.__name__ == "QMCEngine" for base in kind.__mro__):
             self.random.append(description)
@@ -224,10 +224,10 @@ class _Describer:
 
     def _named(self, values: Mapping[Any, object], at: str) -> dict[str, object]:
         keys = (name if type(name) is str else f"<{json.dumps(self.describe(name, at))}>" for name in values)
-        texts = dict(zip(keys, values.values(), strict=True))
-        return {name: self.describe(item, f"{at}.{name}") for name, item in sorted(texts.items())}
+        named_values = dict(zip(keys, values.values(), strict=True))
+        return {name: self.describe(item, f"{at}.{name}") for name, item in sorted(named_values.items())}
 
-    def _describe_copied(self, value: object, at: str) -> object:
+    def _describe_by_copy(self, value: object, at: str) -> object:
         """Return the description of an object, from the data that `copy` would make a copy from.
 
         An object that cannot be copied gets a description that belongs to this process alone.
@@ -256,8 +256,8 @@ class _Describer:
         return self._named(data, at)
 
     def _describe_function(self, function: types.FunctionType, at: str) -> object:
-        code, cells = function.__code__, zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-        read: dict[str, object] = {name: cell.cell_contents for name, cell in cells if cell != types.CellType()}
+        code, closure = function.__code__, zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+        read: dict[str, object] = {name: cell.cell_contents for name, cell in closure if cell != types.CellType()}
         if not _is_user_file(code.co_filename):
             return {CODE_KEY: _qualified_name(function), **self._named(read, at)} if read else _qualified_name(function)
         used_names = {name for code_object in _codes(code) for name in code_object.co_names}
@@ -277,7 +277,7 @@ def _object_number(value: object) -> int:
     reference_and_number = _OBJECT_NUMBERS.get(id(value))
     if reference_and_number is None or reference_and_number[0]() is not value:
         reference = weakref.ref(value) if type(value).__weakrefoffset__ else lambda: value
-        reference_and_number = _OBJECT_NUMBERS[id(value)] = reference, next(_OBJECT_COUNT)
+        reference_and_number = _OBJECT_NUMBERS[id(value)] = reference, next(_OBJECT_COUNTER)
     return reference_and_number[1]
 
 
@@ -287,9 +287,9 @@ def _class_members(user_class: type) -> dict[str, object]:
     Further entries are the file of the class and, if it has one, the content of its C source.
     """
     functions = {name: _unwrap_function(value) for name, value in vars(user_class).items()}
-    made = {name for name, f in functions.items() if f and name[:2] == "__" and f.__code__.co_filename == "<string>"}
+    added = {name for name, f in functions.items() if f and name[:2] == "__" and f.__code__.co_filename == "<string>"}
     # without those that `dataclass` makes
-    members: dict[str, object] = {name: f for name, f in functions.items() if f and name not in made}
+    members: dict[str, object] = {name: f for name, f in functions.items() if f and name not in added}
     source = vars(user_class).get("source")
     if isinstance(source, (str, Path)) and Path(source).is_file():
         members["source"] = source_content(Path(source))

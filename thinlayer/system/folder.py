@@ -32,16 +32,16 @@ def replace_file(path: Path) -> Iterator[BinaryIO]:
     If an error occurs in the `with` statement, the file at `path` stays as it was.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    part_file = path.with_name(f"{path.name}.part")
+    temporary = path.with_name(f"{path.name}.part")
     try:
-        with part_file.open("wb") as file:
+        with temporary.open("wb") as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
-        part_file.replace(path)
+        temporary.replace(path)
     except BaseException as error:
         with suppress(OSError):
-            part_file.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
         if isinstance(error, OSError) and error.filename is None:
             error.filename = str(path)
         raise

@@ -23,7 +23,7 @@ from mpi4py import MPI
 
 from geometry.parallel import ResultType, default_comm
 
-MIN_TIMED_FRACTION = 1e-3  # completed share from which on the remaining time is shown
+MIN_FORECAST_SHARE = 1e-3  # completed share from which on the remaining time is shown
 # seconds before the first line, and between lines; True: on a terminal
 FIRST_REPORT_SECONDS, REPORT_SECONDS = {True: 5.0, False: 60.0}, {True: 0.2, False: 60.0}
 
@@ -148,7 +148,7 @@ class ProgressReporter:
             task_share *= task.piece_share
         elapsed = now - self._start_time
         texts.append(f"{timedelta(seconds=round(elapsed))} so far")
-        if share > MIN_TIMED_FRACTION:
+        if share > MIN_FORECAST_SHARE:
             texts.append(f"about {timedelta(seconds=round(elapsed * (1 - share) / share))} left")
         line = ", ".join(texts)
         stream.write(f"\r\x1b[K{line[:120]}" if stream.isatty() else f"{line}\n")

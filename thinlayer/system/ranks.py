@@ -106,8 +106,8 @@ def _share_errors(comm: MPI.Intracomm, depth: int, own_error: Exception | None, 
             )
             abort(own_error)
         depths_and_texts = comm.allgather((depth, text))
-        if max(theirs for theirs, _ in depths_and_texts) == depth:
-            return [theirs for _, theirs in depths_and_texts]
+        if max(rank_depth for rank_depth, _ in depths_and_texts) == depth:
+            return [rank_text for _, rank_text in depths_and_texts]
 
 
 def require_same(comm: MPI.Intracomm | None, **data: object) -> str:
@@ -180,13 +180,13 @@ def free_petsc_objects(comm: MPI.Intracomm, used: FunctionSpace | None = None) -
         return
     if used is not None:
         _PARALLEL_SPACES.append((ref(used), used.dofmap.index_map))
-    spaces_here = [entry for entry in _PARALLEL_SPACES if MPI.Comm.Compare(entry[1].comm, comm) in SAME_RANKS]
-    is_alive = np.any(comm.allgather([space() is not None for space, _ in spaces_here]), axis=0)
-    for equal_comm in (comm, MPI.COMM_WORLD, *_DUPLICATE_COMMS, *(imap.comm for _, imap in spaces_here)):
+    comm_entries = [entry for entry in _PARALLEL_SPACES if MPI.Comm.Compare(entry[1].comm, comm) in SAME_RANKS]
+    is_alive = np.any(comm.allgather([space() is not None for space, _ in comm_entries]), axis=0)
+    for equal_comm in (comm, MPI.COMM_WORLD, *_DUPLICATE_COMMS, *(imap.comm for _, imap in comm_entries)):
         if MPI.Comm.Compare(equal_comm, comm) in SAME_RANKS:
             PETSc.garbage_cleanup(equal_comm)
     for k in np.flatnonzero(~is_alive):
-        _PARALLEL_SPACES.remove(spaces_here[k])
+        _PARALLEL_SPACES.remove(comm_entries[k])
 
 
 class Destroyable(Protocol):
@@ -272,15 +272,15 @@ def carry_cell_values(comm: MPI.Intracomm, cells: Array, values_at: Callable[[Ar
         Returns:
             (m, 2) rank and position; -1 for cells whose values no rank has.
         """
-        ranks_and_places = np.full((len(cells_asked), 2), -1)
+        ranks_and_positions = np.full((len(cells_asked), 2), -1)
         if len(entries):
             entry_rows = np.minimum(np.searchsorted(entries[:, 0], cells_asked), len(entries) - 1)
             is_held = entries[entry_rows, 0] == cells_asked
-            ranks_and_places[is_held] = entries[entry_rows[is_held], 1:]
-        return ranks_and_places
+            ranks_and_positions[is_held] = entries[entry_rows[is_held], 1:]
+        return ranks_and_positions
 
     holders, positions = query(comm, meeting_rank(wanted), wanted, find_holders).T
-    received = query(comm, holders[holders >= 0], positions[holders >= 0], lambda places, _: values_at(places))
+    received = query(comm, holders[holders >= 0], positions[holders >= 0], lambda at, _: values_at(at))
     out = np.full((len(wanted), received.shape[1]), np.nan)
     out[holders >= 0] = received
     return out
@@ -309,7 +309,7 @@ def _abort_all(status: int) -> None:
     MPI.COMM_WORLD.Abort(status)
 
 
-def _abort_before_petsc() -> None:
+def _install_early_abort() -> None:
     """Make `python3 -m mpi4py` abort all ranks as soon as a script ends with an error on only one of them.
 
     mpi4py itself aborts only after Python has freed the script's PETSc objects and PETSc has ended. Both are
@@ -329,4 +329,4 @@ def _abort_before_petsc() -> None:
 
 
 if MPI.COMM_WORLD.size > 1:
-    _abort_before_petsc()
+    _install_early_abort()

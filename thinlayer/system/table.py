@@ -101,12 +101,12 @@ class Table:
 
     def write_on_this_rank(self, path: Path) -> None:
         """Write all rows to the csv file `path`, on the one rank that calls this."""
-        text = io.StringIO()
-        writer = csv.writer(text)
+        buffer = io.StringIO()
+        writer = csv.writer(buffer)
         writer.writerow(self.columns)
         writer.writerows([_entry_text(value, repr) for value in row.values()] for row in self.rows)
         with replace_file(path) as file:
-            file.write(text.getvalue().encode())
+            file.write(buffer.getvalue().encode())
 
     @classmethod
     def of(cls, columns: ColumnValues) -> Table:
@@ -119,11 +119,11 @@ class Table:
         Raises:
             InputError: the columns have different numbers of entries.
         """
-        entries = [np.atleast_1d(np.asarray(column, object)) for column in columns.values()]
+        arrays = [np.atleast_1d(np.asarray(column, object)) for column in columns.values()]
         try:
-            rows = zip(*np.broadcast_arrays(*entries), strict=True)
+            rows = zip(*np.broadcast_arrays(*arrays), strict=True)
         except ValueError:
-            sizes_text = ", ".join(f"{name} {len(column)}" for name, column in zip(columns, entries, strict=True))
+            sizes_text = ", ".join(f"{name} {len(column)}" for name, column in zip(columns, arrays, strict=True))
             raise InputError(f"columns of a table need the same number of entries, or one; not {sizes_text}") from None
         return cls(dict(zip(columns, row, strict=True)) for row in rows)
 

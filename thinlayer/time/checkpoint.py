@@ -62,15 +62,15 @@ class Checkpoint:
     Args:
         folder: folder of the files.
         equations: the equations of the model.
-        mark: JSON data that identify the march, from the model and the arguments of the march. Only a march with equal
-            data is resumed.
+        march_id: JSON data that identify the march, from the model and the arguments of the march. Only a march with
+            equal data is resumed.
 
     Raises:
         InputError: a part keeps an array as memory and does not define the order of its rows in files.
     """
 
-    def __init__(self, folder: Path, equations: Equations, mark: JsonObject) -> None:
-        self.mark, self.folder, self.path = mark | {"format": FORMAT_VERSION}, folder, folder / "march.json"
+    def __init__(self, folder: Path, equations: Equations, march_id: JsonObject) -> None:
+        self.march_id, self.folder, self.path = march_id | {"format": FORMAT_VERSION}, folder, folder / "march.json"
         self.model, self.comm, self._equations = equations.model, equations.comm, equations
         self._state_records: dict[str, JsonObject] = {}  # row -> numbers of the state, hash of its file
         self._file_orders = {FIELD_PREFIX + part.key: part.own_file_order for part in equations.field_parts}
@@ -126,8 +126,8 @@ class Checkpoint:
 
     def _write_march(self, table: Table, states: Mapping[int, State], pace: Pace) -> None:
         self._state_records = {row: record for row, record in self._state_records.items() if int(row) in states}
-        record = {"mark": self.mark, "pace": asdict(pace), "states": self._state_records}
-        write_sealed(self.path, record | {"columns": table.columns, "rows": [[*row.values()] for row in table.rows]})
+        content = {"mark": self.march_id, "pace": asdict(pace), "states": self._state_records}
+        write_sealed(self.path, content | {"columns": table.columns, "rows": [[*row.values()] for row in table.rows]})
         for path in self._state_paths():
             if int(path.stem) not in states:
                 path.unlink()
@@ -181,7 +181,7 @@ class Checkpoint:
         content = on_root(self.comm, lambda: self._read_march(resume))
         if content is None:
             return None
-        self.mark, self._state_records = content["mark"], content["states"]
+        self.march_id, self._state_records = content["mark"], content["states"]
         table = Table(dict(zip(content["columns"], row, strict=True)) for row in content["rows"])
         on_root(self.comm, lambda: table.write_on_this_rank(self.folder / CSV_FILE))
         states = {row: self._read_state(row) for row in sorted(map(int, self._state_records))[-n_last:]}
@@ -204,15 +204,15 @@ class Checkpoint:
                 raise InputError(f"{self.folder / CSV_FILE} is not of a march; give another folder, or remove it")
             return None
         content = read_sealed(self.path)
-        saved = content["mark"]
-        if saved.get("format") != FORMAT_VERSION:
-            text = f"it has the format {saved.get('format')} of another version, this one reads {FORMAT_VERSION}"
+        old = content["mark"]
+        if old.get("format") != FORMAT_VERSION:
+            text = f"it has the format {old.get('format')} of another version, this one reads {FORMAT_VERSION}"
             raise InputError(f"{str(self.path)!r} cannot be read ({text}); give another folder, or remove it")
-        if saved != self.mark and resume != "anyway":
-            text = f"{self.path} is of another march ({differences_text([*differences(saved, self.mark)])})"
+        if old != self.march_id and resume != "anyway":
+            text = f"{self.path} is of another march ({differences_text([*differences(old, self.march_id)])})"
             raise InputError(f"{text}; give another folder, remove it, or resume='anyway'")
-        if saved["observe"].keys() != self.mark["observe"].keys():
-            raise InputError(f"{self.path}: the march observes {[*saved['observe']]}, not {[*self.mark['observe']]}")
+        if old["observe"].keys() != self.march_id["observe"].keys():
+            raise InputError(f"{self.path}: the march observes {[*old['observe']]}, not {[*self.march_id['observe']]}")
         return content if resume else None
 
     def _read_state(self, row: int) -> State:
@@ -277,8 +277,8 @@ def _state_functions(state: State) -> dict[str, fem.Function]:
     They are the displacements, called "u", and those memories of parts that are functions. Other unknowns of parts,
     such as pressures, are left out.
     """
-    kept = [(key, memory) for key, memory in state.memory.items() if isinstance(memory, Mapping)]
-    return {"u": state.u, **{f"{MEMORY_PREFIX}{key}/{name}": f for key, memory in kept for name, f in memory.items()}}
+    dicts = [(key, memory) for key, memory in state.memory.items() if isinstance(memory, Mapping)]
+    return {"u": state.u, **{f"{MEMORY_PREFIX}{key}/{name}": f for key, memory in dicts for name, f in memory.items()}}
 
 
 def _state_arrays(state: State) -> dict[str, Array]:

@@ -28,13 +28,13 @@ class StepAttempt(NamedTuple):
         name: name of the method in messages.
         make_states: function that takes the length of a step, makes the step from the last state, and returns the new
             states. It also sets the largest length of the next step, and raises SolveError if the step fails.
-        max_next_length: bound for use after a failure. If another method has failed, this one is tried only if the
-            shorter step to be tried next has at most this length.
+        max_shorter_length: bound for use after a failure. If another method has failed, this one is tried only if
+            the shorter step to be tried next has at most this length.
     """
 
     name: str
     make_states: Callable[[float], list[State]]
-    max_next_length: float = math.inf
+    max_shorter_length: float = math.inf
 
 
 def is_divisible(start: float, end: float) -> bool:
@@ -74,15 +74,15 @@ class Controller(ABC):
     @property
     def done(self) -> bool:
         """Whether the march has ended, as its last state is at the last time of `targets`, or after it."""
-        return self._n_passed == len(self.targets)
+        return self._n_targets_passed == len(self.targets)
 
     @property
     def target(self) -> float:
         """The first time of `targets` that is after the last state; the next step must not go beyond it."""
-        return self.targets[self._n_passed]
+        return self.targets[self._n_targets_passed]
 
     @property
-    def _n_passed(self) -> int:
+    def _n_targets_passed(self) -> int:
         return bisect_right(self.targets, self.last.t + self.time_slack)
 
     @abstractmethod
@@ -179,7 +179,7 @@ class Controller(ABC):
         while True:
             errors: list[SolveError] = []
             for attempt in self.attempts:
-                if errors and self.shorter_length(length, errors[0]) > attempt.max_next_length:
+                if errors and self.shorter_length(length, errors[0]) > attempt.max_shorter_length:
                     continue
                 if errors:
                     self._log.info("t = %g: %s is tried: %s", t, attempt.name, errors[-1].reason)

@@ -59,7 +59,7 @@ class ArcLengthController(Controller):
             raise self.error(text, "give more steps, or a longer first one")
         if n_steps and previous and not pace.weight:
             pace.weight, self._direction_state = self._length_weight(previous, last), None
-        self._path.inner_time = ([self.start, *self.targets][self._n_passed] + self.target) / 2
+        self._path.inner_time = ([self.start, *self.targets][self._n_targets_passed] + self.target) / 2
         try:
             if self._direction_state is not last:
                 self._set_direction()
@@ -93,10 +93,10 @@ class ArcLengthController(Controller):
         Raises:
             SolveError: U is 0, as nothing moves.
         """
-        unit = float((last.u.x.petsc_vec - before.u.x.petsc_vec).norm()) * self.plan.first / (last.t - before.t)
-        if not unit:
+        u_unit = float((last.u.x.petsc_vec - before.u.x.petsc_vec).norm()) * self.plan.first / (last.t - before.t)
+        if not u_unit:
             raise self.error(f"nothing moves from t = {before.t:g} to {last.t:g}: the path has no direction")
-        return 1 / unit**2
+        return 1 / u_unit**2
 
     @property
     def attempts(self) -> list[StepAttempt]:

@@ -63,10 +63,10 @@ class Journal:
         self.previous: State | None = None
         self._checkpoint, self._n_written_rows = None, 0
         if self.out:
-            # the mark has only the code of observing functions, because the values that they collect change
+            # `march_id` has only the code of observing functions, because the values that they collect change
             codes = {name: code_part(describe(function)) for name, function in self._observers.items()}
-            mark = json.loads(json.dumps({**self.model.identity(), "observe": codes, **self.arguments}))
-            self._checkpoint = Checkpoint(self.out, self.equations, mark)
+            march_id = json.loads(json.dumps({**self.model.identity(), "observe": codes, **self.arguments}))
+            self._checkpoint = Checkpoint(self.out, self.equations, march_id)
 
     def read(self, resume: Resume) -> bool:
         """Read the march in the folder `out`, so that it can be continued.
@@ -123,7 +123,7 @@ class Journal:
         log_values = state.t, report.method, report.iterations, report.residual
         self._log.info("t = %g: %s, %d steps, residual %.1e", *log_values)
         row: Row = {"t": state.t, "dt": state.t - self.previous.t if self.previous else 0.0}
-        values = {name: value(state) for name, value in self._column_functions.items()}
+        values = {name: function(state) for name, function in self._column_functions.items()}
         row |= {name: None if math.isnan(value) else value for name, value in values.items()}
         row |= {name: self._observed_value(name, state) for name in self._observers}
         history.table.append({name: row[name] for name in history.table.columns or row})

@@ -227,7 +227,7 @@ def warn_of_step_errors(controller: Controller, theta: float, initial_states: Se
     if dissipated <= MIN_DISSIPATION_RATIO * supplied:  # false for NaN, if a law declares no energy
         history.step_errors = dict.fromkeys(COMPARED_QUANTITIES, 0.0)
         return
-    targets = _halved_targets(controller.targets, controller.start, solver.model.break_times)
+    targets = _comparison_targets(controller.targets, controller.start, solver.model.break_times)
     remedy = "take more steps, or times=Adaptive(end=..., first=..., tolerance=...)"
     try:
         with report("error of the steps"):
@@ -247,7 +247,7 @@ def warn_of_step_errors(controller: Controller, theta: float, initial_states: Se
         solver.model.warn("step error", f"{text} (march with {len(targets)} steps); {remedy}", *controller.targets)
 
 
-def _halved_targets(targets: Sequence[float], start: float, breaks: set[float]) -> list[float]:
+def _comparison_targets(targets: Sequence[float], start: float, breaks: set[float]) -> list[float]:
     """Return the ends of steps for a repeated march with half as many steps.
 
     They are every second time of the march, counted from its end, and the break times. If these are too few, or not

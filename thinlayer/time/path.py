@@ -64,8 +64,8 @@ class EquilibriumPath:
 
     def __init__(self, equations: Equations, t_unit: float, options: Options) -> None:
         self.equations, self.t_unit, self.length_weight, self.inner_time = equations, t_unit, 0.0, 0.0
-        user_options = {name: value for name, value in options.items() if not name.startswith("snes_")}
-        self._options = {**direct_solver_options(equations.model), **user_options}
+        linear_options = {name: value for name, value in options.items() if not name.startswith("snes_")}
+        self._options = {**direct_solver_options(equations.model), **linear_options}
         self._factorisation = Factor()
         self._x, self._r, self._dR, self._newton_step, self._du_dt = (equations.create_vector() for _ in range(5))
         self._direction = np.zeros(self._x.getLocalSize() + 1)  # of length 1, at the last state
@@ -238,12 +238,12 @@ class EquilibriumPath:
         residual = self._r.array_r.copy()
         self._residual_size(last, point + step * new_direction)
         dA_d2 = (residual - self._r.array_r) / step  # (A_2 - A_1) d_2 = -A_1 d_2, as A_2 d_2 = 0
-        sizes = [float(np.abs(vector[:-1]).max(initial=0.0)) for vector in (self._direction, point)]
-        rounded = np.array([equations.scale.force_rounding(equations.comm.allreduce(size, max))[0] for size in sizes])
+        max_u = [float(np.abs(vector[:-1]).max(initial=0.0)) for vector in (self._direction, point)]
+        rounding = np.array([equations.scale.force_rounding(equations.comm.allreduce(size, max))[0] for size in max_u])
         tolerance = FORCE_CHANGE_TOLERANCE * equations.scale.forces[0] / arc_length
         *squared_norms, product = equations.comm.allreduce(np.array([dA_d1 @ dA_d1, dA_d2 @ dA_d2, dA_d1 @ dA_d2]))
         # rounding of residuals; forces may be zero
-        return 0.0 if (np.sqrt(squared_norms) < np.maximum(tolerance, rounded / [1.0, step])).any() else float(product)
+        return 0.0 if (np.sqrt(squared_norms) < np.maximum(tolerance, rounding / [1.0, step])).any() else float(product)
 
     # ---------------------------------------------------------------- steps
     def step(self, last: State, length: float, *, turn: bool = False) -> State:
@@ -284,14 +284,16 @@ class EquilibriumPath:
     def _solve_in_plane(self, last: State, predictor: Array, normal: Array, step: float, turn: bool) -> State:
         """Find the equilibrium of the path in a plane by Newton's method, and return it.
 
+        The plane goes through the predictor. With `turn` it lies beyond a corner of the path instead, where the
+        direction of the path jumps. It is then normal to the new direction (`_corner_direction`).
+
         Args:
             last: the last state.
-            predictor: (n + 1,) predictor, from which Newton's method starts: the n unknowns of this rank, then t. The
-                plane goes through it.
-            normal: (n + 1,) normal of the plane: the direction of the path, or that of t.
+            predictor: (n + 1,) estimate of the equilibrium, from which Newton's method starts: the n unknowns of this
+                rank, then t.
+            normal: (n + 1,) normal of the plane: the direction of the path, or that of t; not used with `turn`.
             step: arc length of the step.
-            turn: whether to use a plane beyond a corner of the path instead (`_corner_direction`); `normal` is then not
-                used.
+            turn: whether to look for the equilibrium beyond a corner.
 
         Raises:
             SolveError: no equilibrium is found, or it is too far from the predictor; or, with `turn`, there is no

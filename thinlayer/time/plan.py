@@ -336,9 +336,9 @@ def require_theta_suits(equations: Equations, theta: float, ends: list[float]) -
     bounds_text = f"theta is {theta}; {{}} bounds stresses, which at the end of a step may exceed it: {THETA_HINT}"
     equations.refuse_traits({"releases": ends_text, "switches": ends_text, "bounded": bounds_text})
     for part in equations.parts:
-        if name_and_change := part.instantaneous_nonlinear_law(ends):
-            name, changes = name_and_change
-            how = "with parameters that change in time" if changes else "not linearly (linear = True is not declared)"
+        if name_and_flag := part.instantaneous_nonlinear_law(ends):
+            name, varies = name_and_flag
+            how = "with parameters that change in time" if varies else "not linearly (linear = True is not declared)"
             text = f"theta is {theta}; {name} answers at once, and {how}"
             raise InputError(f"{text}: states at the ends of steps would oscillate undamped: {THETA_HINT}")
 

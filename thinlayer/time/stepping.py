@@ -34,10 +34,10 @@ MAX_HALVINGS = 10  # largest number of times that a planned step is halved
 MAX_SHORTENING_RATIO = 1e6  # default length of the first adaptive step over the shortest
 SAFETY_FACTOR = 0.9  # factor on the length of an adaptive step that its error allows
 MIN_LENGTH_RATIO, MAX_LENGTH_RATIO = 0.2, 3.0  # bounds of the ratio of the lengths of two adaptive steps
-SPRING_STEP_RATIO = 8.0  # ratio of the lengths of two steps by weak springs
+SPRING_SHORTENING_RATIO = 8.0  # length of a failed step by weak springs over that of the next
 # longest step by weak springs, in lengths of the adaptive step that failed: it may be far from a limit
-MAX_SPRING_STEP = 16
-REMAINDER_SHARE = 1e-3  # remainder before a target, relative to a step, that the step includes
+MAX_SPRING_RATIO = 16
+MIN_LAST_RATIO = 1e-3  # shortest last step to a target, relative to the step before; a shorter one is joined to it
 TIME_ROUNDING = 8 * 2.0**-52  # relative tolerance of the time of a snap
 N_EXCESS_TESTS = 8  # number of equal parts of a step at whose ends the excess is tested if loads are not linear in time
 LIMIT_HINT = "no equilibrium was found, which need not be a limit of the loads: try other times, or an elastic fraction"
@@ -62,7 +62,7 @@ class PlannedStepsController(Controller):
         return min(self.journal.pace.step or math.inf, self.target - self.last.t)
 
     def _step_end(self, length: float) -> float:
-        return self.last.t + length if self.target - self.last.t - length >= REMAINDER_SHARE * length else self.target
+        return self.last.t + length if self.target - self.last.t - length >= MIN_LAST_RATIO * length else self.target
 
     @property
     def attempts(self) -> list[StepAttempt]:
@@ -80,12 +80,12 @@ class PlannedStepsController(Controller):
         return [newton, *([] if homotopy else [retry]), spring_search] if self.solver.limited else [newton]
 
     def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:
-        old, history, last = self.last, self.journal.history, errors[-1]
-        error = errors[-2] if self.solver.limited else last
-        if isinstance(last, NoEquilibrium) and self._loads_change(old.t, self._diverged_time):
-            return LimitLoad(error.reason, old.t, self._diverged_time, self._resultant(old.t), last, history)
-        step = f"step {len(history)}, from t = {old.t:g} to {self._step_end(length):g}"
-        return self.error(f"{step}, failed, and so did longer ones: {error}", LIMIT_HINT if self.solver.limited else "")
+        old, history, cause = self.last, self.journal.history, errors[-1]
+        error = errors[-2] if self.solver.limited else cause
+        if isinstance(cause, NoEquilibrium) and self._loads_change(old.t, self._diverged_time):
+            return LimitLoad(error.reason, old.t, self._diverged_time, self._resultant(old.t), cause, history)
+        text = f"step {len(history)}, from t = {old.t:g} to {self._step_end(length):g}"
+        return self.error(f"{text}, failed, and so did longer ones: {error}", LIMIT_HINT if self.solver.limited else "")
 
     def _loads_change(self, before: float, after: float) -> bool:
         a, b = (self.solver.equations.prescribed_forces_at(t).array_r for t in (before, after))
@@ -154,17 +154,17 @@ class PlannedStepsController(Controller):
         old, end, t = self.last, self._step_end(length), self._latest_spring_time(length)
         last_error = SolveError("weak springs have not led to an equilibrium")
         if old.t < self._diverged_time < t:
-            t = max(old.t + (self._diverged_time - old.t) / SPRING_STEP_RATIO, end)
+            t = max(old.t + (self._diverged_time - old.t) / SPRING_SHORTENING_RATIO, end)
         while True:
             try:
-                return self._regularised_state(self.solver.solve_regularised(old, t, self.theta))
+                return self._accept_regularised(self.solver.solve_regularised(old, t, self.theta))
             except NoEquilibrium as error:
                 last_error, self._diverged_time = error, t
             except SolveError as error:  # displacements that grew without bound later still show a limit before
                 last_error = last_error if isinstance(last_error, NoEquilibrium) else error
             if t <= end:
                 raise last_error
-            t = max(old.t + (t - old.t) / SPRING_STEP_RATIO, end)
+            t = max(old.t + (t - old.t) / SPRING_SHORTENING_RATIO, end)
 
     def _latest_spring_time(self, length: float) -> float:
         """Return the latest time at which weak springs look for an equilibrium.
@@ -174,7 +174,7 @@ class PlannedStepsController(Controller):
         """
         return self.target
 
-    def _regularised_state(self, state: State) -> list[State]:
+    def _accept_regularised(self, state: State) -> list[State]:
         """Accept a state found by weak springs, and return it in a list.
 
         This also sets the largest length of the next step.
@@ -258,14 +258,14 @@ class AdaptiveController(PlannedStepsController):
             length: length of the last step.
             end: time at its end.
         """
-        step, old_limit = length * self._length_factor, self.journal.pace.step or 0.0
+        limit, old_limit = length * self._length_factor, self.journal.pace.step or 0.0
         super()._set_pace(length, end)
-        self.journal.pace.step = min(max(step, old_limit) if end == self.target else step, self.settings.largest)
+        self.journal.pace.step = min(max(limit, old_limit) if end == self.target else limit, self.settings.largest)
 
     def _latest_spring_time(self, length: float) -> float:
-        return min(self.target, self.last.t + max(MAX_SPRING_STEP * length, self.settings.first / 2.0**MAX_HALVINGS))
+        return min(self.target, self.last.t + max(MAX_SPRING_RATIO * length, self.settings.first / 2.0**MAX_HALVINGS))
 
-    def _regularised_state(self, state: State) -> list[State]:
+    def _accept_regularised(self, state: State) -> list[State]:
         raise SolveError("the error of a step by weak springs is not known")
 
 
@@ -289,7 +289,7 @@ class SnapController(PlannedStepsController):
         Args:
             old: the state before the step.
             end: time at the end of the step.
-            theta, thorough: not used; forces balance at the end of the step.
+            theta, homotopy: not used; forces balance at the end of the step.
 
         Raises:
             SolveError: an equilibrium is not found, or the methods `max_phase_gain` and `switched` of a law disagree.
@@ -301,8 +301,8 @@ class SnapController(PlannedStepsController):
             # assumed linear). The excess is the largest of their sizes, so it is convex in time. Therefore, if it is
             # positive within the step, it is positive at the end.
             is_linear = old.t == end or solver.equations.is_linear_in_time(old.t, end)
-            probes = () if is_linear else (old.t + (end - old.t) * k / N_EXCESS_TESTS for k in range(1, N_EXCESS_TESTS))
-            test_time = next((t for t in probes if self._solve_at_fixed_phases(old, t)[1] > 0), end)
+            times = () if is_linear else (old.t + (end - old.t) * k / N_EXCESS_TESTS for k in range(1, N_EXCESS_TESTS))
+            test_time = next((t for t in times if self._solve_at_fixed_phases(old, t)[1] > 0), end)
             state, excess = self._solve_at_fixed_phases(old, test_time)
             if excess <= 0:
                 return [*states[1:], state] if old.t < end else states[1:]
@@ -313,12 +313,12 @@ class SnapController(PlannedStepsController):
                 # from the new start Newton's tolerance may make the excess smaller
                 if self._solve_at_fixed_phases(old, t)[1] <= -EXCESS_TOLERANCE:
                     continue
-            after = solver.step(old, t)
+            snapped = solver.step(old, t)
             if solver.equations.max_phase_gain > 2 * EXCESS_TOLERANCE:
                 raise SolveError(f"at t = {t:g} excess() > 0 for a column, but switched() keeps its phase")
             # in a snap the remainder of the balance is dissipated
-            dissipated = after.audit.dissipated + after.audit.remainder
-            states.append(replace(after, audit=replace(after.audit, dissipated=dissipated, remainder=0.0)))
+            dissipated = snapped.audit.dissipated + snapped.audit.remainder
+            states.append(replace(snapped, audit=replace(snapped.audit, dissipated=dissipated, remainder=0.0)))
             if t == end:
                 return states[1:]
 
@@ -392,11 +392,11 @@ class ErrorEstimate:
             state: the state from shorter steps.
             max_norms: (3,) norms of the three quantities, in the same order.
         """
-        compared = [self._quantities(end_state) for end_state in (other, state)]
-        difference_norms = self._norms([b - a for a, b in zip(*compared, strict=True)])
-        displacement = float(state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
-        min_norms = np.array([0.0, MIN_JUMP_RATIO * self._jump_norm * displacement, self._equations.scale.forces[0]])
-        norms = np.maximum(np.maximum(self._norms(compared[1]), max_norms), min_norms)
+        quantities = [self._quantities(end_state) for end_state in (other, state)]
+        difference_norms = self._norms([b - a for a, b in zip(*quantities, strict=True)])
+        max_u = float(state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
+        min_norms = np.array([0.0, MIN_JUMP_RATIO * self._jump_norm * max_u, self._equations.scale.forces[0]])
+        norms = np.maximum(np.maximum(self._norms(quantities[1]), max_norms), min_norms)
         return np.asarray(np.divide(difference_norms, norms, out=np.zeros(3), where=norms > 0))
 
     def state_norms(self, state: State) -> Array:

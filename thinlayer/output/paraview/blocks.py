@@ -15,7 +15,7 @@ from geometry.topology import BoolArray, IntArray, lagrange
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import CONTACT_STATUSES, NO_CONTACT_STATUS, contact_values
-from thinlayer.output.paraview.grid import VtkGrid, gather_grid, vtk_code, vtk_order
+from thinlayer.output.paraview.grid import VtkGrid, gather_grid, vtk_code, vtk_perm
 from thinlayer.output.surface import Surface, all_statuses
 from thinlayer.surface.law_points import LawPoints, law_points
 
@@ -37,12 +37,12 @@ def make_vtk_blocks(state: State, model: InterfaceModel | None) -> pyvista.Multi
     """
     cell_arrays, facet_arrays = _cell_and_facet_arrays(state)
     grid = gather_grid(state)
-    s_grid = None if model is None else _surface_grid(state, model, facet_arrays)
+    s_grid = None if model is None else _make_s_grid(state, model, facet_arrays)
     if grid is None:
         return None
-    volume = _volume_grid(state.model.domain.joint, grid, cell_arrays)
-    layer_grid = _extract_cells(volume, grid.region < 0) if (grid.region < 0).any() else None
-    grids = {BODIES_BLOCK: _extract_cells(volume, grid.region >= 0), LAYER_BLOCK: layer_grid, SURFACE_BLOCK: s_grid}
+    all_cells = _make_volume_grid(state.model.domain.joint, grid, cell_arrays)
+    layer_grid = _extract_cells(all_cells, grid.region < 0) if (grid.region < 0).any() else None
+    grids = {BODIES_BLOCK: _extract_cells(all_cells, grid.region >= 0), LAYER_BLOCK: layer_grid, SURFACE_BLOCK: s_grid}
     return pyvista.MultiBlock({name: block for name, block in grids.items() if block is not None})
 
 
@@ -64,8 +64,8 @@ def _cell_and_facet_arrays(state: State) -> tuple[dict[str, Array], dict[str, Ar
             _add_means(cell_arrays, np.arange(len(joint.cells)), points, variables)
         else:
             key = points.term.key
-            numbered = sum(term.key == key for term in model.layer_terms) > 1
-            variables = _named_arrays(points.internal(), n_terms_below[key], numbered=numbered)
+            is_numbered = sum(term.key == key for term in model.layer_terms) > 1
+            variables = _named_arrays(points.internal(), n_terms_below[key], numbered=is_numbered)
             _add_means(facet_arrays, model.joint.surface_rows, points, variables)
             n_terms_below[key] += 1
     return cell_arrays, facet_arrays
@@ -91,13 +91,13 @@ def _named_arrays(sublayers: list[dict[str, Array]], n_below: int = 0, *, number
     return arrays
 
 
-def _add_means(arrays: dict[str, Array], numbers: IntArray, points: LawPoints, fields: Mapping[str, Array]) -> None:
+def _add_means(arrays: dict[str, Array], entity_ids: IntArray, points: LawPoints, fields: Mapping[str, Array]) -> None:
     """Add the means of a law's fields over each of its cells or facets to `arrays`, on rank 0. Collective.
 
     Args:
         arrays: name of a VTK array -> (n, components) means over n cells or facets, NaN where no law has given a value.
             Tensors have the six components XX, YY, ZZ, XY, YZ, XZ. Changed on rank 0.
-        numbers: (n,) numbers of these cells or facets in the joint, ascending.
+        entity_ids: (n,) numbers of these cells or facets in the joint, ascending.
         points: quadrature points of the law, which acts in some of these cells or facets.
         fields: name of a VTK array -> values at the quadrature points, (points,) or (points, 3, 3).
     """
@@ -105,8 +105,8 @@ def _add_means(arrays: dict[str, Array], numbers: IntArray, points: LawPoints, f
         means = points.quadrature.cell_means(values[:, *VTK_TENSOR_PAIRS] if values.ndim == 3 else values)
         if pieces := points.state.model.comm.gather((points.joint_entities, means), root=0):
             entities, means = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
-            rows = np.searchsorted(numbers, entities)
-            sums = arrays.setdefault(name, np.full((len(numbers), *means.shape[1:]), np.nan))
+            rows = np.searchsorted(entity_ids, entities)
+            sums = arrays.setdefault(name, np.full((len(entity_ids), *means.shape[1:]), np.nan))
             sums[rows] = np.where(np.isnan(sums[rows]), means, sums[rows] + means)  # laws may share cells of junctions
 
 
@@ -117,7 +117,7 @@ def von_mises(stress: Array) -> Array:
     return np.asarray(np.sqrt(1.5 * ((deviator**2).sum(axis=1) + 2 * (shear**2).sum(axis=1))))
 
 
-def _volume_grid(joint: Joint, grid: VtkGrid, cell_arrays: Mapping[str, Array]) -> pyvista.UnstructuredGrid:
+def _make_volume_grid(joint: Joint, grid: VtkGrid, cell_arrays: Mapping[str, Array]) -> pyvista.UnstructuredGrid:
     """Make the VTK grid of all cells of bodies and meshed layers, with displacements and data of cells.
 
     Args:
@@ -157,7 +157,7 @@ def _extract_cells(mesh: pyvista.UnstructuredGrid, is_chosen: BoolArray) -> pyvi
 
 
 # ---------------------------------------------------------------- S
-def _surface_grid(state: State, model: InterfaceModel, means: Mapping[str, Array]) -> pyvista.UnstructuredGrid | None:
+def _make_s_grid(state: State, model: InterfaceModel, means: Mapping[str, Array]) -> pyvista.UnstructuredGrid | None:
     """Make the VTK grid of the facets of S, in the joint's order, on rank 0; other ranks return None. Collective.
 
     Each facet has its own nodes. Point data are "traction", "jump", "normal", the displacements "u_upper" and "u_lower"
@@ -173,11 +173,11 @@ def _surface_grid(state: State, model: InterfaceModel, means: Mapping[str, Array
         model: an interface model.
         means: name of a VTK array -> (facets, components) means of an internal variable; empty except on rank 0.
     """
-    joint, d, surface, same_model = model.joint, model.joint.dim, Surface(model), state.model is model
+    joint, d, surface, is_same_model = model.joint, model.joint.dim, Surface(model), state.model is model
     lower, upper = surface.displacements(state)
     fields = {"x": surface.x, "n": surface.n, "traction": surface.traction(state), "upper": upper, "lower": lower}
-    status = surface.status(state)[:, 0] if same_model else None
-    contact = contact_values(surface, state) if same_model else {}
+    status = surface.status(state)[:, 0] if is_same_model else None
+    contact = contact_values(surface, state) if is_same_model else {}
     if model.comm.rank:
         return None
     degree = max(joint.degree, model.structure.degree)
@@ -185,9 +185,9 @@ def _surface_grid(state: State, model: InterfaceModel, means: Mapping[str, Array
     extrapolation = np.linalg.pinv(lagrange(surface.kind, degree).tabulate(0, surface.points)[0, :, :, 0])
     nodal_fields = {name: np.einsum("nq,dfq->fnd", extrapolation, f) for name, f in fields.items()}
     n, k = nodal_fields["x"].shape[:2]
-    code, order = (vtk_code(surface.kind, k), vtk_order(surface.kind, k)) if d == 3 else (LINE_CODE, np.r_[0, 2:k, 1])
-    cells = np.column_stack([np.full(n, k), np.arange(n * k).reshape(n, k)[:, order]]).ravel()
-    block = pyvista.UnstructuredGrid(cells, np.full(n, code), _three_components(nodal_fields.pop("x")))
+    code, perm = (vtk_code(surface.kind, k), vtk_perm(surface.kind, k)) if d == 3 else (LINE_CODE, np.r_[0, 2:k, 1])
+    cells = np.column_stack([np.full(n, k), np.arange(n * k).reshape(n, k)[:, perm]]).ravel()
+    block = pyvista.UnstructuredGrid(cells, np.full(n, code), _pad_to_3d(nodal_fields.pop("x")))
     block.point_data.update(_nodal_arrays(nodal_fields, d))
     block.cell_data["seam"] = joint.seam_numbers
     _add_texts(block, "seams", joint.seams)
@@ -202,7 +202,7 @@ def _surface_grid(state: State, model: InterfaceModel, means: Mapping[str, Array
         codes = codes[surface.nodes][:, shapes.argmax(axis=1)]  # a node between corners has the code of one corner
         slip = shapes @ slip[surface.nodes]
         slip[codes < 0] = np.nan
-        block.point_data.update({"contact": codes.ravel(), "slip": _three_components(slip)})
+        block.point_data.update({"contact": codes.ravel(), "slip": _pad_to_3d(slip)})
         block.field_data["contact codes"] = _code_texts(CONTACT_CODES)
     block.cell_data.update(means)
     return block
@@ -221,14 +221,14 @@ def _code_texts(codes: Mapping[str, int]) -> list[str]:
     return [f"{code} {name}" for name, code in sorted(codes.items(), key=lambda item: item[1])]
 
 
-def _three_components(values: Array) -> Array:
+def _pad_to_3d(values: Array) -> Array:
     """Return the vectors `values` (n, k, d) as an array (n k, 3), where missing components are zero."""
     flat = values.reshape(-1, values.shape[-1])
     return np.pad(flat, ((0, 0), (0, 3 - flat.shape[1])))
 
 
 def _nodal_arrays(fields: Mapping[str, Array], d: int) -> dict[str, Array]:
-    """Compute the VTK point data of S that `_surface_grid` lists, from fields at the nodes of each facet.
+    """Compute the VTK point data of S that `_make_s_grid` lists, from fields at the nodes of each facet.
 
     Args:
         fields: name -> vectors (facets, nodes, d): "traction"; "upper" and "lower", the displacements of both sides;
@@ -242,11 +242,11 @@ def _nodal_arrays(fields: Mapping[str, Array], d: int) -> dict[str, Array]:
     n = fields["n"] / np.linalg.norm(fields["n"], axis=2, keepdims=True)
     jump = upper - lower
     vectors = {"traction": t, "jump": jump, "normal": n, "u": (upper + lower) / 2, "u_upper": upper, "u_lower": lower}
-    arrays = {name: _three_components(values) for name, values in vectors.items()}
+    arrays = {name: _pad_to_3d(values) for name, values in vectors.items()}
     for name, vector in (("t", t), ("w", jump)):
         along_n = np.einsum("fki,fki->fk", vector, n)
         tangential = vector - along_n[..., None] * n
         arrays[f"{name}_N"] = along_n.ravel()
         along_tangent = n[..., 1] * vector[..., 0] - n[..., 0] * vector[..., 1]
-        arrays[f"{name}_T"] = along_tangent.ravel() if d == 2 else _three_components(tangential)
+        arrays[f"{name}_T"] = along_tangent.ravel() if d == 2 else _pad_to_3d(tangential)
     return arrays

@@ -17,7 +17,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.system.compat import interpolate
 
 # nodes of a mirrored tetrahedron of degree 2, in VTK's order; the first four: degree 1
-MIRRORED_TET_ORDER = (1, 0, 2, 3, 4, 6, 5, 8, 7, 9)
+MIRRORED_TET_NODES = (1, 0, 2, 3, 4, 6, 5, 8, 7, 9)
 
 # VTK's numbers of cells of degree 1, and of any degree
 LINEAR_CODES = {"interval": 3, "triangle": 5, "quadrilateral": 9, "tetrahedron": 10, "hexahedron": 12}
@@ -29,7 +29,7 @@ def vtk_code(cell_type: str, n_nodes: int) -> int:
     return (LINEAR_CODES if geometry_degree(cell_type, n_nodes) == 1 else LAGRANGE_CODES)[cell_type]
 
 
-def vtk_order(cell_type: str, n_nodes: int) -> IntArray:
+def vtk_perm(cell_type: str, n_nodes: int) -> IntArray:
     """Return the permutation p (n_nodes,) of a cell's nodes from DOLFINx's to VTK's order: nodes[p] has VTK's order.
 
     Args:
@@ -48,11 +48,11 @@ class VtkGrid:
         points: (n, 3) coordinates of the nodes before deformation.
         u: (n, 3) displacements.
         cells: VTK's list of cells: for each cell the number of its nodes, then the nodes.
-        types: (n_cells,) VTK's codes for the types of the cells.
+        cell_codes: (n_cells,) VTK's codes for the types of the cells.
         region: (n_cells,) number of the region of the bodies, from 0; regions of meshed layers have -1, -2, ...
-        base: (facets, k, 3) coordinates of the k nodes, in VTK's order, of each facet where the joint lies on a rigid
-            base. An empty array if there is a body on both sides of S.
-        base_type: VTK's code for the type of these facets.
+        base_x: (facets, k, 3) coordinates of the k nodes, in VTK's order, of each facet where the joint lies on a
+            rigid base. An empty array if there is a body on both sides of S.
+        base_code: VTK's code for the type of these facets.
     """
 
     dim: int
@@ -61,7 +61,7 @@ class VtkGrid:
     cells: IntArray
     cell_codes: npt.NDArray[np.uint8]
     region: IntArray
-    base: Array
+    base_x: Array
     base_code: int
 
     def component(self, name: str) -> Array:
@@ -105,48 +105,48 @@ def gather_grid(state: State) -> VtkGrid | None:
     V, d = u.function_space, joint.dim
     W = fem.functionspace(model.domain.mesh, ("Lagrange", V.ufl_element().degree)) if joint.periods else V
     n = model.domain.mesh.topology.index_map(d).size_local
-    order = vtk_order(joint.cell_type, V.dofmap.list.shape[1])
-    u_nodes, x_nodes = (np.asarray(space.dofmap.list)[:n, order] for space in (V, W))
-    index_maps = ((V.dofmap.index_map, u_nodes), (W.dofmap.index_map, x_nodes))
-    global_nodes = [imap.local_to_global(np.ravel(nodes)).reshape(nodes.shape) for imap, nodes in index_maps]
+    perm = vtk_perm(joint.cell_type, V.dofmap.list.shape[1])
+    u_nodes, x_nodes = (np.asarray(space.dofmap.list)[:n, perm] for space in (V, W))
+    maps_and_nodes = ((V.dofmap.index_map, u_nodes), (W.dofmap.index_map, x_nodes))
+    global_nodes = [imap.local_to_global(np.ravel(nodes)).reshape(nodes.shape) for imap, nodes in maps_and_nodes]
     # coordinates of each cell, as a node on periodic sides has two positions
     x_space = fem.functionspace(V.mesh, ("DG", V.ufl_element().degree)) if joint.periods else V
-    x, values = x_space.tabulate_dof_coordinates()[x_space.dofmap.list[:n]][:, order], u.x.array.reshape(-1, d)[u_nodes]
+    x, values = x_space.tabulate_dof_coordinates()[x_space.dofmap.list[:n]][:, perm], u.x.array.reshape(-1, d)[u_nodes]
     pieces = model.comm.gather((model.domain.original_cells[:n], *global_nodes, x, values), root=0)
     if pieces is None:
         return None
     cell_numbers, *global_nodes, x, values = (np.concatenate(arrays) for arrays in zip(*pieces, strict=True))
     *global_nodes, x, values = (array[np.argsort(cell_numbers)] for array in (*global_nodes, x, values))
     node_pairs = np.stack(global_nodes, axis=-1).reshape(-1, 2)
-    _, first_places, pair_numbers = np.unique(node_pairs, axis=0, return_index=True, return_inverse=True)
-    pair_order = np.argsort(first_places)
+    _, first_rows, pair_numbers = np.unique(node_pairs, axis=0, return_index=True, return_inverse=True)
+    pair_order = np.argsort(first_rows)
     cell_nodes = np.argsort(pair_order)[pair_numbers.ravel()].reshape(global_nodes[0].shape)
-    places = first_places[pair_order]
-    points, displacements = x.reshape(-1, 3)[places], np.zeros((len(places), 3))
-    displacements[:, :d] = values.reshape(-1, d)[places]
+    node_rows = first_rows[pair_order]
+    points, displacements = x.reshape(-1, 3)[node_rows], np.zeros((len(node_rows), 3))
+    displacements[:, :d] = values.reshape(-1, d)[node_rows]
     if joint.cell_type == "tetrahedron":  # VTK mistakes inner faces of left-handed cells for outer faces
         corners = points[cell_nodes[:, :4]]
         is_left_handed = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
-        cell_nodes[is_left_handed] = cell_nodes[is_left_handed][:, MIRRORED_TET_ORDER[: cell_nodes.shape[1]]]
+        cell_nodes[is_left_handed] = cell_nodes[is_left_handed][:, MIRRORED_TET_NODES[: cell_nodes.shape[1]]]
     cells = np.column_stack([np.full(len(cell_nodes), cell_nodes.shape[1]), cell_nodes]).ravel()
     first_layer_region = len(joint.regions) - len(joint.band.regions if joint.band else ())
     region = np.where(joint.region >= first_layer_region, first_layer_region - joint.region - 1, joint.region)
     cell_codes = np.full(len(cell_nodes), vtk_code(joint.cell_type, cell_nodes.shape[1]), np.uint8)
-    return VtkGrid(d, points, displacements, cells, cell_codes, region, *_base_facets(joint))
+    return VtkGrid(d, points, displacements, cells, cell_codes, region, *_base_points_and_code(joint))
 
 
-def _base_facets(joint: Joint) -> tuple[Array, int]:
-    """Return the facets of a joint that lie on a rigid base.
+def _base_points_and_code(joint: Joint) -> tuple[Array, int]:
+    """Return the nodes of the facets of a joint that lie on a rigid base, and VTK's code for these facets.
 
     Returns:
         (facets, k, 3) coordinates of the k nodes of each facet, in VTK's order, empty if there is no rigid base; VTK's
         code for the type of these facets.
     """
     facet_type = FACET_TYPES[joint.cell_type]
-    facet_sets = joint.base_seams if joint.band is None else (BASE,) if BASE in joint.facets else ()
-    if not facet_sets:
+    set_names = joint.base_seams if joint.band is None else (BASE,) if BASE in joint.facets else ()
+    if not set_names:
         return np.empty((0, joint.dim, 3)), LINEAR_CODES[facet_type]
-    facet_numbers = np.unique(joint.table.index(np.concatenate([joint.facets[name] for name in facet_sets])))
+    facet_numbers = np.unique(joint.table.index(np.concatenate([joint.facets[name] for name in set_names])))
     nodes = joint.table.nodes(facet_numbers, joint.cells, joint.cell_type)
-    facet_points = joint.points[nodes[:, vtk_order(facet_type, nodes.shape[1])]]
+    facet_points = joint.points[nodes[:, vtk_perm(facet_type, nodes.shape[1])]]
     return np.pad(facet_points, ((0, 0), (0, 0), (0, 3 - joint.dim))), vtk_code(facet_type, nodes.shape[1])

@@ -138,7 +138,7 @@ def _write_listing(path: Path, list_type: str, entries: Iterable[str]) -> None:
         list_type: VTK's type of the list, "Collection" or "vtkMultiBlockDataSet".
         entries: for each listed file a text with its XML attributes, such as `timestep="0" file="run_pvd/0000.vtm"`.
     """
-    elements = "".join(f"    <DataSet {entry}/>\n" for entry in entries)
-    text = f'<VTKFile type="{list_type}" version="1.0">\n  <{list_type}>\n{elements}  </{list_type}>\n</VTKFile>\n'
+    xml_lines = "".join(f"    <DataSet {entry}/>\n" for entry in entries)
+    text = f'<VTKFile type="{list_type}" version="1.0">\n  <{list_type}>\n{xml_lines}  </{list_type}>\n</VTKFile>\n'
     with replace_file(path) as file:
         file.write(f'<?xml version="1.0"?>\n{text}'.encode())

@@ -101,27 +101,27 @@ def _fields_by_row(surface: Surface, fields: Any, stress: str, length: str) -> d
     for label, case in cases.items():
         if isinstance(case, State):
             t, w = (surface.frame(f(case)) for f in (surface.traction, surface.jump))
-            indices = ("N", "T") if len(t) == 2 else ("N", "1", "2")
-            case_fields = {f"t_{k}{stress}": f for k, f in zip(indices, np.roll(t, 1, axis=0), strict=True)}
-            case_fields |= {f"w_{k}{length}": f for k, f in zip(indices, np.roll(w, 1, axis=0), strict=True)}
+            subscripts = ("N", "T") if len(t) == 2 else ("N", "1", "2")
+            case_fields = {f"t_{k}{stress}": f for k, f in zip(subscripts, np.roll(t, 1, axis=0), strict=True)}
+            case_fields |= {f"w_{k}{length}": f for k, f in zip(subscripts, np.roll(w, 1, axis=0), strict=True)}
         else:
-            pinned_mask = np.where(case.status == PINNED_STATUS, np.nan, 1.0)
+            nan_if_pinned = np.where(case.status == PINNED_STATUS, np.nan, 1.0)
             t_T, u_T = (v[:, 0] if v.shape[1] == 1 else np.linalg.norm(v, axis=1) for v in (case.t_T, case.u_T))
-            case_fields = {f"p{stress}": pinned_mask * case.p, f"t_T{stress}": pinned_mask * t_T}
+            case_fields = {f"p{stress}": nan_if_pinned * case.p, f"t_T{stress}": nan_if_pinned * t_T}
             case_fields |= {f"u_T{length}": u_T, f"opening{length}": -case.u_N}
         for name, f in case_fields.items():
             rows.setdefault(name, {})[label] = f
     return {**rows}
 
 
-def _draw_panel(axes: Axes, cases: list[list[Line]]) -> None:
+def _draw_panel(axes: Axes, curves: list[list[Line]]) -> None:
     """Draw one panel with several curves, the values of fields along lines on S.
 
     Args:
         axes: the panel.
-        cases: for each curve its lines, which follow one another on the horizontal axis, with grey lines between them.
+        curves: for each curve its lines, which follow one another on the horizontal axis, with grey lines between them.
     """
-    for number, lines in enumerate(cases):
+    for number, lines in enumerate(curves):
         line_start = 0.0
         for line in lines:
             if line_start and not number:
@@ -148,9 +148,9 @@ def _draw_legend(figure: Picture, rows: Collection[Mapping[str, list[Line]]], di
         components = ["normal", "tangential"] if dim == 2 else ["normal", "tangential 1", "tangential 2"]
         styles = zip(COMPONENT_STYLES, components, strict=False)
         handles += [Line2D([], [], color="0.3", linestyle=style, label=name) for style, name in styles]
-    cases = list(dict.fromkeys(case for row in rows for case in row))
-    if len(cases) > 1:
-        curve_styles = zip(cycle(COLOURS), cycle(("-",) if has_vectors else LINE_STYLES), cases, strict=False)
+    labels = list(dict.fromkeys(case for row in rows for case in row))
+    if len(labels) > 1:
+        curve_styles = zip(cycle(COLOURS), cycle(("-",) if has_vectors else LINE_STYLES), labels, strict=False)
         handles += [Line2D([], [], color=colour, linestyle=dash, label=case) for colour, dash, case in curve_styles]
     if handles:
         figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 5), frameon=False)

@@ -129,8 +129,8 @@ def curves(
     figure_size = (3.1 * scale * columns, 2.6 * scale * panel_rows + 0.6) if has_panels else (6.5, 4.5)
     figure = Picture(figsize=figure_size, layout="constrained")
     labels = list(dict.fromkeys(label for curves_in_panel in panels.values() for label in curves_in_panel))
-    slope_grey = {label: "0.5" for label in labels if label.startswith("slope")}
-    styles, colours = _by_label(labels, styles), _by_label(labels, COLOURS) | slope_grey | _by_label(labels, colours)
+    slope_colours = {label: "0.5" for label in labels if label.startswith("slope")}
+    styles, colours = _by_label(labels, styles), _by_label(labels, COLOURS) | slope_colours | _by_label(labels, colours)
     dashes, plotted = dict(zip(labels, cycle(LINE_STYLES), strict=False)), dict[str, Line2D]()
     for number, (name, curves_in_panel) in enumerate(panels.items(), 1):
         ax = figure.add_subplot(panel_rows, columns, number)

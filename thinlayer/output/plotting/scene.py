@@ -94,7 +94,7 @@ class DeformedShape:
             "moved" (n, 3), the drawn displacement; "coincident" (n,), 1 where two nodes coincide before deformation, as
             on both sides of S, else 0.
         base: facets where the structure lies on a rigid base; None if there is a body on both sides of S.
-        plane: {"normal": unit vector, "origin": point} of the plane that cuts the structure; None: it is not cut.
+        cut_plane: {"normal": unit vector, "origin": point} of the plane that cuts the structure; None: it is not cut.
     """
 
     regions: dict[int, pyvista.UnstructuredGrid]
@@ -115,13 +115,13 @@ class DeformedShape:
         mesh = pyvista.UnstructuredGrid(grid.cells, grid.cell_codes, grid.points + scale * grid.u)
         # the factor pi avoids coordinates half-way between two decimals, which rounding errors would separate
         rounded_points = np.round(np.pi / np.ptp(grid.points) * grid.points, PLACE_DECIMALS)
-        _, place_of_node, count = np.unique(rounded_points, axis=0, return_inverse=True, return_counts=True)
-        is_coincident = (count[place_of_node.ravel()] > 1).astype(float)
+        _, place_of_node, counts = np.unique(rounded_points, axis=0, return_inverse=True, return_counts=True)
+        is_coincident = (counts[place_of_node.ravel()] > 1).astype(float)
         mesh.point_data.update({"u": grid.component(component), "moved": scale * grid.u, "coincident": is_coincident})
         grids = {int(number): mesh.extract_cells(grid.region == number) for number in np.unique(grid.region)[::-1]}
-        n, k = grid.base.shape[:2]
-        facets = np.insert(np.arange(n * k).reshape(n, k), 0, k, axis=1)
-        base = pyvista.UnstructuredGrid(facets, np.full(n, grid.base_code), grid.base.reshape(-1, 3)) if n else None
+        n, k = grid.base_x.shape[:2]
+        cells = np.insert(np.arange(n * k).reshape(n, k), 0, k, axis=1)
+        base = pyvista.UnstructuredGrid(cells, np.full(n, grid.base_code), grid.base_x.reshape(-1, 3)) if n else None
         if base is not None:
             base.point_data.update({"moved": np.zeros(base.points.shape), "coincident": np.zeros(base.n_points)})
         if normal is None:
@@ -195,15 +195,15 @@ class Scene:
     Attributes:
         view: the user's settings.
         axes: (3, 3) matrix, whose rows are unit vectors to the right, upwards and towards the viewer.
-        factor: factor of the drawn displacements.
+        displacement_factor: factor of the drawn displacements.
         window: (left, right, bottom, top), the bounds of the images along the first two axes, in deformed coordinates
             as drawn.
-        limits: smallest and largest displacement, or component of it, in the range of colours.
+        colour_limits: smallest and largest displacement, or component of it, in the range of colours.
     """
 
     view: View
     axes: Array
-    factor: float
+    displacement_factor: float
     window: Window = (0.0, 0.0, 0.0, 0.0)
     colour_limits: tuple[float, float] = (0.0, 0.0)
 
@@ -226,17 +226,17 @@ class Scene:
         shapes = [scene.deformed_shape(grid) for grid in grids]
         x, y, _ = axes @ np.concatenate([shape.points for shape in shapes]).T
         x0, x1, y0, y1 = window = (*_padded(x), *_padded(y)) if view.zoom is None else _checked_window(view.zoom)
-        inside = (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
+        is_inside = (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
         values = np.concatenate([shape.colour_values for shape in shapes])
         if x.max() < x0 or x.min() > x1 or y.max() < y0 or y.min() > y1:
             raise InputError(f"nothing to draw in the window {(x0, x1, y0, y1)}")
-        visible = values if np.isnan(values[inside]).all() else values[inside]  # a window may lie inside one cell
+        visible = values if np.isnan(values[is_inside]).all() else values[is_inside]  # a window may lie inside one cell
         return replace(scene, window=window, colour_limits=(float(np.nanmin(visible)), float(np.nanmax(visible))))
 
     def deformed_shape(self, grid: VtkGrid) -> DeformedShape:
         """Return the deformed structure of a displacement field, with this scene's factor of displacements and cut."""
         normal = (0.0, 0.0, float(np.copysign(1.0, self.axes[2, 2]))) if self.view.cut else None
-        return DeformedShape.of(grid, self.view.component, self.factor, normal)
+        return DeformedShape.of(grid, self.view.component, self.displacement_factor, normal)
 
     def make_panels(self, n: int) -> tuple[Picture, list[Axes]]:
         """Make an empty picture for `n` structures side by side; return it and the axes of its n panels."""
@@ -260,7 +260,7 @@ class Scene:
     @property
     def factor_text(self) -> str:
         """Text for the colour bar with the factor of the drawn displacements, as "displacements drawn 50 times"."""
-        return f"displacements drawn {self.factor:.3g} times".replace("drawn 1 times", "as they are")
+        return f"displacements drawn {self.displacement_factor:.3g} times".replace("drawn 1 times", "as they are")
 
     def render(self, grid: VtkGrid, s_meshes: Sequence[pyvista.PolyData] | None = None) -> npt.NDArray[np.uint8]:
         """Draw a structure off screen and return the pixels of the image (height, width, 3), as red, green and blue.
@@ -288,8 +288,8 @@ class Scene:
                 plotter.add_mesh(surface, **style)
             lines = sharp_edges(surface)
             lines.points += n_lifts * LINE_LIFT * (x1 - x0) * towards
-            ends = lines.lines.reshape(-1, 3)[:, 1:]
-            is_on_seam = lines["coincident"][ends].min(axis=1) > SPLIT_FACTOR if lines.n_cells else np.zeros(0, bool)
+            nodes = lines.lines.reshape(-1, 3)[:, 1:]
+            is_on_seam = lines["coincident"][nodes].min(axis=1) > SPLIT_FACTOR if lines.n_cells else np.zeros(0, bool)
             for is_drawn, style in ((~is_on_seam, line_style), (is_on_seam, line_style if s_meshes else SEAM_STYLE)):
                 if is_drawn.any():
                     plotter.add_mesh(lines.extract_cells(is_drawn), **style)

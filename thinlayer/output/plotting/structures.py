@@ -99,14 +99,14 @@ def on_surface(
     words, fields = number_words({label: np.asarray(f) for label, f in values.items()})
     displacements = {label: s.side_values(labelled[label].u, s.model, s.corner_points) for label, s in surfaces.items()}
     corner_values = {label: surfaces[label].at_corners(f) for label, f in fields.items()}
-    if wrong := [f.shape[2] for f in corner_values.values() if f.ndim > 2]:
-        raise InputError(f"on_surface: the field has {wrong[0]} components; give one of them")
-    colours = _scalar_mappable(words, np.concatenate([f.ravel() for f in corner_values.values()]), log=log)
+    if wrong_counts := [f.shape[2] for f in corner_values.values() if f.ndim > 2]:
+        raise InputError(f"on_surface: the field has {wrong_counts[0]} components; give one of them")
+    colours = _make_mappable(words, np.concatenate([f.ravel() for f in corner_values.values()]), log=log)
 
     def render(scene: Scene, label: str, grid: VtkGrid) -> npt.NDArray[np.uint8]:
         x = surfaces[label].joint.points[surfaces[label].corners]
-        lower, upper = x + scene.factor * np.moveaxis(displacements[label], 1, -1)
-        return scene.render(grid, _meshes(colours, corner_values[label], lower, upper, smooth=not words))
+        lower, upper = x + scene.displacement_factor * np.moveaxis(displacements[label], 1, -1)
+        return scene.render(grid, _mesh_s(colours, corner_values[label], lower, upper, smooth=not words))
 
     def draw_legend(scene: Scene, figure: Picture, axes: list[Axes]) -> None:
         text = "; ".join(filter(None, [quantity, scene.factor_text]))
@@ -185,8 +185,8 @@ def number_words(fields: Mapping[str, np.ndarray]) -> tuple[list[str], dict[str,
     """
     if not any(f.dtype.kind == "U" for f in fields.values()):
         return [], dict(fields)
-    if wrong := [f.shape for f in fields.values() if f.ndim > 1 and f.shape[-1] != 1]:
-        raise InputError(f"names on S are those of facets, (n, 1), or nodes, (m,), not {wrong[0]}")
+    if wrong_shapes := [f.shape for f in fields.values() if f.ndim > 1 and f.shape[-1] != 1]:
+        raise InputError(f"names on S are those of facets, (n, 1), or nodes, (m,), not {wrong_shapes[0]}")
     unique_words = {*np.concatenate([f.ravel() for f in fields.values()]).tolist()}
     words = [*(word for word in STATUS_COLOURS if word in unique_words), *sorted(unique_words - {*STATUS_COLOURS})]
     return words, {label: np.vectorize(words.index, otypes=[int])(f) for label, f in fields.items()}
@@ -202,7 +202,7 @@ def word_colour(word: str, words: list[str]) -> str:
     return STATUS_COLOURS.get(word) or COLOURS[words.index(word) % len(COLOURS)]
 
 
-def _scalar_mappable(words: list[str], values: Array, *, log: bool) -> ScalarMappable:
+def _make_mappable(words: list[str], values: Array, *, log: bool) -> ScalarMappable:
     """Make matplotlib's map from the values of a field on S to colours.
 
     Args:
@@ -225,7 +225,7 @@ def _scalar_mappable(words: list[str], values: Array, *, log: bool) -> ScalarMap
     return mappable
 
 
-def _meshes(colours: ScalarMappable, values: Array, lower: Array, upper: Array, smooth: bool) -> list[pyvista.PolyData]:
+def _mesh_s(colours: ScalarMappable, values: Array, lower: Array, upper: Array, smooth: bool) -> list[pyvista.PolyData]:
     """Make meshes of the deformed S, with colours that show a field as point data "rgb".
 
     Args:
@@ -243,18 +243,18 @@ def _meshes(colours: ScalarMappable, values: Array, lower: Array, upper: Array, 
     corner_order = [0, 1, 3, 2] if k == 4 else [*range(k)]
     mid_x, values = ((lower + upper) / 2)[:, corner_order], values[:, corner_order]
     n_points = 2 if k == 2 else 4
-    point_values = _values_around_corners(values) if smooth else np.repeat(values[:, :, None], n_points, axis=2)
+    point_values = _interpolate_to_parts(values) if smooth else np.repeat(values[:, :, None], n_points, axis=2)
     flat_rgb = colours.to_rgba(np.ma.masked_invalid(point_values.ravel()))[:, :3]  # (n, k, 4) would count as an image
     rgb = np.asarray(np.rint(255 * flat_rgb), np.uint8).reshape(*point_values.shape, 3)
     if d == 3:
-        return [_coloured_mesh(_values_around_corners(mid_x), rgb, "faces")]
-    lower_points, upper_points = _values_around_corners(lower), _values_around_corners(upper)
+        return [_make_rgb_mesh(_interpolate_to_parts(mid_x), rgb, "faces")]
+    lower_points, upper_points = _interpolate_to_parts(lower), _interpolate_to_parts(upper)
     gap_points = np.concatenate([lower_points, upper_points[:, :, ::-1]], axis=2)
     gap_rgb = np.concatenate([rgb, rgb[:, :, ::-1]], axis=2)
-    return [_coloured_mesh(gap_points, gap_rgb, "faces"), _coloured_mesh(_values_around_corners(mid_x), rgb, "lines")]
+    return [_make_rgb_mesh(gap_points, gap_rgb, "faces"), _make_rgb_mesh(_interpolate_to_parts(mid_x), rgb, "lines")]
 
 
-def _values_around_corners(values: Array) -> Array:
+def _interpolate_to_parts(values: Array) -> Array:
     """Divide facets into one part around each corner, and interpolate values to the p points that bound each part.
 
     Lines have p = 2 points in each part, the corner and the middle of the line. Other facets have p = 4: the corner,
@@ -272,7 +272,7 @@ def _values_around_corners(values: Array) -> Array:
     return np.stack(bounds, axis=2)
 
 
-def _coloured_mesh(x: Array, rgb: npt.NDArray[np.uint8], cell_kind: str) -> pyvista.PolyData:
+def _make_rgb_mesh(x: Array, rgb: npt.NDArray[np.uint8], cell_kind: str) -> pyvista.PolyData:
     """Make a coloured VTK mesh of n * k lines or faces, k on each of n facets of S.
 
     Args:

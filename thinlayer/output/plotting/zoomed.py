@@ -62,10 +62,10 @@ def zoomed(
     # the grid is finer towards the end and the faces, but excludes corners, where stresses are infinite
     d = CORNER_EXCLUSION + (width - CORNER_EXCLUSION) * (1 - np.cos(np.linspace(0, np.pi / 2, N_GRID_POINTS[0])))
     D, Y = np.meshgrid(d, MAX_HEIGHT_RATIO * np.sin(np.linspace(-np.pi / 2, np.pi / 2, N_GRID_POINTS[1])))
-    x, height = end_point - D.ravel()[:, None] * zoom.eps * straight_end.m, Y.ravel()
+    x, heights = end_point - D.ravel()[:, None] * zoom.eps * straight_end.m, Y.ravel()
     i, j = STRESS_INDICES[component]
-    meshed_stress = {} if full is None else {"meshed layer": full.stress(x, height)}
-    fields = meshed_stress | {"layer by itself": zoom.stress(x, height)}
+    meshed_stress = {} if full is None else {"meshed layer": full.stress(x, heights)}
+    fields = meshed_stress | {"layer by itself": zoom.stress(x, heights)}
     values = {name: np.einsum("i,nij,j->n", axes[i], sigma, axes[j]).reshape(D.shape) for name, sigma in fields.items()}
     return draw_on_root(zoom.state.model.comm, lambda: _draw_stress(values, D, Y, component, title, stress), save)
 

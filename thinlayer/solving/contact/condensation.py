@@ -15,7 +15,7 @@ from geometry.topology import BoolArray, Indices, IntArray
 from thinlayer.errors import SolveError
 from thinlayer.solving.linear_solvers import LOW_RANK_OPTIONS
 from thinlayer.solving.petsc import PREFIX, OptionDict, schur_complement, set_defaults, set_schur_unknowns
-from thinlayer.system.compilation import c_pointers, own_library
+from thinlayer.system.compilation import c_pointers, load_own_library
 from thinlayer.system.ranks import destroy
 
 CsrRows = tuple[Indices, Indices, Array]  # row starts, columns and entries of a sparse matrix
@@ -155,9 +155,9 @@ class SchurFactor:
         position[self._unknowns] = np.arange(len(self._unknowns))
         self._all_kept, self._local_kept = kept, position[kept]
         row_starts, columns, entries = _upper_triangle(A, is_fixed, d, nodes)
-        diagonal_entries = row_starts[self._local_kept]  # the first entry of a row is its diagonal
-        self._springs = entries[diagonal_entries] / max(len(kept), 1)
-        entries[diagonal_entries] += self._springs
+        diagonal_indices = row_starts[self._local_kept]  # the first entry of a row is its diagonal
+        self._springs = entries[diagonal_indices] / max(len(kept), 1)
+        entries[diagonal_indices] += self._springs
         csr = row_starts.astype(PETSc.IntType, copy=False), columns.astype(PETSc.IntType, copy=False), entries
         upper = PETSc.Mat().createAIJWithArrays((len(self._unknowns),) * 2, csr, comm=PETSc.COMM_SELF)
         upper.setOption(PETSc.Mat.Option.SPD, True)
@@ -184,9 +184,9 @@ class SchurFactor:
         self.complement += np.triu(complement, 1).T
         self.complement[np.diag_indices(len(kept))] -= self._springs
 
-    def _complement_forces(self, kept: Array) -> Array:
-        """Return the Schur complement, with the springs added, times the values `kept` (c,) of the kept unknowns."""
-        return np.asarray(self.complement @ kept + self._springs * kept)
+    def _complement_forces(self, kept_values: Array) -> Array:
+        """Return the Schur complement plus the springs, times the values `kept_values` (c,) of the kept unknowns."""
+        return np.asarray(self.complement @ kept_values + self._springs * kept_values)
 
     def condense(self, b: Array) -> Array:
         """Return forces (c,) on the kept unknowns that are equivalent to forces on all unknowns of this factor.
@@ -263,7 +263,7 @@ def _upper_triangle(A: CsrRows, is_fixed: BoolArray, d: int, nodes: IntArray) ->
     position = np.full((len(indptr) - 1) // d, -1, np.int32)
     position[nodes] = np.arange(n, dtype=np.int32)
     row_starts, columns, entries = np.empty(n * d + 1, np.int32), np.empty(n_entries, np.int32), np.empty(n_entries)
-    c = own_library(C_SOURCE)
+    c = load_own_library(C_SOURCE)
     indptr, indices, order = (a.astype(np.int32, copy=False) for a in (indptr, indices, nodes))
     arrays = c_pointers(c, indptr, indices, values, is_fixed, position, order, row_starts, columns, entries)
     if c.lib.upper_triangle(n, d, n_entries, *arrays) != n_entries:

@@ -35,7 +35,7 @@ MAX_COARSE_RATIO = 0.75  # largest number of pairs of a coarser system, relative
 STALLED_TOLERANCE = 1e-9  # residual, relative to the forces, that is accepted if Newton steps do not reduce it
 SUMMATION_FACTOR = 10.0  # rounding of the condensed stiffness over rounding of its largest entry, per sqrt(node)
 MIN_SWEEPS = 4  # number of sweeps before each of the first Newton steps
-DOUBLING_STEPS = 6  # number of Newton steps after which the sweeps double with every step, and steps may be shortened
+EARLY_STEPS = 6  # number of Newton steps after which the sweeps double with every step, and steps may be shortened
 MAX_SWEEPS = 32  # largest number of sweeps before a Newton step
 MAX_NEWTON_STEPS = 30
 LONG_STEP_RATIO = 1e5  # a long step over the initial displacements, as for a body without supports
@@ -70,7 +70,7 @@ class CondensedContact(ContactSolver):
     def _condensed_system(self) -> CondensedSystem:
         nodes = [part.nodes for part in self.parts]
         starts = np.cumsum([0, *(len(part_nodes.x) for part_nodes in nodes)])
-        lines = np.concatenate([part_nodes.adjacent + start for part_nodes, start in zip(nodes, starts, strict=False)])
+        lines = np.concatenate([part_nodes.links + start for part_nodes, start in zip(nodes, starts, strict=False)])
         x = np.concatenate([part_nodes.x for part_nodes in nodes])
         return CondensedSystem(self._condensation.stiffness, self.pairs, x, lines)
 
@@ -116,9 +116,9 @@ class CondensedContact(ContactSolver):
             forces: (n d,) contact forces at these nodes.
             u: (n d,) displacements of these nodes. They are not used.
         """
-        block, count, scale = self.equations.block_of[self.pairs.dofs], self.equations.n_blocks, self.equations.scale
-        pair_norms, r_norms = (np.sqrt(np.bincount(block, v * v, count)) for v in (forces, r))
-        scale.update_stresses(np.maximum(self._external_norms, pair_norms))
+        block, n_blocks, scale = self.equations.block_of[self.pairs.dofs], self.equations.n_blocks, self.equations.scale
+        force_norms, r_norms = (np.sqrt(np.bincount(block, v * v, n_blocks)) for v in (forces, r))
+        scale.update_stresses(np.maximum(self._external_norms, force_norms))
         return scale.relative_norm(r_norms)
 
     def close(self) -> None:
@@ -172,13 +172,13 @@ class CondensedSystem:
         """
         if len(self._lines) <= MAX_COARSEST_LINES:
             return None
-        chosen, weights, lines = every_second_point(self._x, self._lines)
+        chosen, P_pairs, lines = every_second_point(self._x, self._lines)
         if len(chosen) > MAX_COARSE_RATIO * len(self._x):
             return None
-        coarse_pairs = self.pairs.subset(chosen, weights.T @ self.pairs.weights)
+        coarse_pairs = self.pairs.subset(chosen, P_pairs.T @ self.pairs.weights)
         pair, side = np.nonzero(self.pairs.pair_nodes >= 0)
         node, first = np.unique(self.pairs.pair_nodes[pair, side], return_index=True)
-        rows = weights[pair[first]]  # if a node is in several pairs, these are ends of curves, which are all chosen
+        rows = P_pairs[pair[first]]  # if a node is in several pairs, these are ends of curves, which are all chosen
         columns = coarse_pairs.pair_nodes[rows.indices, side[first].repeat(np.diff(rows.indptr))]
         P = scipy.sparse.csr_matrix((rows.data, columns, rows.indptr), shape=(len(node), len(coarse_pairs.nodes)))
         P = scipy.sparse.kron(P, scipy.sparse.eye(self.pairs.d), format="csr")
@@ -245,14 +245,14 @@ class CondensedSystem:
         return np.asarray(out)
 
     def newton(
-        self, u: Array, g: Array, relative: Callable[[Array, Array, Array], float], tolerance: float = NEWTON_TOLERANCE
+        self, u: Array, g: Array, norm_of: Callable[[Array, Array, Array], float], tolerance: float = NEWTON_TOLERANCE
     ) -> tuple[Array, tuple[float, ...]]:
         """Solve the condensed contact problem by Newton's method, at n nodes in d dimensions.
 
         Args:
             u: (n d,) displacements from which the method starts.
             g: (n d,) condensed loads.
-            relative: function that returns the norm of a residual relative to the reference forces. Its arguments are
+            norm_of: function that returns the norm of a residual relative to the reference forces. Its arguments are
                 the residual, the contact forces and the displacements, each (n d,).
             tolerance: relative residual at which the method stops.
 
@@ -265,7 +265,7 @@ class CondensedSystem:
         residuals, pairs, long_steps, limit = list[float](), self.pairs, 0, LONG_STEP_RATIO * np.abs(u).max(initial=0.0)
         while True:
             forces = pairs.forces(pairs.jumps_with_gaps(u))
-            residuals.append(relative(self._stiffness @ u + forces - g, forces, u))
+            residuals.append(norm_of(self._stiffness @ u + forces - g, forces, u))
             if residuals[-1] <= tolerance or self._stalls(residuals, u, forces):
                 return u, tuple(residuals)
             if len(residuals) > MAX_NEWTON_STEPS or long_steps > MAX_LONG_STEPS or not math.isfinite(residuals[-1]):
@@ -273,10 +273,10 @@ class CondensedSystem:
                 advice = "is every body supported, or pressed against S? Else try smaller load steps"
                 raise SolveError(text, residuals=tuple(residuals), advice=advice)
             u = u.copy()
-            pairs.sweep(self._bsr_K, g, u, min(MIN_SWEEPS * 2 ** max(len(residuals) - DOUBLING_STEPS, 0), MAX_SWEEPS))
+            pairs.sweep(self._bsr_K, g, u, min(MIN_SWEEPS * 2 ** max(len(residuals) - EARLY_STEPS, 0), MAX_SWEEPS))
             step = self._linear_solve(pairs.stiffness(pairs.tangents(pairs.jumps_with_gaps(u))), -self._residual(u, g))
             long_steps = long_steps + 1 if 0 < limit < np.abs(step).max() else 0
-            u = u + (self._step_length(u, step, g) if len(residuals) > DOUBLING_STEPS else 1.0) * step
+            u = u + (self._step_length(u, step, g) if len(residuals) > EARLY_STEPS else 1.0) * step
 
     def _stalls(self, residuals: list[float], u: Array, forces: Array) -> bool:
         """Whether the last Newton step hardly reduced the residual, which is already as small as rounding errors allow.
@@ -340,17 +340,17 @@ def every_second_point(x: Array, lines: IntArray) -> tuple[IntArray, scipy.spars
         Numbers (k,) of the chosen points, ascending; a matrix (n, k) that interpolates values from the chosen points to
             all points; and pairs (.., 2) of chosen points that are now neighbours, numbered from 0 to k - 1.
     """
-    chosen = np.bincount(lines.ravel(), minlength=len(x)) != 2
-    chosen[curve_order(x, lines, float(np.ptp(x)))[::2]] = True
+    is_chosen = np.bincount(lines.ravel(), minlength=len(x)) != 2
+    is_chosen[curve_order(x, lines, float(np.ptp(x)))[::2]] = True
     point, neighbour = np.concatenate([lines, lines[:, ::-1]]).T
     # a ring with an odd number of places may begin and end with places that are not chosen
-    chosen |= np.bincount(point, chosen[neighbour], len(x)) < 2
-    chosen_points, number = np.flatnonzero(chosen), np.cumsum(chosen) - 1
-    is_used = chosen[neighbour] & ~chosen[point]
+    is_chosen |= np.bincount(point, is_chosen[neighbour], len(x)) < 2
+    chosen_points, number = np.flatnonzero(is_chosen), np.cumsum(is_chosen) - 1
+    is_used = is_chosen[neighbour] & ~is_chosen[point]
     point, neighbour = point[is_used], neighbour[is_used]
     weights = 1.0 / np.linalg.norm(x[point] - x[neighbour], axis=1)
     entries = np.append(weights / np.bincount(point, weights)[point], np.ones(len(chosen_points)))
     rows_columns = np.append(point, chosen_points), number[np.append(neighbour, chosen_points)]
     interpolation = scipy.sparse.csr_matrix((entries, rows_columns), shape=(len(x), len(chosen_points)))
     coarse_lines = interpolation[np.diff(interpolation.indptr) == 2].indices.reshape(-1, 2)
-    return chosen_points, interpolation, np.concatenate([coarse_lines, number[lines[chosen[lines].all(axis=1)]]])
+    return chosen_points, interpolation, np.concatenate([coarse_lines, number[lines[is_chosen[lines].all(axis=1)]]])

@@ -87,7 +87,8 @@ class ContactSolver(EquilibriumSolver):
         These initial values already have the prescribed displacements at constrained dofs.
 
         Args:
-            has_guess: whether the initial values contain a guess of the jumps. If not, all jumps are zero.
+            has_guess: whether some jump of the initial values is not zero, on any rank. A solver may then start from
+                these jumps.
 
         Returns:
             Number of iterations, and norm of the residual relative to the reference forces. Iterations are Newton steps

@@ -125,8 +125,8 @@ class ContactTangent:
             jumps: (n, d) jumps of the n pairs in d dimensions. None: pairs that neither open nor slide.
         """
         new_springs, comm = self._spring_stiffness(jumps), self.nodes.comm
-        changed = (np.abs(new_springs - self._springs) > self._springs / 2).any(axis=(1, 2))
-        many_change = comm.allreduce(int(changed.sum())) > MAX_CHANGED_FRACTION * comm.allreduce(len(new_springs))
+        is_changed = (np.abs(new_springs - self._springs) > self._springs / 2).any(axis=(1, 2))
+        many_change = comm.allreduce(int(is_changed.sum())) > MAX_CHANGED_FRACTION * comm.allreduce(len(new_springs))
         if not many_change or self._multigrid.getType() != "gamg":
             return
         change = springs = self.nodes.stiffness(new_springs - self._springs)
@@ -140,7 +140,7 @@ class ContactTangent:
         springs.destroy()
         self._springs = new_springs
 
-    def linearise(self, tangents: Array) -> None:
+    def set_tangents(self, tangents: Array) -> None:
         """Set the tangents of the contact laws for all later products and solves.
 
         The stiffness of this rank's nodes of S is factorised with them.
@@ -186,11 +186,11 @@ class ContactTangent:
         u_pairs = u.array_r[pairs.dofs].copy()
         g = self._local_K @ u_pairs + pairs.forces(w) - residual.array_r[pairs.dofs]
         gaps = w - (pairs.jump_matrix @ u_pairs).reshape(w.shape)
-        reverses, mobile = corrections.any(axis=1) & (pairs.pair_nodes[:, 0] >= 0), np.ones(len(pairs.nodes) + 1, bool)
-        mobile[pairs.pair_nodes[reverses]] = False
-        upper_u = u_pairs.reshape(-1, pairs.d)[pairs.pair_nodes[reverses, 0]]
-        upper_u += np.einsum("nji,nj->ni", pairs.frames[reverses], corrections[reverses])
-        u_pairs.reshape(-1, pairs.d)[pairs.pair_nodes[reverses, 0]] = upper_u
+        is_stuck, mobile = corrections.any(axis=1) & (pairs.pair_nodes[:, 0] >= 0), np.ones(len(pairs.nodes) + 1, bool)
+        mobile[pairs.pair_nodes[is_stuck]] = False
+        upper_u = u_pairs.reshape(-1, pairs.d)[pairs.pair_nodes[is_stuck, 0]]
+        upper_u += np.einsum("nji,nj->ni", pairs.frames[is_stuck], corrections[is_stuck])
+        u_pairs.reshape(-1, pairs.d)[pairs.pair_nodes[is_stuck, 0]] = upper_u
         pairs.sweep(self._local_blocks, g, u_pairs, SWEEPS_PER_STEP, gaps, mobile[:-1])
         u.array[pairs.dofs] = np.where(pairs.free.ravel(), u_pairs, u.array_r[pairs.dofs])
 

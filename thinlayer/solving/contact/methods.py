@@ -26,9 +26,9 @@ def default_method(model: Model) -> str:
     bodies, the unknowns are counted for each body alone. In all other cases "multigrid" is chosen.
     """
     joint = model.joint
-    n_nodes = len(np.unique(joint.surface)) * (1 if joint.rigid_base else 2)
-    node_dofs = joint.dim * model.structure.degree ** (joint.dim - 1)
-    is_small = (_max_vertices(model) if _is_network(model) else n_nodes) * node_dofs <= MAX_CONDENSED_DOFS[joint.dim]
+    n_all = len(np.unique(joint.surface)) * (1 if joint.rigid_base else 2)
+    dofs_per_node = joint.dim * model.structure.degree ** (joint.dim - 1)
+    is_small = (_max_vertices(model) if _is_network(model) else n_all) * dofs_per_node <= MAX_CONDENSED_DOFS[joint.dim]
     suited_methods = (method for method in ("condensed", "multigrid") if not why_unsuited(model, method))
     candidates = (method for method in suited_methods if not model.layer_terms and (is_small or method != "condensed"))
     return next(candidates, "newton")

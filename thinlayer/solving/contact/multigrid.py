@@ -95,7 +95,7 @@ class MultigridContact(ContactSolver):
         """
         residuals: list[float] = []
         nodes, old = self.nodes, self.equations.interval.old.u.x.petsc_vec
-        start = nodes.separation(self.x) if has_guess else None
+        start_jumps = nodes.separation(self.x) if has_guess else None
         gap_vector = self.equations.create_vector()
         gap_vector.array[nodes.dofs] = nodes.frames[:, -1] * nodes.gap[:, None]
         self._max_force = float(self.b.norm())
@@ -105,13 +105,13 @@ class MultigridContact(ContactSolver):
         gap_vector.destroy()
         with set_defaults({**HIERARCHY_OPTIONS, **NEWTON_OPTIONS}):
             if self._tangent is None:
-                self._tangent = ContactTangent(self.A, nodes, self.pairs, self.equations, start)
+                self._tangent = ContactTangent(self.A, nodes, self.pairs, self.equations, start_jumps)
             else:  # later solves do not read the hierarchy's options, and must not refuse them
                 for name in db_options():
                     if name.startswith(("pc_", "mg_")):
                         PETSc.Options().hasName(PREFIX + name)
-            attempts = [(start, STRICT_REDUCTIONS), (None, LOOSE_REDUCTIONS)]
-            for guess, reductions in attempts[::-1] if start is None else attempts:
+            attempts = [(start_jumps, STRICT_REDUCTIONS), (None, LOOSE_REDUCTIONS)]
+            for guess, reductions in attempts[::-1] if start_jumps is None else attempts:
                 newton_run = _NewtonRun(self, self._tangent, reductions)
                 if guess is None:
                     self.x.set(0.0)
@@ -137,10 +137,10 @@ class MultigridContact(ContactSolver):
         equations = self.equations
         equations.residual(u, out)
         out.array[equations.bc_dofs] = 0.0
-        norms, forces = equations.norms(out.array_r), equations.max_norms(u) / SOLVER_RESIDUAL
+        norms, reference = equations.norms(out.array_r), equations.max_norms(u) / SOLVER_RESIDUAL
         if norms[0] > LARGE_RESIDUAL * self._max_force:  # large forces of a body that moved far away are only rounding
-            forces = np.minimum(forces, self._max_force)
-        return float((norms / np.maximum(forces, MIN_DIVISOR)).max())
+            reference = np.minimum(reference, self._max_force)
+        return float((norms / np.maximum(reference, MIN_DIVISOR)).max())
 
     def close(self) -> None:
         """Free vectors, matrices and the hierarchy."""
@@ -171,18 +171,18 @@ class _NewtonRun:
         self._state: StatusAndSlip | None = None  # sliding state at the last tangents
         self._chooses_rtol = not user_has_set("ksp_rtol", {})
 
-    def run(self, u: PETSc.Vec, start: Array | None) -> int:
+    def run(self, u: PETSc.Vec, start_jumps: Array | None) -> int:
         """Run Newton's method from displacements `u`, which become the solution.
 
         Args:
             u: initial displacements; overwritten.
-            start: (n, d) jumps of n pairs of nodes in d dimensions, at which the first step takes the contact tangents.
-                None: in the first step the pairs neither open nor slide.
+            start_jumps: (n, d) jumps of n pairs of nodes in d dimensions, at which the first step takes the contact
+                tangents. None: in the first step the pairs neither open nor slide.
 
         Returns:
             PETSc's number of the reason why the method stopped; positive after convergence.
         """
-        solver, self._start_jumps = self.solver, start
+        solver, self._start_jumps = self.solver, start_jumps
         u.array[self.bc_dofs] = solver.equations.prescribed
         f = self._f = u.duplicate()
         J = PETSc.Mat().createPython(solver.A.getSizes(), self.tangent, comm=solver.comm)
@@ -193,7 +193,7 @@ class _NewtonRun:
             snes.setFunction(self._residual, f)
             snes.setJacobian(self._linearise, J)
             snes.setConvergenceTest(self._converged)
-            snes.setUpdate(self._choose_sweeps)
+            snes.setUpdate(self._decide_sweeps)
             snes.setNGS(self._sweep)
             snes.setNPCSide(PETSc.PC.Side.RIGHT)
             sweep_snes = snes.getNPC()
@@ -223,7 +223,7 @@ class _NewtonRun:
             return Reason.DIVERGED_FNORM_NAN
         return Reason.CONVERGED_FNORM_ABS if self._relative_norm <= NEWTON_TOLERANCE else False
 
-    def _choose_sweeps(self, snes: PETSc.SNES, step: int) -> None:
+    def _decide_sweeps(self, snes: PETSc.SNES, step: int) -> None:
         """Decide whether Gauss-Seidel sweeps precede Newton step number `step`; SNES calls this before each step.
 
         They do if the last step changed the contact status of a node, or reduced the residual too little.
@@ -233,12 +233,12 @@ class _NewtonRun:
             jumps = self.nodes.separation(snes.getSolution())
             self._sticking = sticking_corrections(self.pairs, jumps, self._state)
             changed = self._state is None or (self.pairs.status(jumps) != self._state[0]).any() or self._sticking.any()
-            on_any_rank = self.solver.comm.allreduce(int(changed)) > 0
-            self._sweeps_now = on_any_rank or self._relative_norm > MAX_UNSWEPT_RATIO * self._target
+            any_changed = self.solver.comm.allreduce(int(changed)) > 0
+            self._sweeps_now = any_changed or self._relative_norm > MAX_UNSWEPT_RATIO * self._target
             self._linear_ratio = snes.getKSP().getResidualNorm() / snes.getFunctionNorm()
 
     def _sweep(self, _: PETSc.SNES, u: PETSc.Vec, __: PETSc.Vec | None) -> None:
-        """Improve displacements `u` by Gauss-Seidel sweeps over the nodes of S, if `_choose_sweeps` has decided so.
+        """Improve displacements `u` by Gauss-Seidel sweeps over the nodes of S, if `_decide_sweeps` has decided so.
 
         SNES calls this before each Newton step. Each rank sweeps its own nodes.
         """
@@ -257,28 +257,28 @@ class _NewtonRun:
         rtol = self.reductions[0] if is_first else min(0.5, self._target / self._relative_norm)
         self._old_relative_norm = self._relative_norm
         self.tangent.update_springs(self._start_jumps if is_first else self.nodes.separation(u))
-        self.tangent.linearise(tangents)
+        self.tangent.set_tangents(tangents)
         if self._chooses_rtol:
             snes.getKSP().setTolerances(rtol=rtol)
 
     def _first_tangents(self, u: PETSc.Vec, f: PETSc.Vec) -> Array:
         """Return the contact tangents (n, d, d) of n pairs of nodes in d dimensions for the first Newton step.
 
-        They are taken at the jumps `start` of `run`. If `start` is None, they are those of pairs that neither open nor
-        slide.
+        They are taken at the jumps `start_jumps` of `run`. If these are None, they are those of pairs that neither open
+        nor slide.
 
         Args:
             u: displacements before the step.
             f: residual at `u`. It is changed to the residual with contact laws linearised at these jumps.
         """
-        pairs, jumps, start = self.pairs, self.nodes.separation(u), self._start_jumps
-        if start is None:
+        pairs, jumps, start_jumps = self.pairs, self.nodes.separation(u), self._start_jumps
+        if start_jumps is None:
             tangents = pairs.bonded_tangents()
             tractions = np.einsum("nij,nj->ni", tangents, pairs.elastic_jumps(jumps))
         else:
-            tangents = pairs.tangents(start)
-            tractions = pairs.tractions(start) + np.einsum("nij,nj->ni", tangents, jumps - start)
-            self._state = status_and_slip(pairs, start)
+            tangents = pairs.tangents(start_jumps)
+            tractions = pairs.tractions(start_jumps) + np.einsum("nij,nj->ni", tangents, jumps - start_jumps)
+            self._state = status_and_slip(pairs, start_jumps)
         self.nodes.add_forces(tractions - pairs.tractions(jumps), f)
         f.array[self.bc_dofs] = 0.0
         return tangents
@@ -296,8 +296,8 @@ class _NewtonRun:
             self._target = max(self.reductions[1] * min(relative, self._target), MIN_REDUCTION * min(relative, 1.0))
         else:
             # the residual that the law's non-linearity leaves is quadratic in the size of the step
-            nonlinear = relative * math.sqrt(abs(1 - self._linear_ratio**2)) * (relative / self._old_relative_norm) ** 2
-            self._target = min(self.reductions[1] * relative, nonlinear)
+            predicted = relative * math.sqrt(abs(1 - self._linear_ratio**2)) * (relative / self._old_relative_norm) ** 2
+            self._target = min(self.reductions[1] * relative, predicted)
         self._target = max(self._target, LAST_TARGET_RATIO * NEWTON_TOLERANCE)
         jumps = self.nodes.separation(u)
         self._state = status_and_slip(self.pairs, jumps)
@@ -318,9 +318,10 @@ def status_and_slip(pairs: ContactPairs, w: Array) -> StatusAndSlip:
 
 
 def sticking_corrections(pairs: ContactPairs, w: Array, last: StatusAndSlip | None) -> Array:
-    """Return changes (n, d) of the jumps that make pairs stick if their slip direction has reversed.
+    """Return changes (n, d) to add to the jumps `w`, so that pairs whose slip direction has reversed stick.
 
-    The direction is compared with that at the last contact tangents. Changes of all other pairs are zero.
+    The direction is compared with that at the last contact tangents. Between its jump there and its present one, such a
+    pair moves to where the tangential jump minus the slip is least. Changes of all other pairs are zero.
 
     A sliding node has no contact stiffness along its slip. If it should stick, Newton's method can move it back and
     forth without end, and sweeps do not stop that.
@@ -333,9 +334,9 @@ def sticking_corrections(pairs: ContactPairs, w: Array, last: StatusAndSlip | No
     out = np.zeros_like(w)
     if last is None:
         return out
-    (status, old_slip), (new_status, slip) = last, status_and_slip(pairs, w)
-    is_reversed = (status == Status.SLIDING) & (new_status == Status.SLIDING) & ((old_slip * slip).sum(axis=1) < 0)
-    change = old_slip[is_reversed] - slip[is_reversed]
-    fraction = -(slip[is_reversed] * change).sum(axis=1) / (change**2).sum(axis=1)
+    (status, old_jumps), (new_status, jumps) = last, status_and_slip(pairs, w)
+    is_reversed = (status == Status.SLIDING) & (new_status == Status.SLIDING) & ((old_jumps * jumps).sum(axis=1) < 0)
+    change = old_jumps[is_reversed] - jumps[is_reversed]
+    fraction = -(jumps[is_reversed] * change).sum(axis=1) / (change**2).sum(axis=1)
     out[is_reversed, :-1] = fraction[:, None] * change
     return out

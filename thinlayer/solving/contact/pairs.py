@@ -15,7 +15,7 @@ from forms.base import Array
 from forms.contact import ContactHomotopy, ContactLaw
 from geometry.topology import BoolArray, IntArray
 from thinlayer.parts.contact_part import ContactPart
-from thinlayer.system.compilation import c_pointers, own_library
+from thinlayer.system.compilation import c_pointers, load_own_library
 
 C_SOURCE = Path(__file__).with_name("sweeps.c")
 NodalLaw = ContactLaw | ContactHomotopy
@@ -49,7 +49,7 @@ class ContactPairs:
         self, parts: Sequence[ContactPart], is_fixed: BoolArray, offset: int = 0, shared: Sequence[int] | IntArray = ()
     ) -> None:
         self._parts, self.d = parts, parts[0].nodes.dim
-        pairs = np.concatenate([part.nodes.pairs for part in parts]) - offset
+        pairs = np.concatenate([part.nodes.global_pairs for part in parts]) - offset
         pairs[(pairs < 0) | (pairs >= len(is_fixed) // self.d) | np.isin(pairs, shared)] = -1
         self.frames = np.concatenate([part.nodes.frames for part in parts])
         self.weights = np.concatenate([part.nodes.weights for part in parts])
@@ -57,7 +57,7 @@ class ContactPairs:
         self.gaps[:, -1] = np.concatenate([part.nodes.gap for part in parts])
         pair_counts = [len(part.nodes.weights) for part in parts]
         self._part_of_pair = np.repeat(np.arange(len(parts)), pair_counts)
-        self._part_row = np.concatenate([np.arange(n) for n in pair_counts])
+        self._row_in_part = np.concatenate([np.arange(n) for n in pair_counts])
         self._number_nodes(pairs, ~is_fixed.reshape(-1, self.d))
 
     def subset(self, chosen: IntArray, weights: Array) -> ContactPairs:
@@ -69,7 +69,7 @@ class ContactPairs:
         """
         pairs = copy(self)
         pairs.frames, pairs.gaps, pairs.weights = self.frames[chosen], self.gaps[chosen], weights
-        pairs._part_of_pair, pairs._part_row = self._part_of_pair[chosen], self._part_row[chosen]
+        pairs._part_of_pair, pairs._row_in_part = self._part_of_pair[chosen], self._row_in_part[chosen]
         pairs._number_nodes(self.pair_nodes[chosen], self.free)
         return pairs
 
@@ -97,11 +97,11 @@ class ContactPairs:
         pair_arrays = pair[order], self.pair_nodes[pair, 1 - side][order], sign[order]
         self._pairs_by_node = [array.astype(np.int32) for array in (row_starts, *pair_arrays)]
 
-    def _gather_values(self, values: LawFunction[Scalar], w: Array) -> npt.NDArray[Scalar]:
+    def _gather_values(self, func: LawFunction[Scalar], w: Array) -> npt.NDArray[Scalar]:
         """Evaluate a function of a contact law, jumps and slip for all pairs, each with its own law and slip.
 
         Args:
-            values: function of a law, and of the jumps (k, d) and the slip (k, d - 1) of its k pairs. It returns an
+            func: function of a law, and of the jumps (k, d) and the slip (k, d - 1) of its k pairs. It returns an
                 array (k, ...).
             w: (pairs, d) jumps of all pairs in the axes `frames`, in d dimensions.
 
@@ -109,7 +109,7 @@ class ContactPairs:
             Array (pairs, ...) of the function's values.
         """
         parts = [(part, self._part_of_pair == k) for k, part in enumerate(self._parts)]
-        return np.concatenate([values(part.law_now, w[mask], part.slip[self._part_row[mask]]) for part, mask in parts])
+        return np.concatenate([func(part.law_now, w[mask], part.slip[self._row_in_part[mask]]) for part, mask in parts])
 
     def jumps_with_gaps(self, u: Array) -> Array:
         """Return the jumps plus initial gaps (pairs, d), in the axes `frames`.
@@ -225,7 +225,7 @@ class ContactPairs:
         gaps = self.gaps if gaps is None else gaps
         law_parameters = self._gather_values(lambda law, w, _: np.tile(sweep_parameters(law), (len(w), 1)), gaps)
         pair_data = *self._pairs_by_node, self.frames, self.weights, law_parameters, self.elastic_jumps(gaps)
-        free, c = self.free if mobile is None else self.free & mobile[:, None], own_library(C_SOURCE)
+        free, c = self.free if mobile is None else self.free & mobile[:, None], load_own_library(C_SOURCE)
         arrays = c_pointers(c, K.indptr, K.indices, K.data, g, u, *pair_data, free)
         return int(c.lib.sweep_pairs(len(self.nodes), self.d, *arrays, sweeps))
 

@@ -20,7 +20,7 @@ from thinlayer.solving.contact.pairs import C_SOURCE, sweep_parameters
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.part_sum import ACCEPTED_RESIDUAL, MACHINE_EPSILON
 from thinlayer.solving.petsc import PREFIX
-from thinlayer.system.compilation import c_pointers, own_library
+from thinlayer.system.compilation import c_pointers, load_own_library
 
 SWEEPS_PER_TEST = 256  # number of sweeps between two tests of the increments
 MIN_STAGNANT_SWEEPS = 2048  # number of sweeps from which on stagnation is tested
@@ -42,8 +42,8 @@ class SeamSystem(NamedTuple):
     Attributes:
         A: (N, N) stiffness. Rows of constrained unknowns have a diagonal entry only.
         b: (N,) nodal forces of the loads.
-        contact: (n, d) numbers of the unknowns of each contact node: its tangential jumps, then its normal jump, which
-            is positive if S opens.
+        jump_dofs: (n, d) numbers of the unknowns of each contact node: its tangential jumps, then its normal jump,
+            which is positive if S opens.
         weights: (n,) area of S (length in two dimensions) around each node.
         law: the contact law.
         slip: (n, d - 1) slip at the beginning of the time step.
@@ -51,7 +51,7 @@ class SeamSystem(NamedTuple):
 
     A: scipy.sparse.csr_matrix
     b: Array
-    contact: Indices
+    jump_dofs: Indices
     weights: Array
     law: ContactLaw
     slip: Array
@@ -112,20 +112,20 @@ def relax(
         The last iterate, even without convergence. Sweeps end without convergence at `max_sweeps`, or if the changes
             stagnate, grow or are not finite.
     """
-    c, A, n, d = own_library(C_SOURCE), system.A, len(system.b), system.contact.shape[1]
-    u_now, codes = np.zeros(n) if u is None else u.copy(), _update_codes(system.contact, order, n)
+    c, A, n, d = load_own_library(C_SOURCE), system.A, len(system.b), system.jump_dofs.shape[1]
+    u_now, codes = np.zeros(n) if u is None else u.copy(), _update_codes(system.jump_dofs, order, n)
     system_pointers = c_pointers(c, A.indptr.astype(np.int32), A.indices.astype(np.int32), A.data, system.b, u_now)
-    law_numbers, factors = np.array(sweep_parameters(system.law)), np.array([omega, omega_contact])
-    node_pointers = c_pointers(c, system.contact.astype(np.int32), system.weights, law_numbers, system.slip, factors)
+    law_numbers, omegas = np.array(sweep_parameters(system.law)), np.array([omega, omega_contact])
+    node_pointers = c_pointers(c, system.jump_dofs.astype(np.int32), system.weights, law_numbers, system.slip, omegas)
     arguments = len(codes), *c_pointers(c, codes), n, *system_pointers, d, *node_pointers
     (changes, increments), converged = np.empty((2, 0)), False
     while not converged and len(increments) < max_sweeps:
         max_chunk = min(SWEEPS_PER_TEST, max_sweeps - len(increments))
-        change, u_norms = np.empty(max_chunk), np.empty(max_chunk)
-        n_sweeps = c.lib.relax_sweeps(*arguments, max_chunk, tolerance, *c_pointers(c, change, u_norms))
+        new_changes, u_norms = np.empty(max_chunk), np.empty(max_chunk)
+        n_sweeps = c.lib.relax_sweeps(*arguments, max_chunk, tolerance, *c_pointers(c, new_changes, u_norms))
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            relative = np.where(change > 0, change / u_norms, change)
-        changes, increments = np.append(changes, change[:n_sweeps]), np.append(increments, relative[:n_sweeps])
+            relative = np.where(new_changes > 0, new_changes / u_norms, new_changes)
+        changes, increments = np.append(changes, new_changes[:n_sweeps]), np.append(increments, relative[:n_sweeps])
         converged = bool(increments[-1] <= tolerance)
         is_diverging = not changes[-1] <= DIVERGENCE_GROWTH * changes[:10].max()
         half = len(increments) // 2
@@ -135,23 +135,23 @@ def relax(
     return RelaxationResult(u_now, converged, increments)
 
 
-def _update_codes(contact: Indices, order: Indices | None, count: int) -> Indices:
+def _update_codes(jump_dofs: Indices, order: Indices | None, n_unknowns: int) -> Indices:
     """Return the updates of one sweep in their order, as the integer codes that sweeps.c reads.
 
     A code >= 0 is the number of an unknown away from S. The code -1 - 2 k stands for the normal jump of contact node k.
     The code -2 - 2 k stands for its tangential jumps.
 
     Args:
-        contact: (n, d) numbers of the unknowns of each contact node: its tangential jumps, then its normal jump.
+        jump_dofs: (n, d) numbers of the unknowns of each contact node: its tangential jumps, then its normal jump.
         order: (N,) numbers of the unknowns in the order of a sweep; None: ascending.
-        count: number N of unknowns.
+        n_unknowns: number N of unknowns.
     """
-    position = np.arange(count) if order is None else np.argsort(order)
-    normal, tangential = position[contact[:, -1]].astype(float), position[contact[:, :-1]].min(axis=1).astype(float)
+    position = np.arange(n_unknowns) if order is None else np.argsort(order)
+    normal, tangential = position[jump_dofs[:, -1]].astype(float), position[jump_dofs[:, :-1]].min(axis=1).astype(float)
     if order is None:
         normal, tangential = (np.minimum(normal, tangential) + shift for shift in (0.0, 0.5))
-    others = np.setdiff1d(np.arange(count), contact)
-    nodes = np.arange(len(contact))
+    others = np.setdiff1d(np.arange(n_unknowns), jump_dofs)
+    nodes = np.arange(len(jump_dofs))
     codes: Indices = np.concatenate([others, -1 - 2 * nodes, -2 - 2 * nodes]).astype(np.int32)
     return codes[np.argsort(np.concatenate([position[others], normal, tangential]), kind="stable")]
 
@@ -203,11 +203,11 @@ class ContactRelaxation(ContactSolver):
         columns = [other_dofs, np.tile(upper_dofs, nodes.dim).ravel()]
         values = [np.ones(len(other_dofs)), nodes.frames.transpose(0, 2, 1).ravel()]
         if nodes.lower_matrix is not None:
-            lower_dofs = nodes.pairs[:, 1:] * nodes.dim + np.arange(nodes.dim)
+            lower_dofs = nodes.global_pairs[:, 1:] * nodes.dim + np.arange(nodes.dim)
             rows, columns = [*rows, upper_dofs.ravel()], [*columns, lower_dofs.ravel()]
             values.append(np.ones(upper_dofs.size))
-        places = np.concatenate(rows), np.concatenate(columns)
-        return scipy.sparse.csr_matrix((np.concatenate(values), places), shape=(n, n))
+        indices = np.concatenate(rows), np.concatenate(columns)
+        return scipy.sparse.csr_matrix((np.concatenate(values), indices), shape=(n, n))
 
     def solve(self, has_guess: bool) -> tuple[int, float]:
         """Solve for the displacements in the attribute `x`, in place, by sweeps.
@@ -227,7 +227,7 @@ class ContactRelaxation(ContactSolver):
                 sweeps.
         """
         equations, nodes, x = self.equations, self.part.nodes, self.x
-        fixed, moving, tolerance = self._fixed, ~self._fixed_jumps.all(axis=1), _option("tolerance")
+        fixed, is_moving, tolerance = self._fixed, ~self._fixed_jumps.all(axis=1), _option("tolerance")
         x.set(0.0)
         x.array[equations.bc_dofs] = equations.prescribed
         prescribed = x.array_r.copy()
@@ -235,17 +235,17 @@ class ContactRelaxation(ContactSolver):
         closing_u = np.zeros(len(prescribed))  # displacements of the upper side that close the gaps
         closing_u[nodes.dofs] = nodes.frames[:, -1] * nodes.gap[:, None]
         diagonal = np.where(fixed, equations.mean_stiffness, 0.0)
-        diagonal[nodes.dofs[moving][self._fixed_jumps[moving]]] *= FIXED_DIAGONAL_RATIO
+        diagonal[nodes.dofs[is_moving][self._fixed_jumps[is_moving]]] *= FIXED_DIAGONAL_RATIO
         b = self._T.T @ (equations.external.array_r + self._K @ closing_u) - self._A @ prescribed
         free = scipy.sparse.diags((~fixed).astype(float))
         A, b = (free @ self._A @ free + scipy.sparse.diags(diagonal)).tocsr(), np.where(fixed, diagonal * prescribed, b)
-        contact_data = nodes.dofs[moving], nodes.weights[moving], self.part.law, self.part.slip[moving]
+        contact_data = nodes.dofs[is_moving], nodes.weights[is_moving], self.part.law, self.part.slip[is_moving]
         system, order, max_sweeps = SeamSystem(A, b, *contact_data), self._unknown_order(), int(_option("max_sweeps"))
         run_relax = partial(relax, system, order=order, omega=_option("omega"), omega_contact=_option("omega_contact"))
-        sweeps, u = 0, None  # sweeps until increments met the tolerance
+        n_sweeps, u = 0, None  # sweeps until increments met the tolerance
         while True:  # increments may be small before forces balance
             relaxation = run_relax(u=u, tolerance=tolerance, max_sweeps=max_sweeps)
-            u, sweeps = relaxation.u, sweeps or len(relaxation.increments)
+            u, n_sweeps = relaxation.u, n_sweeps or len(relaxation.increments)
             x.array[:] = self._T @ u - closing_u
             x.array[equations.bc_dofs] = equations.prescribed
             residual = self.relative_residual()
@@ -254,10 +254,10 @@ class ContactRelaxation(ContactSolver):
             tolerance /= TOLERANCE_DIVISOR
         if not (relaxation.converged and residual <= ACCEPTED_RESIDUAL):
             last, increments = relaxation.increments[-1], tuple(map(float, relaxation.increments))
-            text = f"after {sweeps} sweeps the increment is {last:.1e} and the residual {residual:.1e} of the forces"
+            text = f"after {n_sweeps} sweeps the increment is {last:.1e} and the residual {residual:.1e} of the forces"
             advice = f"try -{PREFIX}relaxation_omega and _omega_contact nearer to 1, another method, or smaller loads"
             raise SolveError(f"the relaxation does not converge: {text}", residuals=increments, advice=advice)
-        return sweeps, residual
+        return n_sweeps, residual
 
 
 def _option(name: str) -> float:
