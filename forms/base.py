@@ -16,7 +16,9 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 PACKAGES = ("forms", "geometry", "thinlayer")
 # optional module -> the extra of pyproject.toml that installs it
-OPTIONAL_PACKAGES = {"matplotlib": "pictures", "pyvista": "pictures", "gmsh": "meshes", "meshio": "meshes"}
+OPTIONAL_PACKAGES = {
+    "dolfinx": "fenicsx", "matplotlib": "pictures", "pyvista": "pictures", "gmsh": "meshes", "meshio": "meshes",
+}  # fmt: skip
 
 
 class ThinlayerError(Exception):

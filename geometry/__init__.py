@@ -1,6 +1,15 @@
 """Joints (meshes with named regions and facet sets): builders, import, meshing of layers, distribution over ranks."""
 
-# ruff: noqa: F401
+# ruff: noqa: E402, F401
+from importlib.util import find_spec
+
+if find_spec("dolfinx_solver"):  # the wheel of DOLFINx: MPI must be loaded before what is linked to it
+    import dolfinx_solver
+
+from forms.base import import_optional
+
+import_optional("dolfinx")
+
 from geometry.builders import block, bond_cell, disc, faults, fibre, grains, ring, sandwich, wall
 from geometry.importing.reading import read
 from geometry.periodic import periodic

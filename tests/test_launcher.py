@@ -37,7 +37,7 @@ def test_help_and_bad_settings(tmp_path):
     assert "THINLAYER_CACHE" in done.stderr
     assert "THINLAYER_CACHE" in fenicsx("-h", cwd=tmp_path).stdout
     assert "unknown option --quick" in fenicsx("--quick", cwd=tmp_path).stderr
-    assert "allowed: auto, host, root" in fenicsx("true", cwd=tmp_path, THINLAYER_ENV="conda").stderr
+    assert "allowed: auto, host, root, wheels" in fenicsx("true", cwd=tmp_path, THINLAYER_ENV="conda").stderr
 
 
 def test_a_copy_and_a_colon_are_refused(tmp_path):

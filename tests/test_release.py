@@ -20,6 +20,7 @@ from thinlayer.running.cli import main
 
 PROJECT = tomllib.loads((CLONE / "pyproject.toml").read_text())["project"]
 EXTRA = PROJECT["optional-dependencies"]
+OF_CONDA_ALONE = ["fenics-dolfinx>=0.9,<0.12", "petsc4py>=3.22"]  # for pip they are in the extra fenicsx
 OF_CONDA = {"gmsh": "python-gmsh", "matplotlib": "matplotlib-base"}  # where it has another name than PyPI
 
 
@@ -32,7 +33,7 @@ def test_version_and_date_are_the_same_everywhere():
 
 @pytest.mark.parametrize("file", ["environment.yml", ".ci/recipe.yaml"])
 def test_dependencies_are_the_same_for_conda(file):
-    wanted = [*PROJECT["dependencies"], *(spec for name in ("pictures", "meshes", "movie") for spec in EXTRA[name])]
+    wanted = [*OF_CONDA_ALONE, *PROJECT["dependencies"], *EXTRA["pictures"], *EXTRA["meshes"], *EXTRA["movie"]]
     listed = re.findall(r"^ *- (.+)$", (CLONE / file).read_text(), re.MULTILINE)
     for name, bounds in (re.fullmatch(r"([\w-]+)(.*)", spec).groups() for spec in wanted):
         assert f"{OF_CONDA.get(name, name)} {bounds}".strip() in listed
@@ -42,13 +43,21 @@ def test_a_missing_extra_is_named_before_anything_is_computed(tmp_path, monkeypa
     assert all(any(spec.startswith(name) for spec in EXTRA[extra]) for name, extra in OPTIONAL_PACKAGES.items())
     for name in [module for module in sys.modules if module.startswith(("thinlayer.output.plotting", "studies."))]:
         monkeypatch.delitem(sys.modules, name)
-    for name in OPTIONAL_PACKAGES:
+    for name in OPTIONAL_PACKAGES.keys() - {"dolfinx"}:
         monkeypatch.setitem(sys.modules, name, None)
     assert main(["run", "fig6_stratified", "--out", str(tmp_path / "out")]) == 2
     assert "matplotlib is not installed: pip install 'thinlayer[pictures]'" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
     refused(InputError, r"gmsh is not .*thinlayer\[meshes\]", geometry.block, 2.0, 1.0, h=0.3)
     refused(InputError, r"meshio is not .*thinlayer\[meshes\]", geometry.read, CLONE / "studies/data/lap.msh")
+
+
+@pytest.mark.parametrize("statement", ["import geometry", "from thinlayer import solve"])
+def test_a_missing_dolfinx_is_named(statement):
+    """`list` and the laws need none."""
+    script = f"import sys; sys.modules['dolfinx'] = None; import forms, thinlayer; {statement}"
+    done = subprocess.run([sys.executable, "-c", script], cwd=CLONE, capture_output=True, text=True)
+    assert "dolfinx is not installed: pip install 'thinlayer[fenicsx]'" in done.stderr
 
 
 def test_a_file_with_the_name_of_a_package_is_refused_and_the_command_does_not_see_it(tmp_path):

@@ -15,11 +15,13 @@ if _is_run_with_m and realpath(sys.path[0]) != _PACKAGE_PARENT:
 
 import ast
 import logging
-from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
 from thinlayer.system.version import VERSION as __version__
+
+if find_spec("dolfinx_solver"):  # the wheel of DOLFINx: MPI must be loaded before what is linked to it
+    import dolfinx_solver
 
 _STUB_TEXT = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
 _STUB_IMPORTS = [line for line in ast.parse(_STUB_TEXT).body if isinstance(line, ast.ImportFrom)]
@@ -46,10 +48,10 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> object:
-    if name in _SUBMODULE_PATHS:
-        from forms.base import import_optional
+    from forms.base import import_optional
 
+    if name in _SUBMODULE_PATHS:
         return import_optional(f"thinlayer.{_SUBMODULE_PATHS[name]}")
     if name not in _MODULE_OF_NAME:
         raise AttributeError(f"module 'thinlayer' has no attribute {name!r}")
-    return getattr(import_module(_MODULE_OF_NAME[name]), name)
+    return getattr(import_optional(_MODULE_OF_NAME[name]), name)

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse
 from petsc4py import PETSc
+from scipy.linalg import block_diag
 from scipy.sparse.linalg import splu
 
 from forms.base import Array
@@ -183,7 +184,7 @@ class RigidMotions:
         is_layer = np.isin(block_ids, pieces[in_layer])
         is_within = (block_ids[:, None] == block_ids % n_pieces) | (is_layer & (block_ids < n_pieces)[:, None])
         np.fill_diagonal(is_within, True)
-        return 1 + np.searchsorted(block_ids, block_of), scipy.sparse.block_diag([1.0, is_within], format="csr")
+        return 1 + np.searchsorted(block_ids, block_of), scipy.sparse.csr_matrix(block_diag(1.0, is_within))
 
     def _motions_gram(self, rows: IntArray) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
         """Return c rigid motions as sparse columns (n, c), and a matrix (c, c) that tells which ones supports allow.

@@ -68,7 +68,8 @@ class Condensation:
             self._factors.append(SchurFactor(A, is_fixed, d, order[group_of[order] == k], kept[self._positions[-1]]))
         self.stiffness = self._factors[0].complement
         if len(self._positions) > 1:
-            complements = scipy.sparse.block_diag([factor.complement for factor in self._factors], format="csr")
+            factors = [scipy.sparse.csr_matrix(factor.complement) for factor in self._factors]
+            complements = scipy.sparse.block_diag(factors, format="csr")
             complements.eliminate_zeros()  # zeros between pieces
             inverse_order = np.argsort(np.concatenate(self._positions))
             self.stiffness = complements[inverse_order][:, inverse_order]
