@@ -9,12 +9,17 @@ from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 
 VERSION = "1.0.0"  # version of these packages; pyproject.toml reads it
+WHEEL = "dolfinx-solver-real"  # the package that pip installs DOLFINx and petsc4py with
 
 
 def version_of(package: str) -> str:
-    """Return the version of an installed package as a text, or "not installed"."""
-    with suppress(PackageNotFoundError):
-        return version(package)
+    """Return the version of an installed package as a text, or "not installed".
+
+    If DOLFINx was installed as a wheel, with petsc4py in it, the version is that of the wheel.
+    """
+    for name in (package, WHEEL) if package in ("fenics-dolfinx", "petsc4py") else (package,):
+        with suppress(PackageNotFoundError):
+            return version(name)
     return "not installed"
 
 
