@@ -71,7 +71,7 @@ class Kinematics:
         return 1
 
     def factors_at(self, x: Array) -> Array:
-        """Return the values (...) of `factor` at places with the coordinates `x` (..., d)."""
+        """Return the factor (...) of integrals at places `x` (..., d): 2 pi r in axisymmetry, otherwise 1."""
         return np.ones(x.shape[:-1])
 
     def corner_areas(self, corners: Array, shape_integrals: Array) -> Array:

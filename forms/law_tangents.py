@@ -153,9 +153,9 @@ def require_known_symbols(law: BulkLaw, known_symbols: Expr, expressions: Iterab
 
 
 Values = npt.NDArray[Any]  # floats; of a condition booleans
-ARITHMETIC: dict[type, Callable[..., Values]] = {Sum: np.add, Product: np.multiply, Division: np.divide}
-LOGIC = {AndCondition: np.logical_and, OrCondition: np.logical_or, NotCondition: np.logical_not}
-NUMPY_FUNCTIONS = ARITHMETIC | LOGIC | {Conditional: np.where}
+NUMPY_ARITHMETIC: dict[type, Callable[..., Values]] = {Sum: np.add, Product: np.multiply, Division: np.divide}
+NUMPY_LOGIC = {AndCondition: np.logical_and, OrCondition: np.logical_or, NotCondition: np.logical_not}
+NUMPY_FUNCTIONS = NUMPY_ARITHMETIC | NUMPY_LOGIC | {Conditional: np.where}
 
 
 def evaluate(expression: Expr, values: Mapping[Expr, Values] | None = None) -> Values:

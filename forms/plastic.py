@@ -155,8 +155,8 @@ class MohrCoulomb(KernelLaw, Plastic):
 
     def check(self) -> None:
         super().check()
-        allowed = f"0 <= dilatancy_angle <= friction_angle = {self.friction_angle:g} degrees"
-        self.require(0 <= self.dilatancy_angle <= self.friction_angle, "dilatancy_angle", allowed)
+        allowed_text = f"0 <= dilatancy_angle <= friction_angle = {self.friction_angle:g} degrees"
+        self.require(0 <= self.dilatancy_angle <= self.friction_angle, "dilatancy_angle", allowed_text)
 
 
 @dataclass(frozen=True)

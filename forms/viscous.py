@@ -233,6 +233,7 @@ class Norton(ParallelDashpot):
 
     @property
     def powers(self) -> Mapping[str, float]:  # type: ignore[override]
+        """Name of a parameter -> exponent of the thickness eps with which it scales in a family of layers."""
         return {"lmbda": 1, "mu": 1, "eta": self.p - 1, "rest": -1}
 
     def check(self) -> None:

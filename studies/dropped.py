@@ -293,7 +293,7 @@ def soft_layer_fn(mu: float, nu: float) -> LayerOfThickness:
 
 
 def published_cases() -> list[DroppedCase]:
-    """Return the cases for which the authors of another program have published results."""
+    """Return each `DroppedCase` for which authors published results of another program that estimates such errors."""
     work, up, R, displacement = goals.Compliance(), (0.0, 1.0), Rubber.shear, goals.Displacement((0.3, 0.4), (0.6, 0.8))
     roller_case = partial(DroppedCase, make_structure=roller_blocks, qois=(work, goals.Displacement((0.3, 0.4), up)))
     end_case = partial(DroppedCase, make_structure=free_pair, qois=(work, displacement), inner_only=True)

@@ -140,10 +140,10 @@ class SolvedCase:
         Changes of traction and jump are relative, in L2 norms on S. The change of a goal is absolute: its value with
         meshed layers minus that with interface laws.
         """
-        model = self.estimate.better.model
-        assert isinstance(model, InterfaceModel)
-        old_goals = self.estimate.goals
-        changes = {goal.name: goal.value(self.full, model) - old_goals[goal.name].value for goal in self.case.qois}
+        interface_model = self.estimate.better.model
+        assert isinstance(interface_model, InterfaceModel)
+        old_goals, qois = self.estimate.goals, self.case.qois
+        changes = {goal.name: goal.value(self.full, interface_model) - old_goals[goal.name].value for goal in qois}
         return self._deltas(self.full) | changes
 
     @property

@@ -174,7 +174,7 @@ def dissipation_ratios(_: Solution, limit: Solution) -> dict[str, float]:
     return {"bodies": bodies / stored, "joint": (total - bodies) / stored}
 
 
-def check_both_yield(record: Record, tables: Tables) -> None:
+def check_bodies_and_layer_yield(record: Record, tables: Tables) -> None:
     """Check that bodies and layer each dissipate at least 1 % of the stored energy, if both are plastic.
 
     Args:
@@ -341,7 +341,7 @@ SWEEPS: dict[str, Sweep] = {
     "mohr_coulomb coulomb": yield_sweep(layer_fn(MORTAR_LAW), "tan(Omega) on S", orders=None, wrong_law=COULOMB,
         floors=FLOOR),
     "mohr_coulomb metal": yield_sweep(layer_fn(MORTAR_LAW), "bodies yield", problem=metal_blocks, times=SHEAR_TIMES[:4],
-        quick_steps=slice(None), extras_fn=dissipation_ratios, check=check_both_yield),
+        quick_steps=slice(None), extras_fn=dissipation_ratios, check=check_bodies_and_layer_yield),
     "friction": rub_sweep("at once", at_once, wrong_law=bands.HOLONOMIC),
     "friction history": rub_sweep("to and fro", to_and_fro, times=PATH_TIMES, wrong_law=bands.INCREMENTAL,
         check=bands.check_zones),

@@ -289,7 +289,7 @@ class NamedGroups(NamedTuple):
                 raise InputError(f"S=None is all that is between two bodies; give upper and lower; {regions_text}")
             return self._facets_between(upper, lower), Seam(lower, upper)
         facets, cells = self.facets[name], self.adjacent_cells(name)
-        near_regions = self.regions_at(cells)
+        near_regions = self.region_names_of_cells(cells)
         if (cells[:, 1] < 0).all() and not lower:
             if other_regions := " and ".join(region for region in near_regions if region not in (upper or all_regions)):
                 conflict = f"{other_regions}, and {'+'.join(upper)}, named in upper, does not touch it there"
@@ -312,7 +312,7 @@ class NamedGroups(NamedTuple):
         rows = table.index(facets)
         return table.cells[rows[rows >= 0]]
 
-    def regions_at(self, cells: IntArray) -> list[str]:
+    def region_names_of_cells(self, cells: IntArray) -> list[str]:
         """Return the names of all regions to which at least one of the given cells belongs.
 
         Args:

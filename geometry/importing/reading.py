@@ -152,10 +152,10 @@ def _require_single_names(path: Path) -> None:
     """Raise InputError if two groups in gmsh's file `path` have one physical name: meshio would drop one of them."""
     with path.open(encoding="utf-8", errors="replace", newline="\n") as file:
         head = "".join(takewhile(lambda line: not line.startswith(("$EndPhysicalNames", "$Nodes", "$Elements")), file))
-    matches = re.findall(r'^\s*(\d)\s+(\d+)\s+"(.*)"\s*$', head.partition("$PhysicalNames")[2], re.MULTILINE)
-    for name, count in Counter(name for *_, name in matches).items():
+    physical_names = re.findall(r'^\s*(\d)\s+(\d+)\s+"(.*)"\s*$', head.partition("$PhysicalNames")[2], re.MULTILINE)
+    for name, count in Counter(name for *_, name in physical_names).items():
         if count > 1:
-            groups = " and ".join(f"{number} of dimension {dim}" for dim, number, other in matches if other == name)
+            groups = " and ".join(f"{tag} of dimension {dim}" for dim, tag, other in physical_names if other == name)
             raise InputError(f"the physical name {name!r} stands for the groups {groups}; each needs its own name")
 
 

@@ -102,13 +102,13 @@ def _conforming_edges(kind: str, edges: IntArray, far_distance: FloatArray, to_h
         group_no = components(links[:, 0], links[:, 1], no_edge)
     else:
         group_no = np.argsort(np.lexsort([np.arange(no_edge), -far_distance]))
-    is_halved = np.zeros(no_edge + 1, bool)
-    is_halved[group_no[to_halve]] = True
-    groups = np.where(is_halved[group_no], group_no, no_edge)[edges[:, [same_way[0] for same_way in parallel]]]
+    is_group_halved = np.zeros(no_edge + 1, bool)
+    is_group_halved[group_no[to_halve]] = True
+    groups = np.where(is_group_halved[group_no], group_no, no_edge)[edges[:, [same_way[0] for same_way in parallel]]]
     first = groups.min(axis=1, keepdims=True)
     is_alone = (groups == first).sum(axis=1, keepdims=True) == 1  # else parallel edges meet in a cell: they stay whole
-    is_halved[groups[(groups != first) | ~is_alone]] = False
-    return np.asarray(is_halved[group_no])
+    is_group_halved[groups[(groups != first) | ~is_alone]] = False
+    return np.asarray(is_group_halved[group_no])
 
 
 def _shape_functions(kind: str, degree: int, X: FloatArray) -> FloatArray:

@@ -98,8 +98,8 @@ def _split_quads(quads: IntArray, is_reversed: BoolArray) -> IntArray:
     Returns:
         (n, k, 2 m, 3) numbers of the vertices of the triangles.
     """
-    n_side = round(quads.shape[2] ** 0.5)
-    p, q = np.divmod(np.arange(n_side * n_side), n_side)
+    quads_per_side = round(quads.shape[2] ** 0.5)
+    p, q = np.divmod(np.arange(quads_per_side * quads_per_side), quads_per_side)
     triangles = []
     for third, at_side, flip in ((1, q == 0, is_reversed[:, 0]), (2, p == 0, is_reversed[:, 1])):
         vertices = quads[..., [0, third, 3]]

@@ -159,8 +159,8 @@ class _BandCells(NamedTuple):
 
     Attributes:
         cells: (n, k) numbers of the k nodes of each cell.
-        region: (n,) number of each cell's region; for cells that `_kept_junction_cells` returns, the position of a seam
-            instead.
+        region: (n,) number of each cell's region; for cells that `_kept_junction_cells` returns, the position in
+            `joint.seams` of the seam that they belong to instead.
         director: (n, m, d) unit normal of S in d dimensions below or above each of a cell's m vertices; zero in
             junctions of layers with different normals.
     """

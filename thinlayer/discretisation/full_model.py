@@ -48,14 +48,14 @@ class FullModel(Model):
     def __init__(
         self, structure: Structure, layer: Layers, bodies: str, cells_through: int, junctions: str | None
     ) -> None:
-        self._bodies, self._cells_through = bodies, cells_through
+        self._body_shape, self._cells_through = bodies, cells_through
         self._junctions = () if junctions is None else (junctions,)
         options = {} if junctions is None else {"junctions": junctions}
         super().__init__(structure, layer, bodies=bodies, cells_through=cells_through, **options)
 
     def _checked_joint(self) -> Joint:
-        check_layering(self._cells_through, self._bodies)
-        if self._bodies == "kept":
+        check_layering(self._cells_through, self._body_shape)
+        if self._body_shape == "kept":
             require_normal_shifts(self.structure.kinematics, self.joint)
         self._check_layers()
         for name in self._junctions:
@@ -67,8 +67,8 @@ class FullModel(Model):
             raise InputError(f"{text}: their shape is lost in rounding; is eps in the unit of the mesh?")
         profiles = {name: layer.profile for name, layer in thin_layers.items()}
         fractions = {name: layer.fractions for name, layer in thin_layers.items()}
-        by_priority, n_cells, gaps = (*self._junctions, *thin_layers), self._cells_through, [*self.gaps]
-        inflater = partial(inflate, self.joint, eps, cells_through=n_cells, bodies=self._bodies, junctions=by_priority)
+        priority, n_cells, gaps = (*self._junctions, *thin_layers), self._cells_through, [*self.gaps]
+        inflater = partial(inflate, self.joint, eps, cells_through=n_cells, bodies=self._body_shape, junctions=priority)
         inflated = on_root(self.structure.comm, partial(inflater, profile=profiles, fractions=fractions, gaps=gaps))
         self._check_junctions(band_of(inflated))
         require_revolution(self.structure.kinematics, inflated)
@@ -167,7 +167,7 @@ class LayerModel(FullModel):
             raise violation.error()
         free = [model.applicability[name].free_rim.vertices.ravel() for name in layers]
         self._ends, self._at_ends = joint.points[np.unique(np.concatenate([*free, joint.branch_vertices]))], at_ends
-        super().__init__(structure, layers, bodies=model._bodies, cells_through=cells_through, junctions=None)
+        super().__init__(structure, layers, bodies=model._body_shape, cells_through=cells_through, junctions=None)
 
     def _checked_joint(self) -> Joint:
         layer_joint = without_bodies(super()._checked_joint())

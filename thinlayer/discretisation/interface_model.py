@@ -52,13 +52,13 @@ class InterfaceModel(Model):
     broken = True
 
     def __init__(self, structure: Structure, layer: Layers, bodies: str = "kept") -> None:
-        self._bodies = bodies
+        self._body_shape = bodies
         super().__init__(structure, layer, **({} if bodies == "kept" else {"bodies": bodies}))
 
     def _checked_joint(self) -> Joint:
-        check_layering(1, self._bodies)
+        check_layering(1, self._body_shape)
         self.require("interface law")
-        if self._bodies == "kept":
+        if self._body_shape == "kept":
             return self.joint
         if self.joint.seams_meet:
             raise InputError("bodies='extended': seams meet or branch, where S has no middle; use bodies='kept'")
@@ -89,7 +89,7 @@ class InterfaceModel(Model):
         if self.bonds != other.bonds:
             text = f"{list(other.bonds)}, not {list(self.bonds)}"
             raise InputError(f"this model has bonds on the seams {text}; make a model of its own")
-        if self._bodies != "kept":
+        if self._body_shape != "kept":
             self._require_shapes(other)
 
     @cached_property

@@ -9,28 +9,28 @@ LAYER_KIND, CONTACT_KIND, BODY_KIND, PRESSURE_KIND = "layer", "contact", "body",
 
 @dataclass(frozen=True)
 class Key:
-    """Key of a law's memory, energy or pressure: in states and files a text "KIND", "KIND NAME" or "KIND NAME/PART".
+    """Key of a law's memory, energy or pressure: in states and files a text "KIND", "KIND NAME" or "KIND NAME/MEMBER".
 
     Attributes:
         kind: "layer", "contact", "body" or "pressure"; or the key of a user-defined part.
         name: name of the seam or body. In joints with one seam it is "", or the number of a sublayer as in "layer 1".
-        part: number of a sublayer as in "layer BED/1", or "forms" for all laws in UFL forms together; "": the key is
-            not of a part.
+        member: number of a sublayer as in "layer BED/1", or "forms" for all laws in UFL forms together; "": the key is
+            that of the whole.
     """
 
     kind: str
     name: str = ""
-    part: str = ""
+    member: str = ""
 
     @classmethod
     def parse(cls, text: str) -> Key:
         """Return the key that a text such as "layer BED/1" stands for."""
-        whole, _, part = text.partition("/")
+        whole, _, member = text.partition("/")
         kind, _, name = whole.partition(" ")
-        return cls(kind, name, part)
+        return cls(kind, name, member)
 
     def __str__(self) -> str:
-        return self.kind + (self.name and f" {self.name}") + (self.part and f"/{self.part}")
+        return self.kind + (self.name and f" {self.name}") + (self.member and f"/{self.member}")
 
     @property
     def pressure_key(self) -> Key:

@@ -258,9 +258,9 @@ def _dof_values(space: fem.FunctionSpace, entity_values: EntityKeys, default: in
 def broken_space(comm: MPI.Intracomm, shared: SharedDofs) -> fem.FunctionSpace:
     """Return the function space with one degree of freedom for each key of `shared`. Collective."""
     rank, space, keys, meeting_ranks = comm.rank, shared.continuous_space, shared.keys, shared.meeting_ranks
-    n_cells = space.mesh.topology.index_map(space.mesh.topology.dim).size_local
+    n_owned_cells = space.mesh.topology.index_map(space.mesh.topology.dim).size_local
     is_used = np.zeros(len(keys), np.int64)
-    is_used[shared.cell_dofs[:n_cells]] = 1
+    is_used[shared.cell_dofs[:n_owned_cells]] = 1
     owner = query(comm, meeting_ranks, np.column_stack([keys, is_used]), lambda q, src: _elect_owners(q, src, rank))
     is_owned = owner == rank
     n_own = int(is_owned.sum())

@@ -180,7 +180,7 @@ class Model(ABC):
 
     name: ClassVar[str]
     broken: ClassVar[bool] = False
-    _bodies = "kept"
+    _body_shape = "kept"
 
     def __init__(self, structure: Structure, layer: Layers, **options: object) -> None:
         self.structure, self.joint, self.plane = structure, structure.joint, structure.plane
@@ -258,7 +258,7 @@ class Model(ABC):
             self.gaps = {name: content for name, content in self.on_seams.items() if isinstance(content, Gap)}
             self.contacts = {name: layer.contact for name, layer in self.layers.items() if layer.contact}
             self.contact = next(iter(self.contacts.values()), None)
-            self.applicability = {name: Applicability(layer, self._bodies) for name, layer in self.layers.items()}
+            self.applicability = {name: Applicability(layer, self._body_shape) for name, layer in self.layers.items()}
             result = check()
         layer_hash = require_same(structure.comm, model=self.name, layer=data, options=self._options)
         self.data_hash = structure.data_hash + layer_hash

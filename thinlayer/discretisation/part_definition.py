@@ -185,7 +185,7 @@ def check_part_definitions(parts: Sequence[PartDefinition], model: HostModel) ->
         require(isinstance(part, PartDefinition), "one of parts", part, "allowed: Springs, UflPart, PartDefinition")
         if not part.has_constraint and type(part).part is PartDefinition.part:
             raise InputError(f"{part.key!r} does nothing: it has neither part(model) nor multi_point_constraint(model)")
-        base_key = replace(Key.parse(part.key), part="")
+        base_key = replace(Key.parse(part.key), member="")
         is_sublayer = base_key.kind == LAYER_KIND and base_key.name.isdecimal()
         if is_sublayer or base_key in {Key(LAYER_KIND), *seam_keys} or part.key in used_keys:
             raise InputError(f"two parts are called {part.key!r}; give one of them another name")

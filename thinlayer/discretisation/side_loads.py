@@ -144,8 +144,8 @@ def _transfer_factors(end: StraightEnd, rim: Rim, layer: SeamLayer) -> FloatArra
     end_factor = kinematics.factors_at(midpoints[end.contains(midpoints)]).mean()
     l_N, l_T = strips.opening.length, strips.shear.length
     transfer_lengths = strips.transfer_length_axial, strips.transfer_length_shear, 2 * ANTIPLANE_LOAD_DISTANCE
-    shares = [share_of_strip(eps * length) for length in transfer_lengths]
-    force_factors = [eps * end.length * end_factor * share / (share @ weighted_areas) for share in shares]
+    facet_fractions = [share_of_strip(eps * length) for length in transfer_lengths]
+    force_factors = [eps * end.length * end_factor * share / (share @ weighted_areas) for share in facet_fractions]
     opening_factor = constants.inward_displacement / l_N * share_of_strip(eps * l_N)
     shear_factor = constants.c_T / l_T * share_of_strip(eps * l_T)
     return np.stack([*force_factors, opening_factor, shear_factor], axis=1)

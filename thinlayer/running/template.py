@@ -29,8 +29,8 @@ def template_text(mesh: Path) -> str:
 
 
 def _fill_template(mesh: Path, groups: NamedGroups) -> str:
-    adjacent = {name: groups.adjacent_cells(name) for name in groups.facets}
-    inside = {name: groups.regions_at(cells) for name, cells in adjacent.items() if cells.size and (cells >= 0).all()}
+    adjacent = ((name, groups.adjacent_cells(name)) for name in groups.facets)
+    inside = {name: groups.region_names_of_cells(cells) for name, cells in adjacent if cells.size and cells.min() >= 0}
     seam_text, hint = _seam_entries(inside, ", ".join(groups.facets))
     layers = "\n\n".join(
         f'[layer{name}]\nlaw = "LinearElastic"\nE = "?"\nnu = "?"\neps = "?"  # thickness'

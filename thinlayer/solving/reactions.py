@@ -165,13 +165,14 @@ class RigidMotions:
         because a piece may have no other forces.
         """
         model, V, joint = self.model, self.model.V, self.model.domain.joint
-        pieces = (model.split_mesh if joint.band is None else mesh_cut_at_faces(joint)).pieces
-        n_pieces, dofs = int(pieces.max()) + 1, np.asarray(V.dofmap.list)
+        piece_of_cell = (model.split_mesh if joint.band is None else mesh_cut_at_faces(joint)).pieces
+        n_pieces, dofs = int(piece_of_cell.max()) + 1, np.asarray(V.dofmap.list)
         block_of = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, np.int64)
         layer_regions = [joint.regions.index(name) for name in joint.band.regions] if joint.band else []
         in_layer = np.isin(joint.region, layer_regions)
-        pieces = np.where(in_layer, pieces[in_layer].min(initial=n_pieces), pieces)  # all layers are one block
-        cell_blocks = model.domain.to_local(pieces)[: len(dofs)]
+        # all layers are one block
+        block_of_cell = np.where(in_layer, piece_of_cell[in_layer].min(initial=n_pieces), piece_of_cell)
+        cell_blocks = model.domain.to_local(block_of_cell)[: len(dofs)]
         for cell_mask in (~in_layer, in_layer):
             local_mask = model.domain.to_local(cell_mask)[: len(dofs)]
             block_of[dofs[local_mask]] = cell_blocks[local_mask, None]
@@ -181,7 +182,7 @@ class RigidMotions:
         block_of = block_of.repeat(joint.dim)[: model.constraints.n]
         block_of[model.constraints.bc_dofs] %= n_pieces
         block_ids = np.unique(np.concatenate(model.comm.allgather(np.unique(block_of))))
-        is_layer = np.isin(block_ids, pieces[in_layer])
+        is_layer = np.isin(block_ids, block_of_cell[in_layer])
         is_within = (block_ids[:, None] == block_ids % n_pieces) | (is_layer & (block_ids < n_pieces)[:, None])
         np.fill_diagonal(is_within, True)
         return 1 + np.searchsorted(block_ids, block_of), scipy.sparse.csr_matrix(block_diag(1.0, is_within))

@@ -299,12 +299,12 @@ def pressure_excess(faces: FaceDisplacements, layer: SublayerModuli) -> Pressure
     p = scipy.sparse.linalg.spsolve(system + scipy.sparse.diags_array(outflow.astype(float), format="csc"), b)
     p_0 = scipy.sparse.linalg.spsolve(volume_matrix, b)
     law_work, layer_work = float(surface.integral(k_N * wb**2)), float(b @ p)
-    slip_density = surface.from_corners(faces.slip_squared) / eps
-    work_error = (law_work - layer_work) / (layer_work + layer.mu * float(surface.integral(slip_density)))
+    slip_squared_over_eps = surface.from_corners(faces.slip_squared) / eps
+    work_error = (law_work - layer_work) / (layer_work + layer.mu * float(surface.integral(slip_squared_over_eps)))
     if surface.norm(surface.at_points(expand @ p_0) / k_N) <= faces.jump_rounding * math.sqrt(surface.integral(1.0)):
         return PressureExcess(work_error=work_error)
     t_N = surface.norm(k_N * wb + 2 * layer.mu * normal_jump / eps)
-    t_T = layer.mu * math.sqrt(surface.integral(slip_density / eps))
+    t_T = layer.mu * math.sqrt(surface.integral(slip_squared_over_eps / eps))
     error_norm = surface.norm(surface.at_points(expand @ (p_0 - p)))
     return PressureExcess(float(b @ p_0) / layer_work - 1, work_error, error_norm / math.hypot(t_N, t_T))
 

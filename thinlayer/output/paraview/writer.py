@@ -82,10 +82,10 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
             raise InputError(f"there is nothing to write: {solution!r} has no state")
         advice = "it must be the name of a file that ends in .pvd"
         require(isinstance(path, (str, Path)) and Path(path).suffix == COLLECTION_SUFFIX, "path", path, advice)
-        model = surface.model if isinstance(surface, Surface) else states[0].model
-        if surface is not None and not (isinstance(surface, Surface) and isinstance(model, InterfaceModel)):
+        surface_model = surface.model if isinstance(surface, Surface) else states[0].model
+        if surface is not None and not (isinstance(surface, Surface) and isinstance(surface_model, InterfaceModel)):
             raise InputError(f"surface is {surface!r:.80}; give Surface(limit.model) of an interface model")
-        if model.joint is not states[0].model.joint:
+        if surface_model.joint is not states[0].model.joint:
             raise InputError("surface is of another joint than the states; give one of the same joint")
     require_same(comm, models=states[0].model.data_hash, states=[state.t for state in states], path=str(path))
     path = Path(path)
@@ -93,7 +93,7 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
     on_root(comm, lambda: _empty_folder(folder))
     paths = [folder / f"{number:0{max(4, len(str(len(states))))}}.vtm" for number in range(len(states))]
     for state, vtm_path in zip(states, paths, strict=True):
-        multiblock = make_vtk_blocks(state, model if isinstance(model, InterfaceModel) else None)
+        multiblock = make_vtk_blocks(state, surface_model if isinstance(surface_model, InterfaceModel) else None)
         on_root(comm, partial(_write_blocks, multiblock, vtm_path))
     file_attributes = [quoteattr(vtm_path.relative_to(path.parent).as_posix()) for vtm_path in paths]
     entries = [f'timestep="{state.t!r}" file={file}' for state, file in zip(states, file_attributes, strict=True)]

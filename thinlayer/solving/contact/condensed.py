@@ -41,7 +41,7 @@ MAX_NEWTON_STEPS = 30
 LONG_STEP_RATIO = 1e5  # a long step over the initial displacements, as for a body without supports
 MAX_LONG_STEPS = 4  # largest number of successive long steps
 MAX_LENGTH_TRIALS = 12  # largest number of trials of a line search
-WORK_RATIO = 0.1  # work along a step at its end, relative to that at its beginning, at which a line search ends
+LINE_SEARCH_WORK_RATIO = 0.1  # work along a step at its end over that at its beginning, at which a search ends
 
 
 class CondensedContact(ContactSolver):
@@ -178,9 +178,9 @@ class CondensedSystem:
         coarse_pairs = self.pairs.subset(chosen, P_pairs.T @ self.pairs.weights)
         pair, side = np.nonzero(self.pairs.pair_nodes >= 0)
         node, first = np.unique(self.pairs.pair_nodes[pair, side], return_index=True)
-        rows = P_pairs[pair[first]]  # if a node is in several pairs, these are ends of curves, which are all chosen
-        columns = coarse_pairs.pair_nodes[rows.indices, side[first].repeat(np.diff(rows.indptr))]
-        P = scipy.sparse.csr_matrix((rows.data, columns, rows.indptr), shape=(len(node), len(coarse_pairs.nodes)))
+        P_rows = P_pairs[pair[first]]  # if a node is in several pairs, these are ends of curves, which are all chosen
+        columns = coarse_pairs.pair_nodes[P_rows.indices, side[first].repeat(np.diff(P_rows.indptr))]
+        P = scipy.sparse.csr_matrix((P_rows.data, columns, P_rows.indptr), shape=(len(node), len(coarse_pairs.nodes)))
         P = scipy.sparse.kron(P, scipy.sparse.eye(self.pairs.d), format="csr")
         return CondensedSystem(P.T @ self._stiffness @ P, coarse_pairs, self._x[chosen], lines), P
 
@@ -307,14 +307,14 @@ class CondensedSystem:
             return float(step @ self._residual(u + length * step, g))
 
         start_work, end_work = work(0.0), work(1.0)
-        if not (start_work < 0 and end_work > WORK_RATIO * abs(start_work)):
+        if not (start_work < 0 and end_work > LINE_SEARCH_WORK_RATIO * abs(start_work)):
             return 1.0
         low, high, low_work, high_work = 0.0, 1.0, start_work, end_work
         for _ in range(MAX_LENGTH_TRIALS):
             length = low - low_work * (high - low) / (high_work - low_work)
             length = min(max(length, low + 0.1 * (high - low)), high - 0.1 * (high - low))
             work_now = work(length)
-            if abs(work_now) <= WORK_RATIO * abs(start_work):
+            if abs(work_now) <= LINE_SEARCH_WORK_RATIO * abs(start_work):
                 break
             if work_now < 0:
                 low, low_work = length, work_now

@@ -320,8 +320,9 @@ def status_and_slip(pairs: ContactPairs, w: Array) -> StatusAndSlip:
 def sticking_corrections(pairs: ContactPairs, w: Array, last: StatusAndSlip | None) -> Array:
     """Return changes (n, d) to add to the jumps `w`, so that pairs whose slip direction has reversed stick.
 
-    The direction is compared with that at the last contact tangents. Between its jump there and its present one, such a
-    pair moves to where the tangential jump minus the slip is least. Changes of all other pairs are zero.
+    The direction is compared with that at the last contact tangents. On the line between the jump at those tangents and
+    the present one, such a pair moves to where the tangential jump minus the slip is least. Changes of all other pairs
+    are zero.
 
     A sliding node has no contact stiffness along its slip. If it should stick, Newton's method can move it back and
     forth without end, and sweeps do not stop that.

@@ -155,7 +155,7 @@ class ContactPairs:
         return self._gather_values(lambda law, w, slip: law.tangent(w, slip), w)
 
     def bonded_tangents(self) -> Array:
-        """Return the traction per jump (pairs, d, d) of pairs that neither open nor slide, in d dimensions."""
+        """Return the traction per jump (pairs, d, d) of all pairs, as if none opened or slid, in d dimensions."""
         return self._gather_values(lambda law, w, _: law.bonded(*w.shape), self.gaps)
 
     def status(self, w: Array) -> npt.NDArray[np.int8]:
