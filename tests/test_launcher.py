@@ -54,24 +54,22 @@ def test_a_copy_and_a_colon_are_refused(tmp_path):
 # ---------------------------------------------------------------- a private tree: a made-up one, entered by a stand-in
 @pytest.fixture
 def tree(tmp_path, monkeypatch):
-    names = r"/^DEBIAN_PACKAGES=(/,/)$/p;/^key_of()/p;/^tree_name()/p"
-    script = f'eval "$(sed -n {names!r} fenicsx)"; PACKAGES_KEY=$(<.ci/packages.lock); tree_name trixie'
+    names = r"/^debian_packages=(/,/)$/p;/^key_of()/p;/^tree_name()/p"
+    script = f'eval "$(sed -n {names!r} fenicsx)"; packages=.ci/packages.lock; tree_name trixie'
     name = subprocess.run(["bash", "-c", script], cwd=CLONE, check=True, stdout=subprocess.PIPE, text=True).stdout
     tree = tmp_path / "cache" / name.strip()
     needed = "usr/bin/env usr/lib/python3/a usr/local/venv/bin/python3 usr/bin/mpirun etc/ld.so.cache"
-    for file in (".files", *needed.split()):
+    for file in needed.split():
         (tree / file).parent.mkdir(parents=True, exist_ok=True)
         (tree / file).touch()
     (tree / "var").mkdir()
-    (tree / ".files").write_text("5")
     (tmp_path / "bin").mkdir()
-    stand_in = tmp_path / "bin" / "bwrap"
-    stand_in.write_text('#!/bin/bash\nuntil [ "$1" = /usr/bin/env ]; do shift; done\nexec "$@"')
+    stand_in = tmp_path / "bin" / "unshare"
+    stand_in.write_text('#!/bin/bash\nuntil [ "$1" = /usr/bin/env ]; do shift || exit 0; done\nexec "$@"')
     stand_in.chmod(0o755)
     monkeypatch.setenv("PATH", f"{stand_in.parent}:{os.environ['PATH']}")
     monkeypatch.setenv("THINLAYER_CACHE", str(tree.parent))
     monkeypatch.setenv("THINLAYER_ENV", "root")
-    monkeypatch.setenv("THINLAYER_ENTER", "bwrap")
     monkeypatch.delenv("THINLAYER_SUITE", raising=False)
     return tree
 
