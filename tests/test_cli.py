@@ -144,7 +144,10 @@ def test_limits_and_drawing_again(tmp_path, quiet):
     assert thinlayer("draw", "limits", "--out", tmp_path).returncode == 0
     assert (tmp_path / "bonded.svg").read_bytes() == drawn  # the same picture is the same file
     assert (tmp_path / "table.csv").read_bytes() == table
-    assert "run the study first" in thinlayer("draw", "limits", "--out", tmp_path / "nothing").stderr
+    assert (
+        "run it first: python3 -m thinlayer run limits"
+        in thinlayer("draw", "limits", "--out", tmp_path / "nothing").stderr
+    )
     other = thinlayer("draw", "rates", "--out", tmp_path)
     assert other.returncode == 2
     assert f"the run in {tmp_path} is of the study limits, not rates" in other.stderr
@@ -159,6 +162,10 @@ def test_bad_input_writes_nothing(tmp_path):
         ("run limits --qick", "limits: error: unknown option '--qick', did you mean '--quick'?; known: --help, --out"),
         ("run limits --quick 0.1", "run limits: error: unrecognized argument '0.1'; --help has all\n"),
         ("run limits -ksp_rtol 0.1", "argument '-ksp_rtol'; --help has all; PETSc options start with -thinlayer_\n"),
+        ("run", "run: error: name a study:\nThe paper\n  fig3_mohr_coulomb"),
+        ("estimate studies/data/lap.msh", "thinlayer estimate studies/data/lap.msh --new > lap.toml"),
+        ("estimate studies/data/lap.toml --check --eps 0", "--set 'layer.eps=0'"),
+        ("estimate studies/data/lap.toml --check --tolerance=-1", "--set 'tolerance=-1'"),
         ("estimate a.msh --new --set a=1", "estimate: error: --new reads a mesh file, which has no keys to --set"),
         ("run limits fig7", "unknown study 'fig7'; known: bearing, "),
         ("run --all -thinlayer_ksp_view", "PETSc options are those of one study"),
@@ -170,7 +177,7 @@ def test_bad_input_writes_nothing(tmp_path):
         ("run rates --law elastic --quick -thinlayer_pc_type no", "one of these options: -thinlayer_pc_type no"),
         ("run rates --law elastic --quick --eps 1e9", "thickness eps is 1e+09, the bodies measure 1"),
     ]:
-        out = ["--out", tmp_path / "out"] if words.startswith("run") else []
+        out = ["--out", tmp_path / "out"] if words.startswith("run ") else []
         done = thinlayer(*words.split(), *out)
         assert done.returncode == 2, done.stderr
         assert message in done.stderr

@@ -79,7 +79,8 @@ def _option_args(argument: ast.arg, text: str) -> OptionArguments:
     if annotation == "Sequence[float]":
         return {**help_argument, "nargs": "+", "type": float, "metavar": "E"}
     choices = tuple(ast.literal_eval(annotation.removeprefix("Literal")))
-    return {**help_argument, "choices": choices, "type": type(choices[0])}
+    help_text = f"{help_argument['help'] or ''} Allowed: {', '.join(map(str, choices))}."
+    return {"help": help_text, "choices": choices, "type": type(choices[0]), "metavar": argument.arg.upper()}
 
 
 def list_text() -> str:

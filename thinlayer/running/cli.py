@@ -45,6 +45,15 @@ REPRODUCE_HELP = (
 )
 RESUMING = "Started again, it keeps the runs that are done with the same options and code, and goes on with the others."
 PETSC_PREFIX = "-thinlayer_"
+# options of `estimate` that replace a key of the description: option, key, help
+ESTIMATE_OPTIONS = [
+    ("--eps", "layer.eps", "thickness of the layer, in the description's unit"),
+    (
+        "--tolerance",
+        "tolerance",
+        "largest relative change that is allowed, as 0.05: prints the thickness with this change",
+    ),
+]
 CommandParsers: TypeAlias = "argparse._SubParsersAction[Parser]"
 CommandFunction = Callable[["Parser", argparse.Namespace, Petsc], int]
 
@@ -145,31 +154,37 @@ def command_line_parser() -> argparse.ArgumentParser:
     parser.add_argument("-V", "--version", action="store_true", help="print the versions of thinlayer and of DOLFINx")
     parser.set_defaults(work=_run_without_command)
     commands = parser.add_subparsers(metavar="COMMAND")
-    _add_json_option(_add_command(commands, "list", _print_studies, "--json"))
-    _add_json_option(_add_command(commands, "info", _print_versions, "--json"))
-    draw = _add_run_options(_add_command(commands, "draw", _draw_study, "fig6_stratified"))
-    drawn = [study.name for study in studies().values() if study.drawn]
-    draw.add_argument("study", metavar="STUDY", choices=drawn, help="name of a study; the command list prints all")
+    estimate = _add_run_options(_add_command(commands, "estimate", _run_estimate, "joint.toml --set layer.eps=0.1"))
+    file_help = "a file in TOML; with --new a mesh file"
+    estimate.add_argument("description", type=Path, metavar="DESCRIPTION", help=file_help)
+    set_help = "a key of the description anew, as layer.E=2e3 or 'tractions.RIGHT=[60, 0]'; may be repeated"
+    question = estimate.add_argument_group("the question", "These options replace keys of the description.")
+    question.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=set_help)
+    for option, key, what in ESTIMATE_OPTIONS:
+        replace_key = f"{key}={{}}".format
+        question.add_argument(
+            option, dest="set", action="append", type=replace_key, metavar=option[2:].upper(), help=what
+        )
+    modes = estimate.add_mutually_exclusive_group()
+    modes.add_argument("--check", action="store_true", help="print what is read, and the sum of loads; solve nothing")
+    modes.add_argument("--new", action="store_true", help="print a description to fill in, with a mesh file's names")
+    _add_json_option(modes)
     run = _add_command(commands, "run", _run_study, "fig6_stratified --quick")
-    study_parsers = run.add_subparsers(dest="study", required=True, metavar="STUDY")
+    study_parsers = run.add_subparsers(dest="study", metavar="STUDY")
     for study in studies().values():
         script = _add_run_options(_add_command(study_parsers, study.name, _run_study, "--out DIR", study.summary))
         for name, option_arguments in study.options.items():
             script.add_argument(f"--{name}", default=None, **option_arguments)
         script.add_argument("--resume", action="store_true", help="go on with the sweeps of a killed run, same options")
-    estimate = _add_run_options(_add_command(commands, "estimate", _run_estimate, "joint.toml --set layer.eps=0.1"))
-    file_help = "a file in TOML; with --new a mesh file"
-    estimate.add_argument("description", type=Path, metavar="DESCRIPTION", help=file_help)
-    set_help = "a key of the description anew, as layer.E=2e3 or 'tractions.RIGHT=[60, 0]'; may be repeated"
-    estimate.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=set_help)
-    modes = estimate.add_mutually_exclusive_group()
-    modes.add_argument("--check", action="store_true", help="print what is read, and the sum of loads; solve nothing")
-    modes.add_argument("--new", action="store_true", help="print a description to fill in, with a mesh file's names")
-    _add_json_option(modes)
     description = "Run the studies of the paper, and write a page with its numbers beside those that are computed."
     page_parser = _add_command(commands, "reproduce", _run_batch, "--quick", f"{description} {RESUMING}")
     page_parser.epilog = f"{REPRODUCE_HELP} {page_parser.epilog}"
     _add_batch_options(page_parser, Path("out", "reproduce"))
+    draw = _add_run_options(_add_command(commands, "draw", _draw_study, "fig6_stratified"))
+    drawn = [study.name for study in studies().values() if study.drawn]
+    draw.add_argument("study", metavar="STUDY", choices=drawn, help="name of a study; the command list prints all")
+    _add_json_option(_add_command(commands, "list", _print_studies, "--json"))
+    _add_json_option(_add_command(commands, "info", _print_versions, "--json"))
     return parser
 
 
@@ -219,12 +234,13 @@ def _add_run_options(parser: Parser) -> Parser:
     """
     parser.description = f"{parser.description} PETSc options start with {PETSC_PREFIX}, as {PETSC_PREFIX}ksp_type cg."
     parser.epilog = f"{EXIT_STATUS_HELP} {parser.epilog}"
-    level = parser.add_mutually_exclusive_group()
+    output = parser.add_argument_group("output")
+    level = output.add_mutually_exclusive_group()
     level.add_argument("-v", "--verbose", action="count", default=0, help="show attempts of solves; twice: their steps")
     quiet_help = "print no progress and no tables, only errors, warnings and checks that fail"
     level.add_argument("-q", "--quiet", dest="verbose", action="store_const", const=-1, help=quiet_help)
     out_help = "folder of tables and pictures (default: out/STUDY, out/estimate/NAME)"
-    parser.add_argument("--out", type=_as_path, metavar="DIR", help=out_help)
+    output.add_argument("--out", type=_as_path, metavar="DIR", help=out_help)
     return parser
 
 
@@ -284,14 +300,17 @@ def _draw_study(parser: Parser, args: argparse.Namespace, _: Petsc) -> int:
         record.require_run()
         importlib.import_module(f"studies.{args.study}").draw(record)
     except (InputError, FileNotFoundError, KeyError) as error:
-        parser.error(f"{out} is not a whole run of {args.study}: {error}; run the study first")
+        run_command = f"{parser.prog.removesuffix('draw')}run {args.study}"
+        parser.error(f"{out} has no whole run of {args.study} ({error}); run it first: {run_command}")
     if args.verbose >= 0:
         print_safely(f"drawn again in {out}")
     return OK
 
 
-def _run_study(_: Parser, args: argparse.Namespace, petsc: Petsc) -> int:
+def _run_study(parser: Parser, args: argparse.Namespace, petsc: Petsc) -> int:
     """Run one study; several names, or --all, run several studies. STUDY --help shows the options of a study."""
+    if args.study is None:
+        parser.error(f"name a study:\n{list_text()}")
     study = studies()[args.study]
     options = {name: value for name, value in vars(args).items() if name in study.options and value is not None}
 
