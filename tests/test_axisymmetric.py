@@ -82,6 +82,7 @@ def test_integrals_of_users_are_over_the_whole_revolution():
         (u * model.dx(999), r"dx\(999\), which is nothing here"),
         (ufl.avg(u) * model.dS(999), r"dS\(999\), which is nothing here; tags: dS\(k \+ 1\)"),
         (u * on(model, "S"), "which is nothing here"),  # inside
+        (ufl.jump(u) * model.dS, "all inner facets; seams: dS"),  # with arbitrary sides
         (3.0, "it must be a UFL form"),
         (math.nan * u * ufl.dx, "not finite"),
     ):

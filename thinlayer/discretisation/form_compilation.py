@@ -65,6 +65,10 @@ def checked_user_form(form: ufl.Form, model: Model, what: str = "a form") -> ufl
         name, ids = MEASURE_NAMES.get(kind, kind), [*np.atleast_1d(np.array(integral.subdomain_id(), object))]
         if any(isinstance(tag, bool) for tag in ids):
             raise InputError(f"{what} integrates over {name}{(*ids,)}; tags are whole numbers")
+        if (
+            name == "dS" and ids == ["everywhere"] and integral.subdomain_data() is not None
+        ):  # whose sides are arbitrary
+            raise InputError(f"{what} integrates over all inner facets; seams: {TAGS_TEXT_OF_MEASURE[name]}")
         data = form.subdomain_data()[integral.ufl_domain()][kind]
         present = model.comm.allgather({"everywhere", "otherwise"}.union(*(_tags(item, kind, model) for item in data)))
         if missing := ", ".join(str(tag) for tag in ids if tag not in set[object]().union(*present)):

@@ -110,9 +110,10 @@ class InterfaceModel(Model):
 
     @cached_property
     def dS(self) -> ufl.Measure:
-        """Measure of the seams that lie between two bodies, where "+" is the upper side.
+        """Measure of facets between two bodies, of which dS(k) is the seam number k in `joint.seams`, from 1.
 
-        dS(k) is the measure of the seam number k in `joint.seams`, from 1.
+        On a seam "+" is the upper side. dS without a number would be all inner facets, with arbitrary sides: for all
+        seams use `sides.measure`.
         """
         body_seams = [(k, name) for k, name in enumerate(self.joint.seams, 1) if name not in self.joint.base_seams]
         entities = [(k, seam_entities(self.domain, name).ravel()) for k, name in body_seams]
