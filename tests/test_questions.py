@@ -1,0 +1,60 @@
+"""The page of questions quotes messages that exist, one of each warning; words that people search for are in headings."""
+
+from __future__ import annotations
+
+import re
+
+from tests.documents import CLONE, DOCS, PAGES, anchors
+
+SOURCES = "".join(path.read_text() for name in ("forms", "geometry", "thinlayer") for path in (CLONE / name).rglob("*.py"))
+QUOTES = set(re.findall(r'\*"(.+?)"\*', PAGES["thinlayer/docs/howto/questions.md"]))
+WARNINGS = {  # key of a RangeWarning -> words of its message
+    "coarse ends": "falls to zero at free ends over delta",
+    "curved": "the meshed layer is curved",
+    "density": "the density of the change",
+    "elastic share": "springs parallel to what yields",
+    "end of a gap": "the load is smaller than",
+    "facets": "S is curved and its facets are straight",
+    "free ends": "is nearly incompressible",
+    "friction angle": "if it is in radians",
+    "hard": "times as hard as the softer body",
+    "incompressible": "is incompressible:",
+    "cavitation": "is a tension,",
+    "locking": "locks near 0.5",
+    "no step error": "the error of the march's steps",
+    "no time": "a solve knows no time",
+    "other bodies": "the load is smaller than",
+    "overlap": "closes by",
+    "plates": "joins plates",
+    "softens": "there may be other",
+    "step error": "leave estimated relative errors",
+    "strains": "strains of",
+    "thick": "its law is for thin layers",
+    "time step": "is not well below a time of",
+    "too stiff": "lets no material flow",
+    "zoom": "% from those of the bodies",
+}
+SEARCHED = {
+    "howto/contact.md": "contact friction",
+    "howto/from_abaqus.md": "abaqus cohesive",
+    "howto/questions.md": "adhesive cite convergence damage delamination plot solder",
+    "tutorials/glue_line.md": "glue",
+}
+
+
+def test_quoted_messages_exist():
+    assert len(QUOTES) > 40
+    assert [words for words in QUOTES if words not in SOURCES] == []
+
+
+def test_each_warning_has_its_words_on_the_page():
+    keys = {*re.findall(r'(?:warn|warn_of_range)\(\s*"([^"]+)"', SOURCES), *re.findall(r'yield "([^"]+)", f"', SOURCES)}
+    assert keys == WARNINGS.keys()
+    assert {*WARNINGS.values()} <= QUOTES
+
+
+def test_words_that_people_search_for_are_in_headings():
+    """Of all places Sphinx's search ranks these first."""
+    for page, words in SEARCHED.items():
+        headings = "-".join(anchors((DOCS / page).read_text())).split("-")
+        assert {*words.split()} <= {*headings}, page
