@@ -6,7 +6,9 @@ import re
 
 from tests.documents import CLONE, DOCS, PAGES, anchors
 
-SOURCES = "".join(path.read_text() for name in ("forms", "geometry", "thinlayer") for path in (CLONE / name).rglob("*.py"))
+SOURCES = "".join(
+    path.read_text() for name in ("forms", "geometry", "thinlayer") for path in (CLONE / name).rglob("*.py")
+)
 QUOTES = set(re.findall(r'\*"(.+?)"\*', PAGES["thinlayer/docs/howto/questions.md"]))
 WARNINGS = {  # key of a RangeWarning -> words of its message
     "coarse ends": "falls to zero at free ends over delta",
