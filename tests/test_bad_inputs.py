@@ -19,6 +19,7 @@ from tests.refused import refused
 from tests.test_cli import thinlayer as command
 from tests.viscous_joints import interface
 from thinlayer.errors import LooseBody
+from thinlayer.running.description import Description
 from thinlayer.running.record import Record
 from thinlayer.system.folder import read_sealed, write_sealed
 
@@ -81,6 +82,11 @@ def assert_refused(words, file, *options):
 def test_settings(sound, setting, words):
     said = assert_refused((f"--set {setting!r}", words), sound, "--set", setting)
     assert str(sound) in said or said.startswith(f"thinlayer: --set {setting!r}")  # an option that cannot be read
+
+
+@of("quantities", "settings", "words")
+def test_quantities(sound, settings, words):
+    refused(InputError, re.escape(words), Description.read, sound, settings.split("; "))
 
 
 @of("files", "name", "old", "new", "words")

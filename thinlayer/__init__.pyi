@@ -34,6 +34,7 @@ from thinlayer.pointwise.drive import drive as drive
 from thinlayer.solving.solve import solve as solve
 from thinlayer.solving.step_problem import StepProblem as StepProblem
 from thinlayer.system.table import Table as Table
+from thinlayer.system.units import Units as Units
 from thinlayer.time.marching import march as march
 from thinlayer.time.plan import Adaptive as Adaptive
 from thinlayer.time.plan import ArcLength as ArcLength

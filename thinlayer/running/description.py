@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from thinlayer.running.materials import Materials, read_materials
+from thinlayer.running.quantities import read_units, with_numbers
 from thinlayer.running.toml_table import (
     Reader,
     Readers,
@@ -53,7 +54,8 @@ class Description:
         mesh: arguments of `geometry.read` by name; "path" is the path of the mesh file.
         body: name of a region -> its law and eigenstrain; the key None stands for all regions.
         layer: name of a seam -> law, eigenstrain and thickness of its layer; the key None stands for all seams.
-        units: names of the units of lengths and of stresses, which are only printed; None: no names.
+        units: names of the units of lengths, of stresses and perhaps of times; they are printed, and texts such as
+            "2 GPa" become numbers in these units. None: no names.
         supports: name of a facet set or coordinates of a vertex -> prescribed displacement. It is one number for all
             components, or a table of component -> number.
         tractions: name of a facet set -> components of the traction, or {"pressure": number}.
@@ -73,7 +75,7 @@ class Description:
     mesh: Arguments
     body: Materials
     layer: Materials
-    units: tuple[str, str] | None = None
+    units: tuple[str, ...] | None = None
     supports: Mapping[Place, Support] = field(default_factory=dict)
     tractions: Mapping[str, Traction] = field(default_factory=dict)
     body_force: Vector | Mapping[str, Vector] | None = None
@@ -98,7 +100,7 @@ class Description:
             DescriptionError: an entry is wrong or missing; the message says which one, what is wrong, and what is
                 allowed.
         """
-        file_table = read_input_file(path, settings)
+        file_table = with_numbers(read_input_file(path, settings))
         law_hint = "the parameters of a law, such as E and nu, in a table"
         required = {"mesh": MESH_HINT, "body": f"{law_hint} [body]", "layer": f"{law_hint} [layer]"}
         description = cls(file_table, **file_table.entries(ENTRY_READERS, required))
@@ -151,14 +153,6 @@ def _read_S_facets(section: TomlTable, key: str) -> object:
     """
     value = section.values[key]
     return value if isinstance(value, Mapping) else section.texts(key)
-
-
-def _read_units(section: TomlTable, key: str) -> tuple[str, str]:
-    text = section.text(key)
-    length_unit, *stress_units = map(str.strip, text.split(","))
-    if not length_unit or len(stress_units) != 1 or not stress_units[0]:
-        section.refuse(f"{text!r} are not two units; give those of lengths and of stresses, such as 'mm, MPa'", key)
-    return length_unit, stress_units[0]
 
 
 def _read_supports(section: TomlTable, key: str) -> dict[Place, Support]:
@@ -272,14 +266,10 @@ def _read_tolerances(section: TomlTable, key: str) -> dict[str, float]:
     return {name: table.checked(name, lambda number: number < 1, f"is not < 1; it is {what}") for name in tolerances}
 
 
-def _read_bonded(section: TomlTable, key: str) -> bool:
-    return bool(section.checked(key, lambda value: isinstance(value, bool), "is neither true nor false"))
-
-
 MESH_HINT = 'the name of a mesh file, mesh = "joint.msh"'
 ENTRY_READERS: dict[str, Reader] = {
     "mesh": _read_mesh,
-    "units": _read_units,
+    "units": read_units,
     "body": read_materials,
     "layer": partial(read_materials, are_layers=True),
     "supports": _read_supports,
@@ -292,5 +282,5 @@ ENTRY_READERS: dict[str, Reader] = {
     "times": _read_times,
     "goals": _read_goals,
     "tolerance": _read_tolerances,
-    "bonded": _read_bonded,
+    "bonded": lambda file, key: file.checked(key, lambda is_on: isinstance(is_on, bool), "is neither true nor false"),
 }
