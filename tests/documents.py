@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from collections import defaultdict
 from dataclasses import dataclass
@@ -44,3 +45,14 @@ def sections() -> dict[str, list[Block]]:
             name = page if "/tutorials/" in page else f"{page}#{anchors(text[: block.start()])[-1]}"
             blocks[name].append(Block(language, line, code, below))
     return blocks
+
+
+def names_of_checks() -> list[re.Pattern[str]]:
+    """The longer texts in the code of studies, among them the names of their checks; values in them are any text."""
+    texts = []
+    for node in (node for path in (CLONE / "studies").glob("*.py") for node in ast.walk(ast.parse(path.read_text()))):
+        parts = node.values if isinstance(node, ast.JoinedStr) else [node] if isinstance(node, ast.Constant) else []
+        words = [str(part.value) if isinstance(part, ast.Constant) else "" for part in parts]
+        if sum(map(len, words)) > 8:
+            texts.append(re.compile("".join(re.escape(word) or ".+" for word in words)))
+    return texts

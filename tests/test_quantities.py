@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from dataclasses import fields
+from inspect import signature
 from math import degrees
 
 import pytest
 
+import forms
 from forms import LinearElastic
 from forms.base import InputError
+from tests.documents import PAGES
 from tests.refused import refused
 from tests.test_descriptions import described
 from thinlayer import Units
@@ -54,7 +58,7 @@ def test_kinds():
 
 
 @pytest.mark.parametrize(
-    "text", ["mm", "2", "7e3", "2,5 GPa", "2 mm?", "2 GPa)", "2 mpaa", "20 degC", 2.0, None, "2 A"]
+    "text", ["mm", "2", "7e3", "2,5 GPa", "2 mm?", "2 GPa)", "2 mpaa", "20 degC", "2e-5/degC", 2.0, None, "2 A"]
 )
 def test_refused(text):
     refused(InputError, "; (give a text such as|name a third unit)", MM, text)
@@ -150,3 +154,30 @@ def test_without_pint(tmp_path, monkeypatch):
 
 def test_a_law():
     assert LinearElastic.young(E=MM("2 GPa"), nu=0.4) == LinearElastic.young(E=2e3, nu=0.4)
+
+
+def test_units_of_the_cheat_sheet():
+    """Each row of its table, and its sentence on `Units`."""
+    page = PAGES["thinlayer/docs/reference/cheat_sheet.md"]
+    rows = [
+        line.strip("| ").split(" | ") for line in page.partition("## Units")[2].splitlines() if line.startswith("| ")
+    ]
+    for length, force, time, mass, stress, steel, gravity in rows[1:]:
+        units, numbers = Units(length, stress, time), [*steel.split(", "), gravity]
+        for text, number in zip(["210 GPa", "7850 kg/m^3", "9.81 m/s^2"], numbers, strict=True):
+            assert units(text) == pytest.approx(float(number), rel=1e-12), (length, text)
+        assert (units(f"1 {force}"), units(f"1 {mass}")) == pytest.approx((1.0, 1.0), rel=1e-12)
+    said = dict(re.findall(r'`units\("(.*?)"\)` is ([\d.e-]+\d)', page))
+    assert {text: SYSTEMS["mm, MPa, s"](text) for text in said} == pytest.approx({t: float(n) for t, n in said.items()})
+    assert len(said) == 2
+
+
+def test_laws_of_the_cheat_sheet():
+    """Parameters in their order; "..." are the moduli."""
+    page = PAGES["thinlayer/docs/reference/cheat_sheet.md"].partition("## Laws")[2].partition("## Units")[0]
+    calls = re.findall(r"(\w+)\((.*?)\)(?=,? |$)", "".join(re.findall(r"^    .*\n", page, re.MULTILINE)), re.MULTILINE)
+    assert len(calls) >= 11
+    for name, arguments in calls:
+        if name != "Stack":  # of tuples
+            names = arguments.replace("...", "lmbda, mu").split(", ")
+            assert names == list(signature(getattr(forms, name)).parameters)[: len(names)], name

@@ -78,3 +78,36 @@ def test_what_is_deprecated_is_said_once_at_each_line_of_the_user():
         warn_of_deprecated("Bond()", "1.2", "Gap()")
     assert [str(warning.message) for warning in caught] == ["Bond() is deprecated since thinlayer 1.2; use Gap()"] * 2
     assert {warning.filename for warning in caught} == {__file__}
+
+
+def bibtex_fields(entry: str) -> dict[str, str]:
+    return {key: value.strip("{}") for key, value in re.findall(r"(\w+) = (\{\{.*?\}\}|\{.*?\})", entry)}
+
+
+def test_the_page_of_citations_says_what_the_citation_file_says():
+    """Both entries of BibTeX, and the text; the paper's entry is that of `reproduce`."""
+    page = (CLONE / "thinlayer/docs/reference/citing.md").read_text()
+    software, paper = map(bibtex_fields, re.findall(r"^    @\w+\{.*?^    \}", page, re.DOTALL | re.MULTILINE))
+    citation = (CLONE / "CITATION.cff").read_text()
+    of_software, of_paper = (
+        {key: value.strip('"') for key, value in re.findall(r"^[ -]*([\w-]+): (.+)$", part, re.MULTILINE)}
+        for part in citation.split("references:")
+    )
+    year = of_software["date-released"][:4]
+    wanted = {
+        "author": of_software["name"],
+        "title": of_software["title"],
+        "version": of_software["version"],
+        "year": year,
+    }
+    assert software == wanted
+    people = zip(*(re.findall(rf"{kind}-names?: (.+)", citation) for kind in ("family", "given")), strict=True)
+    wanted = {key: of_paper[key] for key in ("title", "volume", "year", "doi")}
+    wanted |= {"author": " and ".join(map(", ".join, people)), "journal": of_paper["journal"].replace("&", r"\&")}
+    wanted |= {"number": of_paper["issue"].replace("-", "--"), "pages": f"{of_paper['start']}--{of_paper['end']}"}
+    assert paper == wanted
+    said = " ".join(page.partition("    @")[0].replace(">", "").replace("*", "").split())
+    assert f"{of_software['name']}. {of_software['title']}. Version {of_software['version']}, {year}." in said
+    assert f"{of_paper['volume']} ({of_paper['year']}) {of_paper['start']}-{of_paper['end']}" in said
+    printed = tomllib.loads((CLONE / "studies/data/paper.toml").read_text())["paper"]["bibtex"]
+    assert bibtex_fields(printed) == paper

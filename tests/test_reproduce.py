@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import base64
 import json
 import re
@@ -15,7 +14,7 @@ import pytest
 
 from forms.base import InputError
 from studies import rates
-from tests.documents import CLONE
+from tests.documents import names_of_checks
 from tests.refused import refused
 from thinlayer.running.batch import Job, run_jobs
 from thinlayer.running.markup import formula_html
@@ -60,12 +59,7 @@ def page(tmp_path_factory):
 
 def test_every_row_names_a_check_of_a_study():
     """A check's name is a text of some study, with values put in where the row has * or the same value."""
-    texts = []
-    for node in (node for path in (CLONE / "studies").glob("*.py") for node in ast.walk(ast.parse(path.read_text()))):
-        parts = node.values if isinstance(node, ast.JoinedStr) else [node] if isinstance(node, ast.Constant) else []
-        words = [str(part.value) if isinstance(part, ast.Constant) else "" for part in parts]
-        if sum(map(len, words)) > 8:
-            texts.append(re.compile("".join(re.escape(word) or ".+" for word in words)))
+    texts = names_of_checks()
     page = Page(Path("out"), quick=True)
     for entry in entries(page):
         assert any(text.fullmatch(entry["check"]) for text in texts), entry

@@ -79,9 +79,9 @@ def _parse(text: str, kind: str | None) -> Any:
     require(isinstance(text, str) and QUANTITY.fullmatch(text), "a quantity", text, "give a text such as '0.2 mm'")
     require(kind is None or kind in DIMENSIONS, "the kind of a quantity", kind, f"allowed: {', '.join(DIMENSIONS)}")
     try:
-        quantity = registry.Quantity(text)
+        quantity = 1 * registry.Quantity(text)  # refuses 20 degC, a temperature or a difference of two
     except Exception as error:  # of pint and of the tokenizer of Python
-        raise InputError(f"{text!r} has no unit ({error}); give a text such as '0.2 mm' or '12e-6/K'") from None
+        raise InputError(f"{text!r} cannot be read ({error}); give a text such as '0.2 mm' or '12e-6/K'") from None
     kinds = [name for name, dimension in DIMENSIONS.items() if quantity.check(dimension)]
     actual = kinds[0] if kinds else quantity.dimensionality
     require(kind in (None, *kinds), f"the {kind}", text, f"give one with a unit of {kind}, not of {actual}")
