@@ -349,7 +349,8 @@ class IncrementalCoulomb(_Coulomb):
         >>> from geometry import sandwich
         >>> from thinlayer import Structure, Surface, march, piecewise
         >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
-        >>> stone, fault = LinearElastic.young(E=30e3, nu=0.2), IncrementalCoulomb(K_N=1e4, K_T=5e3, friction=0.3)
+        >>> stone = LinearElastic.young(E=30e3, nu=0.2)
+        >>> fault = IncrementalCoulomb(K_N=1e4, K_T=5e3, friction=0.3)
         >>> pushed = {"TOP": piecewise({0: (0, -2), 1: (0.5, -2)})}
         >>> blocks = Structure(joint, body=stone, supports={"BOTTOM": 0}, tractions=pushed)
         >>> history = march(blocks.interface(fault), [0.5, 1.0])

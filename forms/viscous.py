@@ -60,6 +60,15 @@ class KelvinVoigt(ParallelDashpot):
 
     Raises:
         InputError: a parameter out of range.
+
+    Example:
+        >>> from forms import KelvinVoigt
+        >>> from thinlayer import drive
+        >>> resin = KelvinVoigt(lmbda=800.0, mu=400.0, theta_lmbda=1.0, theta_mu=2.0)
+        >>> held = {"w_T": 0.5, "w_N": 0.0}
+        >>> print(drive(resin, [held] * 2, dt=1.0).tractions.round(1))
+        [[600.   0.]
+         [200.   0.]]
     """
 
     theta_lmbda: float
@@ -160,7 +169,8 @@ class Maxwell(SeriesDashpot):
         >>> from forms import Maxwell
         >>> from thinlayer import drive
         >>> resin = Maxwell(lmbda=800.0, mu=400.0, t1=2.0)
-        >>> relaxing = drive(resin, [{"w_T": 0.01, "w_N": 0.0}] * 3, dt=[0, 2, 2], theta=0.5)
+        >>> held = {"w_T": 0.01, "w_N": 0.0}
+        >>> relaxing = drive(resin, [held] * 3, dt=[0, 2, 2], theta=0.5)
         >>> print(relaxing.tractions[:, 0].round(3))
         [4.    2.667 0.889]
     """
@@ -225,6 +235,15 @@ class Norton(ParallelDashpot):
 
     Raises:
         InputError: a parameter out of range.
+
+    Example:
+        >>> from forms import Norton
+        >>> from thinlayer import drive
+        >>> solder = Norton(lmbda=800.0, mu=400.0, eta=300.0, p=1.5)
+        >>> held = {"w_T": 0.5, "w_N": 0.0}
+        >>> print(drive(solder, [held] * 2, dt=1.0).tractions.round(1))
+        [[326.1   0. ]
+         [200.    0. ]]
     """
 
     eta: float
@@ -269,6 +288,16 @@ class NortonCreep(SeriesDashpot):
 
     Raises:
         InputError: a parameter out of range.
+
+    Example:
+        >>> from forms import NortonCreep
+        >>> from thinlayer import drive
+        >>> solder = NortonCreep(lmbda=800.0, mu=400.0, A=1e-7, n=3)
+        >>> held = {"w_T": 0.5, "w_N": 0.0}
+        >>> print(drive(solder, [held] * 3, dt=1.0).tractions.round(1))
+        [[71.   0. ]
+         [42.8  0. ]
+         [31.5  0. ]]
     """
 
     A: float

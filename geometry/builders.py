@@ -139,6 +139,12 @@ def disc(
     Raises:
         InputError: a size is not positive, the hole does not fit, a keyword or cell type is unknown, the degree is not
             1 or 2.
+
+    Example:
+        >>> from geometry import disc
+        >>> joint = disc(radius=10, lower=4, upper=6, h=2)
+        >>> joint.bodies, sorted(joint.facets)
+        (('LOWER', 'UPPER'), ['BOTTOM', 'S', 'SIDE', 'TOP'])
     """
     return on_root(comm, Discs(MeshOptions.of(h, cells, CurvedArgs), radius, lower, upper, hole).build)
 
@@ -221,6 +227,12 @@ def fibre(
     Raises:
         InputError: a size is not positive, the fibre has no room, a keyword or cell type is unknown; quadrilaterals are
             asked for in a rectangle, the degree is not 1 or 2.
+
+    Example:
+        >>> from geometry import fibre
+        >>> joint = fibre(radius=1, around=2, h=0.5)
+        >>> joint.bodies, sorted(joint.facets)
+        (('FIBRE', 'MATRIX'), ['OUTSIDE', 'S'])
     """
     lengths = around if isinstance(around, tuple) else (around,)
     return on_root(comm, lambda: Fibre(MeshOptions.of(h, cells, CurvedArgs), radius, lengths).build())
@@ -292,6 +304,12 @@ def bond_cell(
     Raises:
         InputError: a size is not positive, a cell type is not one of this dimension, the cut is along a layer
             of mortar.
+
+    Example:
+        >>> from geometry import bond_cell
+        >>> cell = bond_cell((4, 2), h=1)
+        >>> cell.bodies, sorted(cell.seams)
+        (('COURSE 1', 'COURSE 2'), ['BED', 'HEAD'])
     """
     size = tuple(brick) if depth is None else (*brick, depth)
     joint = on_root(comm, lambda: repeated_bond(MeshOptions(h, cell=cell), size, cut))

@@ -31,7 +31,8 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
 
     Example:
         >>> from geometry import periodic, sandwich
-        >>> joint = periodic(sandwich(4, 1, 2, h=0.5, cell="quadrilateral"), ("LEFT", "RIGHT"))
+        >>> plates = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> joint = periodic(plates, ("LEFT", "RIGHT"))
         >>> sorted(joint.facets)
         ['BOTTOM', 'LEFT', 'RIGHT', 'S', 'TOP']
     """

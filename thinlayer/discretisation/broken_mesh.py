@@ -74,8 +74,9 @@ class BrokenMesh:
         >>> from mpi4py import MPI
         >>> from thinlayer import BrokenMesh
         >>> square = mesh.create_unit_square(MPI.COMM_WORLD, 4, 4)
-        >>> upper = mesh.compute_midpoints(square, 2, np.arange(32, dtype=np.int32))[:, 1] > 0.5
-        >>> bodies = mesh.meshtags(square, 2, np.arange(32, dtype=np.int32), upper.astype(np.int32))
+        >>> cells = np.arange(32, dtype=np.int32)
+        >>> upper = mesh.compute_midpoints(square, 2, cells)[:, 1] > 0.5
+        >>> bodies = mesh.meshtags(square, 2, cells, upper.astype(np.int32))
         >>> middle = mesh.locate_entities(square, 1, lambda x: np.isclose(x[1], 0.5))
         >>> facets = mesh.meshtags(square, 1, middle, np.full(len(middle), 7, np.int32))
         >>> broken = BrokenMesh(square, bodies, facets, S=7)

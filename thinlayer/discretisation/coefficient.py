@@ -350,7 +350,10 @@ class Pressure:
         ...     sandwich(4, 1, 2, h=0.5, cell="quadrilateral"),
         ...     body=LinearElastic.young(E=210e3, nu=0.3),
         ...     supports={"BOTTOM": 0},
-        ...     tractions={"TOP": Pressure(lambda x, t: 2 + ufl.sin(x[0])), "LEFT": Pressure(2)},
+        ...     tractions={
+        ...         "TOP": Pressure(lambda x, t: 2 + ufl.sin(x[0])),
+        ...         "LEFT": Pressure(2),
+        ...     },
         ... )
         >>> state = solve(plates.bonded())
         >>> print(state.reaction("BOTTOM").force.round(4))

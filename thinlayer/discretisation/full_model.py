@@ -36,7 +36,7 @@ MAX_EPS_RATIO = 1e6  # largest thickness over the bodies' size: beyond it coordi
 
 
 class FullModel(Model):
-    """Model of a structure whose layers are meshed.
+    """Model of a structure whose layers are meshed, with all methods of a `Model`.
 
     Attributes:
         inflated_joint: the joint with the cells of the layers, after S was opened to the layers' thickness.

@@ -43,7 +43,7 @@ END_DEGREE_INCREASE = 2  # increase of the quadrature degree where weights of fr
 
 
 class InterfaceModel(Model):
-    """Model of a structure whose layers are replaced by their interface laws on S.
+    """Model of a structure whose layers are replaced by their interface laws on S, with all methods of a `Model`.
 
     A seam may also have a `Bond`, which joins the two bodies, or be open.
     """

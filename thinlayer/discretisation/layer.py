@@ -75,10 +75,12 @@ class ThinLayer:
     Example:
         >>> from forms import LinearElastic, Stack
         >>> from thinlayer import ThinLayer
-        >>> glue, primer = LinearElastic.young(E=2e3, nu=0.4), LinearElastic.young(E=500.0, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
+        >>> primer = LinearElastic.young(E=500.0, nu=0.3)
         >>> ThinLayer(Stack((0.9, glue), (0.1, primer)), eps=0.05, order=1).fractions
         (0.9, 0.1)
-        >>> swelling = ThinLayer(glue, eps=0.05, profile=lambda x: 1 + 0.1 * x[0], eigenstrain=1e-3)
+        >>> wedge = lambda x: 1 + 0.1 * x[0]
+        >>> swelling = ThinLayer(glue, eps=0.05, profile=wedge, eigenstrain=1e-3)
     """
 
     law: BulkLaw
@@ -135,8 +137,11 @@ class Gap:
         >>> from geometry import faults
         >>> from thinlayer import Gap, Structure, ThinLayer, solve
         >>> joint = faults(4, 2, {"A": [(1, 1), (2, 1)], "B": [(2, 1), (3, 1)]}, h=0.5)
-        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
-        >>> block = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (0, 10)})
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
+        >>> block = Structure(
+        ...     joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (0, 10)}
+        ... )
         >>> state = solve(block.interface({"A": ThinLayer(glue, eps=0.05), "B": Gap(0.05)}))
         >>> sorted(state.energies())
         ['bodies', 'layer', 'layer A', 'loads']
@@ -159,9 +164,12 @@ class Bond:
         >>> from forms import LinearElastic
         >>> from geometry import sandwich
         >>> from thinlayer import Bond, Structure, ThinLayer, solve
-        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
         >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
-        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+        >>> plates = Structure(
+        ...     joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}
+        ... )
         >>> f"{solve(plates.interface(Bond())).energies()['bodies']:.3g}"
         '0.00381'
     """

@@ -151,12 +151,13 @@ class Model(ABC):
         comm: the domain's communicator.
         V: displacement space; broken across S in the interface model.
         unknowns: number of displacement dofs, those at supports included.
-        dx, ds: measures of the mesh with its tags, for user-defined terms. With such a term the residual at u is
+        dx: measure of the cells with their tags, for user-defined terms. With such a term the residual at u is
             `work(model.terms_at(t), u, v) - model.external_work(v, t) + term * model.dx`, without compiled or nodal
             laws. Compile it with `model.form`: DOLFINx 0.9 itself loses integrals over overlapping tags whose
             quadratures differ, as for a body and its weight on quadrilaterals. Regions and facets:
             `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`. Only `model.form` accepts
             plain `ufl.dx` in the same form, `dolfinx.fem.form` does not.
+        ds: the same of the outer facets.
         bodies, layer_terms: terms of the laws of the bodies and of the layers, with prescribed strains that may depend
             on the time; `State.bodies` and `State.layers` are these terms at the time of a state.
         body_strains, layer_strains: name of a body, or of a seam -> minus its eigenstrain (3, 3), which is added to the

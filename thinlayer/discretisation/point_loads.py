@@ -75,8 +75,10 @@ class PointLoad:
         >>> from geometry import sandwich
         >>> from thinlayer import PointLoad, Structure, ThinLayer, solve
         >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
-        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
-        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, loads=[PointLoad((4, 2), (5, -30))])
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
+        >>> at_corner = PointLoad((4, 2), (5, -30))
+        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, loads=[at_corner])
         >>> state = solve(plates.interface(ThinLayer(glue, eps=0.05)))
         >>> print(state.reaction("BOTTOM").force.round(6))
         [-5. 30.]
@@ -113,6 +115,17 @@ class LineLoad:
         first, second: names of the facet sets, on the outer boundary.
         force: (3,) force per length, constant or a function (x, t).
         body: region whose edges are loaded; needed for edges in S, where each body has its own.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import LineLoad, Structure, solve
+        >>> joint = sandwich(4, 1, 2, h=1, depth=1, cell="hexahedron")
+        >>> edge = LineLoad("TOP", "RIGHT", (0, -30, 0))
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> blocks = Structure(joint, body=steel, supports={"BOTTOM": 0}, loads=[edge])
+        >>> f"{solve(blocks.bonded()).reaction('BOTTOM').force[1]:.3f}"
+        '30.000'
     """
 
     first: str

@@ -241,11 +241,15 @@ class ThermalExpansion(Eigenstrain):
         >>> from geometry import sandwich
         >>> from thinlayer import Structure, Surface, ThermalExpansion, ThinLayer, solve
         >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
-        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
         >>> heated = ThermalExpansion(12e-6, T=50)
-        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, eigenstrain={"UPPER": heated})
+        >>> plates = Structure(
+        ...     joint, body=steel, supports={"BOTTOM": 0}, eigenstrain={"UPPER": heated}
+        ... )
         >>> state = solve(plates.interface(ThinLayer(glue, eps=0.05)))
-        >>> f"{Surface(state.model).jump(state)[0, -1, -1]:.2g}"  # along S, near its right end
+        >>> jump = Surface(state.model).jump(state)
+        >>> f"{jump[0, -1, -1]:.2g}"  # along S, near its right end
         '0.0011'
     """
 
@@ -292,9 +296,12 @@ class Prestress(Eigenstrain):
         >>> from geometry import sandwich
         >>> from thinlayer import Prestress, Probe, Structure, ThinLayer, solve
         >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
-        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
         >>> stressed = Prestress(((20, 0), (0, 0)))
-        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, eigenstrain={"LOWER": stressed})
+        >>> plates = Structure(
+        ...     joint, body=steel, supports={"BOTTOM": 0}, eigenstrain={"LOWER": stressed}
+        ... )
         >>> state = solve(plates.interface(ThinLayer(glue, eps=0.05)))
         >>> f"{Probe(state).stress((2, -0.5), side='lower')[0, 0]:.3g}"
         '14.4'

@@ -135,8 +135,12 @@ class Configuration:
 class State(Configuration):
     """Equilibrium of a model at a time.
 
+    A state has all attributes of a `Configuration`, such as `memory` and `fields`.
+
     Attributes:
-        model: the model; u is in model.V.
+        u: displacement, a function in model.V; in a periodic cell without the motion of the mean strain.
+        t: time.
+        model: the model.
         report: method, iterations and residual of the solve.
         audit: energy balance of the step that led here.
         sudden: whether it is the response to sudden loads from rest.
@@ -144,6 +148,25 @@ class State(Configuration):
             in prescribed motions of multi-point constraints; NaN: not known.
         dissipated: with several seams, name of a seam -> energy that its layer dissipated in this step, without losses
             in a snap. "bodies" -> energy that bodies dissipated, if their laws have memory or depend on rates.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, ThinLayer, solve
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> plates = Structure(
+        ...     joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}
+        ... )
+        >>> state = solve(plates.interface(ThinLayer(glue, eps=0.05)))
+        >>> {part: round(energy, 5) for part, energy in state.energies().items()}
+        {'bodies': 0.00384, 'layer': 0.00423, 'loads': 0.01614}
+        >>> print(state.reaction("BOTTOM").force.round(6), state.applied().force.round(6))
+        [-12.  40.] [ 12. -40.]
+        >>> on_top = state.model.ds(state.model.domain.values("TOP"))
+        >>> f"{state.integral(state.u[1] * on_top) / 4:.3g}"  # mean displacement along y
+        '-0.000243'
     """
 
     model: Model

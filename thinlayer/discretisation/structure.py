@@ -97,9 +97,12 @@ class Structure:
         >>> from forms import LinearElastic
         >>> from geometry import sandwich
         >>> from thinlayer import Structure, ThinLayer, solve
-        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
         >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
-        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+        >>> plates = Structure(
+        ...     joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}
+        ... )
         >>> state = solve(plates.interface(ThinLayer(glue, eps=0.05)))
         >>> print(state.reaction("BOTTOM").force.round(6))
         [-12.  40.]
@@ -172,9 +175,12 @@ class Structure:
             >>> from forms import LinearElastic
             >>> from geometry import sandwich
             >>> from thinlayer import Structure, ThinLayer, solve
-            >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+            >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+            >>> glue = LinearElastic.young(E=2e3, nu=0.4)
             >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
-            >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+            >>> plates = Structure(
+            ...     joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}
+            ... )
             >>> model = plates.full(ThinLayer(glue, eps=0.05), cells_through=2)
             >>> f"{solve(model).energies()['layer']:.3g}"
             '0.00426'
@@ -200,9 +206,12 @@ class Structure:
             >>> from forms import LinearElastic
             >>> from geometry import sandwich
             >>> from thinlayer import Structure, ThinLayer, solve
-            >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+            >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+            >>> glue = LinearElastic.young(E=2e3, nu=0.4)
             >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
-            >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+            >>> plates = Structure(
+            ...     joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}
+            ... )
             >>> model = plates.interface(ThinLayer(glue, eps=0.05, order=1))
             >>> f"{solve(model).energies()['layer']:.3g}"
             '0.00428'
@@ -219,9 +228,12 @@ class Structure:
             >>> from forms import LinearElastic
             >>> from geometry import sandwich
             >>> from thinlayer import Structure, ThinLayer, solve
-            >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+            >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+            >>> glue = LinearElastic.young(E=2e3, nu=0.4)
             >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
-            >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+            >>> plates = Structure(
+            ...     joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}
+            ... )
             >>> f"{solve(plates.bonded()).energies()['bodies']:.3g}"
             '0.00381'
         """

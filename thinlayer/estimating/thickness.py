@@ -114,9 +114,12 @@ def thin_enough(
         >>> from forms import LinearElastic
         >>> from geometry import sandwich
         >>> from thinlayer import Structure, ThinLayer, thin_enough
-        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
         >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
-        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+        >>> plates = Structure(
+        ...     joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}
+        ... )
         >>> limit = thin_enough(plates, ThinLayer(glue, eps=0.05), tolerance=0.05)
         >>> f"{limit.eps:.3g}"
         '0.123'

@@ -75,9 +75,12 @@ def ensemble(
         >>> from forms import LinearElastic
         >>> from geometry import sandwich
         >>> from thinlayer import Structure, ThinLayer, ensemble, solve
-        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
         >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
-        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+        >>> plates = Structure(
+        ...     joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}
+        ... )
         >>> def make():
         ...     def run(case):
         ...         layer = ThinLayer(LinearElastic.young(E=case["E"], nu=0.4), eps=0.05)

@@ -42,9 +42,13 @@ def homogenised_stiffness(model: Model) -> Array:
         >>> from forms import LinearElastic
         >>> from geometry import bond_cell
         >>> from thinlayer import Structure, ThinLayer, homogenised_stiffness
-        >>> brick, mortar = LinearElastic.young(E=10e3, nu=0.2), LinearElastic.young(E=500.0, nu=0.2)
-        >>> cell = Structure(bond_cell((4, 2), h=1), body=brick, supports={}, strain=((0, 0), (0, 0)))
-        >>> print(homogenised_stiffness(cell.interface(ThinLayer(mortar, eps=0.1))).round(-1))
+        >>> brick = LinearElastic.young(E=10e3, nu=0.2)
+        >>> mortar = LinearElastic.young(E=500.0, nu=0.2)
+        >>> no_strain = ((0, 0), (0, 0))
+        >>> joint = bond_cell((4, 2), h=1)
+        >>> cell = Structure(joint, body=brick, supports={}, strain=no_strain)
+        >>> model = cell.interface(ThinLayer(mortar, eps=0.1))
+        >>> print(homogenised_stiffness(model).round(-1))
         [[7540.  970.    0.]
          [ 970. 5500.    0.]
          [   0.    0. 1800.]]

@@ -64,9 +64,12 @@ class Probe:
         >>> from forms import LinearElastic
         >>> from geometry import sandwich
         >>> from thinlayer import Probe, Structure, ThinLayer, solve
-        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
         >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
-        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+        >>> plates = Structure(
+        ...     joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}
+        ... )
         >>> probe = Probe(solve(plates.interface(ThinLayer(glue, eps=0.05))))
         >>> print(probe.displacement((1, 0), side="upper").shape)
         (2,)

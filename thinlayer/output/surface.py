@@ -48,9 +48,12 @@ class Surface(SurfaceMesh):
         >>> from forms import LinearElastic
         >>> from geometry import sandwich
         >>> from thinlayer import Structure, Surface, ThinLayer, solve
-        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
         >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
-        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+        >>> plates = Structure(
+        ...     joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}
+        ... )
         >>> state = solve(plates.interface(ThinLayer(glue, eps=0.05)))
         >>> surface = Surface(state.model)
         >>> surface.traction(state).shape  # components, facets, points of a facet

@@ -52,12 +52,16 @@ def sweep(run: RowFunction, eps: Iterable[float], out: str | Path | None = None,
         >>> from forms import LinearElastic
         >>> from geometry import sandwich
         >>> from thinlayer import Structure, ThinLayer, compare, solve, sweep
-        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
         >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
-        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+        >>> plates = Structure(
+        ...     joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}
+        ... )
         >>> def run(eps):
         ...     layer = ThinLayer(glue, eps, at=0.1)
-        ...     return compare(solve(plates.full(layer, cells_through=1)), solve(plates.interface(layer)))
+        ...     full, limit = plates.full(layer, cells_through=1), plates.interface(layer)
+        ...     return compare(solve(full), solve(limit))
         ...
         >>> table = sweep(run, [0.1, 0.05])
         >>> print(table.columns)

@@ -85,7 +85,8 @@ class RigidPlate(PartDefinition):
         >>> from geometry import sandwich
         >>> from thinlayer import RigidPlate, Structure, ThinLayer, solve
         >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
-        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
         >>> plate = RigidPlate("TOP", force=(0, -40), moment=10)
         >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, parts=[plate])
         >>> state = solve(plates.interface(ThinLayer(glue, eps=0.05)))

@@ -52,9 +52,12 @@ class Springs(PartDefinition):
         >>> from geometry import sandwich
         >>> from thinlayer import Springs, Structure, ThinLayer, solve
         >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
-        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
         >>> soil = Springs("BOTTOM", normal=50.0, tangential=20.0)
-        >>> plates = Structure(joint, body=steel, supports={}, tractions={"TOP": (3, -10)}, parts=[soil])
+        >>> plates = Structure(
+        ...     joint, body=steel, supports={}, tractions={"TOP": (3, -10)}, parts=[soil]
+        ... )
         >>> state = solve(plates.interface(ThinLayer(glue, eps=0.05)))
         >>> print(state.reaction("BOTTOM").force.round(6))
         [-12.  40.]

@@ -49,9 +49,14 @@ class UflPart(PartDefinition):
         >>> from geometry import sandwich
         >>> from thinlayer import Structure, ThinLayer, UflPart, solve
         >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
-        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
-        >>> soil = UflPart(energy=lambda u, model: 25 * ufl.inner(u, u) * model.ds(model.domain.values("BOTTOM")))
-        >>> plates = Structure(joint, body=steel, supports={}, tractions={"TOP": (3, -10)}, parts=[soil])
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
+        >>> def energy(u, model):
+        ...     return 25 * ufl.inner(u, u) * model.ds(model.domain.values("BOTTOM"))
+        >>> soil = UflPart(energy=energy)
+        >>> plates = Structure(
+        ...     joint, body=steel, supports={}, tractions={"TOP": (3, -10)}, parts=[soil]
+        ... )
         >>> state = solve(plates.interface(ThinLayer(glue, eps=0.05)))
         >>> f"{state.energies()['own form']:.3g}"
         '6.79'

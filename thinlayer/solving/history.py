@@ -52,6 +52,24 @@ class History:
             the length of the time steps. It is 0 if no energy was dissipated, and NaN if it is unknown. The dictionary
             is empty for laws that are linear or have no history, for adaptive steps and for arc-length continuation.
         begun: True: the march began at a given state, which is its first one. False: it began at rest.
+
+    Example:
+        >>> from forms import LinearElastic, Maxwell
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, ThinLayer, march
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> resin = Maxwell(lmbda=800.0, mu=400.0, t1=20.0)
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> plates = Structure(
+        ...     joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}
+        ... )
+        >>> history = march(plates.interface(ThinLayer(resin, eps=0.05)), times=[1, 2, 4])
+        >>> history
+        History(InterfaceModel(Q2, 476 unknowns), 4 steps, t = 0 to 4, 4 states)
+        >>> history.t
+        array([0., 1., 2., 4.])
+        >>> f"{history.at(2).energies()['layer']:.3g}"
+        '0.0102'
     """
 
     model: Model

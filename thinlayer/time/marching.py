@@ -115,8 +115,11 @@ def march(
         >>> from geometry import sandwich
         >>> from thinlayer import Structure, ThinLayer, march
         >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
-        >>> steel, resin = LinearElastic.young(E=210e3, nu=0.3), Maxwell(lmbda=800.0, mu=400.0, t1=20.0)
-        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> resin = Maxwell(lmbda=800.0, mu=400.0, t1=20.0)
+        >>> plates = Structure(
+        ...     joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}
+        ... )
         >>> history = march(plates.interface(ThinLayer(resin, eps=0.05)), [0.5, 1.0, 2.0])
         >>> f"{history.last.energies()['layer']:.3g}"
         '0.0102'

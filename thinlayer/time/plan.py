@@ -164,8 +164,11 @@ class Adaptive(Plan):
         >>> from geometry import sandwich
         >>> from thinlayer import Adaptive, Structure, ThinLayer, march
         >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
-        >>> steel, resin = LinearElastic.young(E=210e3, nu=0.3), Maxwell(lmbda=800.0, mu=400.0, t1=20.0)
-        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> resin = Maxwell(lmbda=800.0, mu=400.0, t1=20.0)
+        >>> plates = Structure(
+        ...     joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}
+        ... )
         >>> steps = Adaptive(end=4.0, first=0.1, tolerance=0.01)
         >>> history = march(plates.interface(ThinLayer(resin, eps=0.05)), steps, start=0)
         >>> history.last.t
@@ -244,6 +247,20 @@ class ArcLength(Plan):
 
     Raises:
         InputError: a value is out of range.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import ArcLength, Structure, ThinLayer, march
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> supports = {"BOTTOM": 0, "TOP": {"y": lambda x, t: 0.01 * t}}
+        >>> plates = Structure(joint, body=steel, supports=supports)
+        >>> path = ArcLength(end=2.0, first=0.5)
+        >>> history = march(plates.interface(ThinLayer(glue, eps=0.05)), path)
+        >>> history.t
+        array([0. , 0.5, 1. , 1.5, 2. ])
     """
 
     end: float

@@ -60,6 +60,22 @@ def along(
     Raises:
         InputError: not a surface, state or field; a plane that does not cut S, or none in 3D.
         OSError: the picture could not be written.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, Surface, ThinLayer, plotting, solve
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> plates = Structure(
+        ...     joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}
+        ... )
+        >>> state = solve(plates.interface(ThinLayer(glue, eps=0.05)))
+        >>> surface = Surface(state.model)
+        >>> picture = plotting.along(surface, state, length="mm", stress="MPa")
+        >>> [axes.get_ylabel() for axes in picture.axes]
+        ['t_N (MPa)', 't_T (MPa)', 'w_N (mm)', 'w_T (mm)']
     """
     require(isinstance(surface, Surface), "along: surface", surface, "give Surface(limit.model)")
     unit_texts = [f" ({unit})" if unit else "" for unit in (stress, length)]

@@ -53,6 +53,12 @@ def rates(
     Raises:
         InputError: a table without rows or without these columns.
         OSError: the picture could not be written.
+
+    Example:
+        >>> from thinlayer import Table, plotting
+        >>> errors = {"error_traction": [0.04, 0.02], "error_jump": [0.03, 0.02]}
+        >>> table = Table.of({"eps": [0.2, 0.1]} | errors)
+        >>> picture = plotting.rates(table, save="rates.svg")
     """
     tables: dict[str, Table | str | Path] = entry_by_label("rates: table", table, "table")
     lines, styles, colours = dict[str, tuple[Array, Array]](), {}, {}
@@ -120,6 +126,12 @@ def curves(
     Raises:
         InputError: `lines` is no mapping.
         ValueError: x and y of a curve have different lengths.
+
+    Example:
+        >>> from thinlayer import plotting
+        >>> w, axes = [0, 1, 2], ("jump w_N (mm)", "traction t_N (MPa)")
+        >>> lines = {"law": (w, [0, 3, 4]), "meshed": (w, [0, 2.9, 3.8])}
+        >>> picture = plotting.curves(lines, *axes, save="pull.svg")
     """
     require(isinstance(lines, Mapping), "curves", lines, "give {label: (x, y)}, or {title: {label: (x, y)}}")
     has_panels = bool(lines) and all(isinstance(entry, Mapping) for entry in lines.values())

@@ -55,6 +55,19 @@ def movie(
         InputError: no state, or states of several models; an invalid view, as in `deformed`; another ending of the
             name; no ffmpeg.
         OSError: the movie could not be written; on all ranks.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, ThinLayer, march, plotting
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> loads = {"TOP": lambda x, t: (t, 0)}
+        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions=loads)
+        >>> history = march(plates.interface(ThinLayer(glue, eps=0.05)), times=[1, 2])
+        >>> plotting.movie(history, save="slip.gif", time_unit="s").name
+        'slip.gif'
     """
     states = list(solution) if isinstance(solution, Iterable) else []
     if not states or not all(isinstance(state, State) for state in states):

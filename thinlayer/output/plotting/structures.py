@@ -53,6 +53,20 @@ def deformed(
         InputError: not a state; `save` is no name of a file; a view with an unknown component, an invalid direction, a
             direction or cut in 2D, or nothing in its window.
         OSError: the picture could not be written; on all ranks.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, ThinLayer, plotting, solve
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> plates = Structure(
+        ...     joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}
+        ... )
+        >>> state = solve(plates.interface(ThinLayer(glue, eps=0.05)))
+        >>> view = plotting.View("y", unit="mm")
+        >>> picture = plotting.deformed({"glue": state}, view, save="plates.png")
     """
     labelled = _state_by_label(states, "deformed")
     return _draw_panels(labelled, view, lambda scene, _, grid: scene.render(grid), Scene.draw_colour_bar, title, save)
@@ -92,6 +106,21 @@ def on_surface(
         InputError: not a state; no scalar field on S; a view with an invalid direction, a direction or cut in 2D, or
             nothing in its window.
         OSError: the picture could not be written; on all ranks.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, ThinLayer, plotting, solve
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> plates = Structure(
+        ...     joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}
+        ... )
+        >>> state = solve(plates.interface(ThinLayer(glue, eps=0.05)))
+        >>> def normal_traction(surface, state):
+        ...     return surface.frame(surface.traction(state))[-1]
+        >>> picture = plotting.on_surface(state, normal_traction, save="t_N.png")
     """
     labelled = _state_by_label(states, "on_surface")
     surfaces = {label: Surface(state.model, seam) for label, state in labelled.items()}

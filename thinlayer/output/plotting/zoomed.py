@@ -49,6 +49,19 @@ def zoomed(
     Raises:
         InputError: a 3D model; not a `Zoom`; no such end, component or width.
         OSError: the file could not be written.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, ThinLayer, Zoom, plotting, solve
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> plates = Structure(
+        ...     joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}
+        ... )
+        >>> state = solve(plates.interface(ThinLayer(glue, eps=0.05)))
+        >>> picture = plotting.zoomed(Zoom(state), save="inside.png")
     """
     for candidate in (zoom,) if full is None else (zoom, full):
         require(isinstance(candidate, Zoom), "zoomed: a zoom", candidate, "give Zoom(state)")
