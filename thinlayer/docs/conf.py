@@ -1,11 +1,10 @@
 """How `./fenicsx docs` builds the documentation."""
 
 import os
-import re
+import shutil
 import sys
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parents[1])]
@@ -14,14 +13,17 @@ from thinlayer import __version__ as release  # noqa: E402, F401
 
 project, copyright = "thinlayer", "the thinlayer authors, MIT licence"
 SPHINX = [f"sphinx.ext.{name}" for name in ("autosummary", "intersphinx", "napoleon")]
-extensions = ["listings", "myst_parser", "sphinx_copybutton", *SPHINX]
+extensions = ["listings", "myst_parser", "sphinx_copybutton", *SPHINX, "docstrings"]
 
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
 
 default_role = "code"  # single backticks in docstrings
-autodoc_member_order = "bysource"
-napoleon_use_ivar = True
+autodoc_member_order, autodoc_typehints = "bysource", "none"
+napoleon_use_ivar, napoleon_attr_annotations = True, False
+autosummary_generate = [str(path) for path in HERE.glob("reference/api/*.md")]
+shutil.rmtree(HERE / "reference/generated", ignore_errors=True)  # with pages of names that are gone
+templates_path = ["_templates"]
 
 # Links into other references need their inventories, and so a network: THINLAYER_LINKS=1 ./fenicsx docs.
 DOLFINX = "https://docs.fenicsproject.org/dolfinx/v0.9.0/python"
@@ -39,16 +41,3 @@ html_theme_options = {"show_toc_level": 2, "footer_start": ["copyright"], "foote
 highlight_language = "text"  # of indented blocks
 copybutton_prompt_text = r">>> |\.\.\. "  # examples of docstrings are copied without their prompts
 copybutton_prompt_is_regexp = True
-
-
-def escaped(app: Any, what: str, name: str, obj: object, options: Any, lines: list[str]) -> None:
-    """Keep `|t_T|` and `a * b` of docstrings as they are written: both are markup of reStructuredText."""
-    for k, line in enumerate(lines):
-        parts = re.split(r"(``?[^`]*``?)", line)
-        parts[::2] = [re.sub(r"([|*])", r"\\\1", part) for part in parts[::2]]
-        lines[k] = "".join(parts)
-
-
-def setup(app: Any) -> None:
-    """Called by Sphinx."""
-    app.connect("autodoc-process-docstring", escaped, priority=100)
