@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,13 @@ from sphinx.util.docutils import SphinxDirective
 from thinlayer.running.catalogue import Study, duration_text, studies
 
 CLONE = Path(__file__).parents[2]
-PICTURES = "../../../studies/pictures/"  # from a page of the reference
+IMAGE, KINDS = "![{0}](/../../studies/pictures/{0})", (".png", ".svg", ".gif")  # structures before curves and movies
+
+
+def pictures(study: Study) -> list[str]:
+    """Return the files of a study's pictures, the most telling ones first."""
+    names = [path.name for path in (CLONE / "studies/pictures").glob(f"{study.name}*")]
+    return sorted(names, key=lambda name: (KINDS.index(name[-4:]), name))
 
 
 class Studies(SphinxDirective):
@@ -23,19 +31,19 @@ class Studies(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         gallery: list[nodes.Node] = []
-        for group in dict.fromkeys(study.group for study in studies().values()):
-            cards = nodes.container(classes=["study-cards"])
-            members = [study for study in studies().values() if study.group == group]
-            cards += [nodes.container("", *self.card(study)) for study in members]
-            gallery += [nodes.rubric(text=group), cards]
+        for group, members in groupby(studies().values(), lambda study: study.group):
+            cards = [nodes.container("", *card) for study in members for card in self.cards(study)]
+            gallery += [nodes.rubric(text=group), nodes.container("", *cards, classes=["study-cards"])]
         return gallery
 
-    def card(self, study: Study) -> list[nodes.Node]:
-        """A study's name, picture, summary, and times."""
-        drawn = sorted((CLONE / "studies/pictures").glob(f"{study.name}*.[sp][vn]g"))
-        picture = "".join(f"![{study.summary}]({PICTURES}{path.name})\n\n" for path in drawn[:1])
+    def cards(self, study: Study) -> Iterator[list[nodes.Node]]:
+        """Yield a card for each structure that a study draws, or one with curves; cards link to the study's page."""
+        names, to = pictures(study), f"(generated/studies/{study.name}.md)"
         times = f"{duration_text(study.full)}, with `--quick` {duration_text(study.quick)}"
-        return self.parse_text_to_nodes(f"**{study.name}**\n\n{picture}{study.summary}\n\n{times}")
+        for name in [name for name in names if name.endswith(".png")] or names[:1] or [study.name]:
+            image = f"[{IMAGE.format(name)}]{to}" if names else ""
+            lines = f"**[{Path(name).stem}]{to}**", image, study.summary, times
+            yield self.parse_text_to_nodes("\n\n".join(lines))
 
 
 class Errata(SphinxDirective):
@@ -52,5 +60,11 @@ class Errata(SphinxDirective):
 
 def setup(app: Any) -> None:
     """Called by Sphinx."""
+    (pages := Path(app.srcdir, "reference/generated/studies")).mkdir(parents=True, exist_ok=True)
+    template = Path(app.srcdir, "_templates/study.txt").read_text()
+    for study in studies().values():
+        folder = ".ci/benchmarks" if study.group == "Benchmarks" else "studies"
+        images = "\n\n".join(map(IMAGE.format, pictures(study)))
+        (pages / f"{study.name}.md").write_text(template.format(study=study, folder=folder, images=images))
     app.add_directive("studies", Studies)
     app.add_directive("errata", Errata)
