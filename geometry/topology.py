@@ -169,7 +169,7 @@ class FacetTable:
 
     @cached_property
     def _keys(self) -> npt.NDArray[np.void]:
-        return _row_keys(self.vertices)
+        return row_keys(self.vertices)
 
     def index(self, facets: IntArray) -> IntArray:
         """Return (n,) row numbers in this table of n facets; -1 where the mesh has no such facet.
@@ -177,7 +177,7 @@ class FacetTable:
         Args:
             facets: (n, k) numbers of the k vertices of each facet, in any order.
         """
-        wanted_keys = _row_keys(np.sort(facets, axis=1))
+        wanted_keys = row_keys(np.sort(facets, axis=1))
         at = np.searchsorted(self._keys, wanted_keys).clip(max=len(self._keys) - 1)
         return np.where(self._keys[at] == wanted_keys, at, -1)
 
@@ -223,7 +223,7 @@ def _is_new_row(columns: Sequence[IntArray], order: IntArray) -> BoolArray:
     return is_new
 
 
-def _row_keys(rows: IntArray) -> npt.NDArray[np.void]:
+def row_keys(rows: IntArray) -> npt.NDArray[np.void]:
     """Return (n,) a string of bytes for each row of integers; bytes sort in the lexicographic order of the rows.
 
     Args:

@@ -196,7 +196,7 @@ def test_arrays_of_numbers(tmp_path):
     refused(InputError, words, read, tmp_path / "a.vtu", upper="2")
     mesh.cell_data["other"] = tags
     mesh.write(tmp_path / "a.vtu")
-    words = "several arrays of integers could number the groups: part, other; keep"
+    words = "several arrays of integers could number the groups: part, other; give regions"
     refused(InputError, words, read, tmp_path / "a.vtu", S="5", upper="2")
 
 
@@ -211,7 +211,7 @@ ABAQUS = (
 SETS = [
     ("*ELSET, ELSET=GLUE|5|", "*ELSET, ELSET=TOP|7, 9,|*ELSET, ELSET=Glue|6|"),
     ('*ELSET , ELSET = "GLUE", GENERATE|5, 5, 1|6, 6|', "*elset, elset=TOP, generate|7, 9, 2|"),
-    ("*ELSET, ELSET=A|5|*ELSET, ELSET=A, INTERNAL|7|*ELSET, ELSET=GLUE|a, 6|", "*INCLUDE, INPUT=top.inc|"),
+    ("*ELSET, ELSET=A|5|*ELSET, ELSET=B, INTERNAL|6|*ELSET, ELSET=GLUE|a, B|", "*INCLUDE, INPUT=top.inc|"),
 ]
 
 
@@ -232,12 +232,12 @@ def test_what_is_not_read_of_abaqus(tmp_path):
     for more, words in [
         ("*ELSET, ELSET=GLUE|5, G1|", r"a\.inp: \*ELSET in line 29 of a\.inp: 'G1' does not exist before it"),
         ("*ELSET, ELSET=GLUE|5|*ELSET, ELSET=GLUE, GENERATE|5|", r"\*ELSET in line 31 of a"),
-        ("*ELSET, ELSET=GLUE|5, 13|", r"\*ELSET in line 29 .* 13 does not exist before it"),
-        ("*ELSET, ELSET=A|5|*ASSEMBLY|*ELSET, ELSET=a|6|", r"\*ELSET in line 32 of .*: the part has a set 'a' too"),
+        ("*ELSET, ELSET=GLUE|5, 13|", r"\*ELSET in line 29 .* '13' does not exist before it"),
         ("*ELEMENT, TYPE=COH2D4|8, 4, 5, 6, 9|", r"\*ELEMENT in line 29 of a\.inp: elements COH2D4 of 4 nodes are not"),
-        ("*ELEMENT, TYPE=T2D2|8, 4, 99|", r"\*ELEMENT in line 29 .* 99 does not exist before it"),
-        ("*End Part|*Part|*Node|1, 0., 5.|", r"\*NODE in line 31 of .*: a number is in the file twice; write one part"),
-        ("*Instance, part=P|0., 1., 0.|", r"\*INSTANCE in line 29 of .*: it is not read; write all nodes"),
+        ("*ELEMENT, TYPE=T2D2|8, 4, 99|", r"\*ELEMENT in line 29 .* '99' does not exist before it"),
+        ("*Node|1, 0., 5.|", r"\*NODE in line 29 of .*: the number 1 is in the file twice"),
+        ("*Instance, name=Q, part=Q|", r"\*INSTANCE in line 29 of .*: 'Q' does not exist before it"),
+        ("*End Part|*Part, name=Q|*Node|1,|*End Part|*Nset, nset=A|1|", r"'1' is in 2 instances; write INSTANCE\.1"),
         ("*ELGEN, ELSET=LOW|1, 2, 1, 1|", r"\*ELGEN in line 29"),
     ]:
         (tmp_path / "a.inp").write_text((ABAQUS + more).replace("|", "\n"))

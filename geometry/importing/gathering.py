@@ -13,7 +13,8 @@ from mpi4py import MPI
 
 from forms.base import InputError, require
 from geometry.domain import cell_nodes, vertices_of_facets
-from geometry.importing.naming import FileCells, GroupMasks, NamedGroups, SeamSides, SideArgs
+from geometry.importing.elements import joined
+from geometry.importing.naming import FileCells, GroupMasks, NamedGroups, SeamSides
 from geometry.joint import Joint
 from geometry.parallel import Comm, default_comm, on_root
 from geometry.topology import CELL_TYPES, BoolArray, FloatArray, Indices, IntArray, corner_count, geometry_degree
@@ -23,7 +24,7 @@ TagNames = Mapping[str, Sequence[int]]  # name -> dimension of the tagged entiti
 Tags = dict[str, list[int]]  # name -> tags
 
 
-def gather_joint(mesh: object, names: TagNames | None, scale: float, comm: Comm, sides: SideArgs) -> Joint:
+def gather_joint(mesh: object, names: TagNames | None, scale: float, comm: Comm, sides: SeamSides) -> Joint:
     """Return the joint of a distributed DOLFINx mesh with tags, on every rank. Collective.
 
     Args:
@@ -32,7 +33,7 @@ def gather_joint(mesh: object, names: TagNames | None, scale: float, comm: Comm,
             group, named by the tag as text.
         scale: factor on the coordinates.
         comm: communicator of the mesh; None: the default one.
-        sides: keyword arguments of `read` that choose the facets of S and the upper side of S.
+        sides: choice of the facets of S and of the upper side of each seam.
     """
     comm = comm or default_comm()
     mesh, cell_tags, facet_tags = (*(mesh if isinstance(mesh, (tuple, list)) else [mesh]), None, None)[:3]
@@ -123,7 +124,7 @@ def _tags(mesh: dolfinx.mesh.Mesh, tags: dolfinx.mesh.MeshTags | None, dim: int,
 
 
 def _assemble(
-    parts: list[_OwnMesh | Exception], names: TagNames | None, default_tags: Tags | None, scale: float, sides: SideArgs
+    parts: list[_OwnMesh | Exception], names: TagNames | None, default_tags: Tags | None, scale: float, sides: SeamSides
 ) -> Joint:
     """Assemble the parts of a mesh from all ranks to a joint.
 
@@ -135,7 +136,7 @@ def _assemble(
         default_tags: name of a region -> cell tags, used if `names` has no groups of cells; None: each cell tag is a
             region, named by the tag as text.
         scale: factor on the coordinates.
-        sides: keyword arguments of `read` that choose the facets of S and the upper side of S.
+        sides: choice of the facets of S and of the upper side of each seam.
     """
     for part in parts:
         if isinstance(part, Exception):
@@ -146,16 +147,18 @@ def _assemble(
         raise InputError("the mesh has no cells")
     node_order = np.lexsort(points.T[::-1])
     new_numbers = np.argsort(node_order)
+    if sides.join is not None:
+        new_numbers = joined(points[node_order], new_numbers[nodes], sides.join)[new_numbers]
     nodes, rows = new_numbers[nodes], np.sort(new_numbers[rows], axis=1)
     cell_order = np.lexsort(np.sort(nodes[:, : corner_count(cell_type)], axis=1).T[::-1])
-    cells = FileCells.of(scale * points[node_order], nodes[cell_order], cell_type, f"{len(nodes)} {cell_type} cells")
+    cells = FileCells.of(scale * points[node_order], nodes[cell_order], cell_type)
     dim, tags_by_dim = cells.points.shape[1], _tags_by_dimension(names or {})
     region_masks = _group_masks(tags_by_dim.get(dim, default_tags), region[cell_order], is_tagged[cell_order], "cell")
     if not region_masks:
         raise InputError("no cell has a tag")
     masks = _group_masks(tags_by_dim.get(dim - 1), tags, np.ones(len(tags), bool), "facet")
     facets = {name: np.unique(np.searchsorted(cells.point_numbers, rows[mask]), axis=0) for name, mask in masks.items()}
-    return NamedGroups(cells, region_masks, facets, "tags", SeamSides.of(**sides)).make_joint()
+    return NamedGroups(cells, region_masks, facets, "tags", sides).make_joint()
 
 
 def _tags_by_dimension(names: TagNames) -> dict[int, Tags]:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
-from typing import NamedTuple, TypedDict
+from typing import Any, NamedTuple, TypedDict
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from forms.base import InputError
-from forms.temperature import finite_values
+from forms.base import InputError, is_finite, require
+from forms.temperature import checked_values, finite_values
 from geometry.joint import Joint
 from geometry.refusals import refuse, require_known
 from geometry.seam import S, Seam
@@ -30,25 +30,32 @@ NODE_TOLERANCE = 1e-9  # largest distance of nodes that count as coincident, ove
 MIN_RELATIVE_JACOBIAN = 1e-12  # largest Jacobian of a cell that counts as degenerate, over size^d
 MIN_JACOBIAN_RATIO = 1e-10  # ratio of the smallest to the largest Jacobian up to which a cell counts as folded
 
+ALL, PAIRS = "all", "pairs"  # values of S: all facets between regions as one seam, or a seam for each pair of regions
+
 GroupMasks = dict[str, BoolArray]  # name -> which cells are in the group
+Marker = Callable[[FloatArray], object]  # function of (d, n) coordinates -> (n,) whether each place is meant
 Names = tuple[str, ...]
 SeamNames = str | Sequence[str] | Mapping[str, object] | None  # names of seams, or name -> its upper side
 
 
 class SideArgs(TypedDict, total=False):
-    """Keyword arguments of `read` that choose the facets of S and the upper side of S.
+    """Keyword arguments of `read` that choose the groups, the facets of S and the upper side of S.
 
     Attributes:
         S: name of a facet set; or names of several seams; or name -> upper side for each seam, written as in `read`;
-            None: all facets between `lower` and `upper`.
+            None: all facets between `lower` and `upper`; "all" or "pairs": all facets between regions.
         upper, lower: name or names of the regions above and below a single seam; None: not specified.
         direction: vector to the upper side of a single seam; None: not specified.
+        regions: name of the cell data with the number of each element's group; None: the only array of integers.
+        join: largest distance of nodes that become one, over the size of the mesh; None: nodes stay.
     """
 
     S: SeamNames
     upper: str | Sequence[str] | None
     lower: str | Sequence[str] | None
     direction: Sequence[float] | None
+    regions: str | None
+    join: float | None
 
 
 class FileCells(NamedTuple):
@@ -67,7 +74,7 @@ class FileCells(NamedTuple):
     point_numbers: IntArray
 
     @classmethod
-    def of(cls, points: FloatArray, nodes: IntArray, cell_type: str, cells_text: str) -> FileCells:
+    def of(cls, points: FloatArray, nodes: IntArray, cell_type: str) -> FileCells:
         """Return the cells with only those points that are their nodes.
 
         Args:
@@ -75,7 +82,6 @@ class FileCells(NamedTuple):
                 coordinate.
             nodes: (n_cells, k) numbers of the k nodes of each cell, in DOLFINx's order.
             cell_type: "triangle", "quadrilateral", "tetrahedron" or "hexahedron".
-            cells_text: noun for the cells, for messages.
 
         Raises:
             InputError: nodes without coordinates, or a surface in 3D.
@@ -87,7 +93,7 @@ class FileCells(NamedTuple):
         x = points[point_numbers]
         z = x[:, dim:]
         if z.size and np.ptp(z) > NODE_TOLERANCE * np.ptp(x, axis=0).max():
-            z_text = f"{cells_text} at z = {z.min():g} to {z.max():g}, not in a plane z = const"
+            z_text = f"{len(nodes)} {cell_type} cells at z = {z.min():g} to {z.max():g}, not in a plane z = const"
             raise InputError(f"2D mesh in 3D: {z_text}; for a solid save its cells too (gmsh: in a Physical Volume)")
         return cls(x[:, :dim].copy(), node_rows.reshape(nodes.shape), cell_type, point_numbers)
 
@@ -108,6 +114,7 @@ class FileCells(NamedTuple):
 
     def require_sound(self) -> None:
         """Raise InputError if cells have no volume or are folded, or if several nodes lie at one place."""
+        self.refuse((np.diff(np.sort(self.nodes, axis=1)) == 0).any(axis=1), "have a node twice; is join too large?")
         cell_sizes = np.ptp(self.points[self.nodes], axis=1).max(axis=1)
         jacobian = node_jacobians(self.points, self.nodes, self.type)
         largest = np.abs(jacobian).max(axis=1)
@@ -117,8 +124,8 @@ class FileCells(NamedTuple):
         self.refuse(is_folded, "are folded (their Jacobian vanishes or changes sign within the cell)")
         coincidence_distance = NODE_TOLERANCE * np.ptp(self.points, axis=0).max()
         node_pairs = cKDTree(self.points).query_pairs(coincidence_distance, output_type="ndarray")
-        pairs_text = "{bad} pairs of nodes at the same place, the first at {at}, do not connect cells: let bodies share"
-        how = f"them (gmsh: BooleanFragments, removeDuplicateNodes), or draw gaps > {NODE_TOLERANCE:g} of the mesh"
+        pairs_text = "{bad} pairs of nodes at the same place, the first at {at}, do not connect cells: read with"
+        how = f"join=1e-6, or share them (gmsh: BooleanFragments), or draw gaps > {NODE_TOLERANCE:g} of the mesh"
         refuse(np.ones(len(node_pairs), bool), self.points[np.sort(node_pairs[:, 0])], f"{pairs_text} {how}")
 
     def facets_of_cells_at(self, vertices: IntArray) -> FacetTable:
@@ -138,42 +145,61 @@ class SeamSides(NamedTuple):
     """Choice of the facets of S and of the upper side of each seam, from the arguments of `read`.
 
     Attributes:
-        S: name of the facet set of a single seam; None: the single seam is all facets between its lower and upper
-            regions, or there are several `seams`.
+        S: name of the facet set of a single seam; "all" or "pairs"; None: the single seam is all facets between its
+            lower and upper regions, or there are several `seams`.
         default_seam: upper side of a single seam, as far as the user has specified it.
-        seams: name -> upper side of each of several seams; {}: a single seam, which `S` and `default_seam` describe.
+        seams: name -> upper side of each of several seams; {}: `S` and `default_seam` describe the seams.
+        named: name of a facet set that the user describes -> function of the place, or regions on the two sides.
+        regions: name of the cell data with the number of each element's group; None: the only array of integers.
+        join: largest distance of nodes that become one, over the size of the mesh; None: nodes stay.
     """
 
     S: str | None
     default_seam: Seam
     seams: Mapping[str, Seam] = {}
+    named: Mapping[str, Marker | Seam] = {}
+    regions: str | None = None
+    join: float | None = None
 
     @classmethod
     def of(
-        cls, S: SeamNames = S, upper: object = None, lower: object = None, direction: Sequence[float] | None = None
+        cls,
+        S: SeamNames = S,
+        upper: object = None,
+        lower: object = None,
+        direction: Sequence[float] | None = None,
+        regions: str | None = None,
+        join: float | None = None,
+        named: Mapping[str, Any] | None = None,
     ) -> SeamSides:
         """Return the choice of S and its upper sides from the arguments of `read`.
 
         Args:
             S: name of one facet set; or names of several seams; or name -> upper side for each seam; None: all facets
-                between `lower` and `upper`.
+                between `lower` and `upper`; "all" or "pairs": all facets between regions.
             upper, lower: name or names of the regions above and below a single seam; None: not specified.
             direction: vector to the upper side of a single seam; None: not specified.
+            regions, join: attributes of the result.
+            named: name of a facet set -> function of the place, or (lower, upper) regions on its sides.
 
         Raises:
             InputError: an argument has a wrong type; or `S` names several seams, and another argument is given.
         """
-        upper_names, lower_names = _names_of(upper, "upper"), _names_of(lower, "lower")
+        require(join is None or (is_finite(join) and 0 < join < 1), "join", join, "it must be a number > 0 and < 1")
         vector = None if direction is None else tuple(np.ravel(direction).tolist())  # checked by the seam
-        if S is None or isinstance(S, str):
-            return cls(S, Seam(lower_names, upper_names, vector))
+        single = Seam(_names_of(lower, "lower"), _names_of(upper, "upper"), vector)
+        rules = {name: rule if callable(rule) else _seam(name, rule) for name, rule in (named or {}).items()}
+        sides = {name: rule for name, rule in rules.items() if isinstance(rule, Seam)}
+        if (S is None or isinstance(S, str)) and (S not in (ALL, PAIRS) or single == Seam()):
+            return cls(S, sides.get(S or "", single) if single == Seam() else single, {}, rules, regions, join)
         side_rules = dict(S) if isinstance(S, Mapping) else dict.fromkeys(S)
         if not side_rules or not all(isinstance(name, str) for name in side_rules):
             allowed = "the names of several, {name: its upper side}, or None for all facets between lower and upper"
             raise InputError(f"S is {S!r}; give the name of one set of facets, {allowed}")
-        if upper_names or lower_names or vector:
+        if single != Seam():
             raise InputError("S names several seams: give the sides of each there, as {name: (lower, upper)}")
-        return cls(None, Seam(), {name: _seam(name, rule) for name, rule in side_rules.items()})
+        seams = {name: _seam(name, sides.get(name) if rule is None else rule) for name, rule in side_rules.items()}
+        return cls(None, single, seams, rules, regions, join)
 
 
 def _seam(name: str, rule: object) -> Seam:
@@ -210,6 +236,11 @@ def _names_of(regions: object, argument: str) -> Names:
     return tuple(names)
 
 
+def _marks(x: FloatArray, marker: Marker) -> FloatArray:
+    """Return (n,) 1 where a user's function of coordinates (d, n) is true, else 0; numbers are a TypeError."""
+    return (np.asarray(marker(x)) & True).astype(float)
+
+
 class NamedGroups(NamedTuple):
     """A mesh with named groups of cells and of facets, and the choice of S among them.
 
@@ -219,6 +250,7 @@ class NamedGroups(NamedTuple):
         facets: name of a group of facets -> (n, k) numbers of the k vertices of each of its n facets.
         source_text: where the names come from, for messages.
         sides: choice of the facets of S and of the upper side of each seam.
+        node_sets: name of a set of nodes -> (n_points,) whether each of the cells' points is in this set.
     """
 
     cells: FileCells
@@ -226,6 +258,7 @@ class NamedGroups(NamedTuple):
     facets: dict[str, IntArray]
     source_text: str
     sides: SeamSides
+    node_sets: GroupMasks = {}
 
     def make_joint(self) -> Joint:
         """Return the joint whose regions and facet sets are the groups.
@@ -235,18 +268,79 @@ class NamedGroups(NamedTuple):
         Raises:
             InputError: cells are degenerate or do not fit together; a name is unknown or ambiguous; S does not fit.
         """
-        named = self._replace(region_masks=self._disjoint_regions())
-        self.cells.require_sound()
-        for name in self.sides.seams or filter(None, [self.sides.S]):
-            require_known("set of facets", name, self.facets, self.source_text)
-        seams, facets = dict(self.sides.seams), self.facets
+        cells, sides = self.cells, self.sides
+        cells_named = self._replace(region_masks=self._disjoint_regions())
+        cells.require_sound()
+        named = cells_named.with_described_facets()
+        facets, seams, regions = named.facets, dict(sides.seams), tuple(named.region_masks)
+        if sides.S == PAIRS:
+            borders, pairs = named._borders()
+            for pair in np.unique(pairs, axis=0):
+                lower, upper = (regions[k] for k in pair)
+                facets[f"{lower}-{upper}"] = borders[(pairs == pair).all(axis=1)]
+                seams[f"{lower}-{upper}"] = Seam((lower,), (upper,))
+        for name in seams or {sides.S} - {None, ALL}:
+            require_known("set of facets", name, facets, self.source_text)
         if not seams:
             surface, seams[S] = named._default_seam()
-            facets = {S: surface, **{name: rows for name, rows in facets.items() if name != self.sides.S}}
-        cells, region = self.cells, np.stack(list(named.region_masks.values())).argmax(axis=0)
-        joint = Joint(cells.points, cells.nodes, cells.type, region, tuple(named.region_masks), facets, seams)
+            facets = {S: surface, **{name: rows for name, rows in facets.items() if name != sides.S}}
+        joint = Joint(cells.points, cells.nodes, cells.type, named.region, regions, facets, seams)
         _require_conforming(joint)
         return joint
+
+    @property
+    def region(self) -> IntArray:
+        """(n_cells,) for each cell the position of its region in `region_masks`."""
+        return np.argmax([*self.region_masks.values()], axis=0)
+
+    def with_described_facets(self) -> NamedGroups:
+        """Return the groups with those facets too that node sets, functions of the place or two regions describe.
+
+        Node sets that have the name of facets or of a region, or no facets, are left out.
+        """
+        facets, cells = dict(self.facets), self.cells
+        for name, is_there in self.node_sets.items():
+            if name not in facets and name not in self.region_masks and len(rows := self._facets_at(is_there, name)):
+                facets[name] = rows
+        wanted = "it must be a numpy function of coordinates (d, n) that gives n times True or False"
+        for name, rule in self.sides.named.items():
+            if isinstance(rule, Seam):
+                facets[name] = self._facets_between(rule.upper, rule.lower)
+                continue
+            marks = checked_values(f"names: {name!r}", _marks, cells.points.T, rule, wanted=wanted, where=str)
+            facets[name] = self._facets_at(marks > 0, name)
+            if not len(facets[name]):
+                raise InputError(f"names: no facet has all its vertices where the function of {name!r} is true")
+        return self._replace(facets=facets)
+
+    def _facets_at(self, is_there: BoolArray, name: str) -> IntArray:
+        """Return (n, k) vertices of the facets whose vertices are all at given points.
+
+        Of a seam these are all within the bodies, or if there are none those on the outer boundary. Else they are those
+        on the outer boundary, or if there are none those between regions, or if there are none those inside regions.
+
+        Args:
+            is_there: (n_points,) whether each of the cells' points is given.
+            name: name of the facets.
+        """
+        table, region = self.cells.facets_of_cells_at(np.flatnonzero(is_there)), self.region
+        is_outer, is_border = table.cells[:, 1] < 0, np.diff(region[table.cells], axis=1)[:, 0] != 0
+        is_seam, is_found = name in (self.sides.S, *self.sides.seams), is_there[table.vertices].all(axis=1)
+        choices = (~is_outer, is_outer) if is_seam else (is_outer, is_border, ~is_outer)
+        return table.vertices[next((found for choice in choices if (found := is_found & choice).any()), is_found)]
+
+    def _borders(self) -> tuple[IntArray, IntArray]:
+        """Return (n, k) vertices of all facets between different regions, and (n, 2) their regions, ascending."""
+        corners, region = self.cells.corners, self.region
+        first, last = np.full(len(self.cells.points), len(self.region_masks)), np.full(len(self.cells.points), -1)
+        np.minimum.at(first, corners, region[:, None])
+        np.maximum.at(last, corners, region[:, None])
+        table = self.cells.facets_of_cells_at(np.flatnonzero(first < last))
+        pairs = np.sort(np.where(table.cells < 0, -1, region[table.cells]), axis=1)
+        is_border = (pairs[:, 0] >= 0) & (pairs[:, 0] < pairs[:, 1])
+        if not is_border.any():
+            raise InputError(f"no two regions have a facet in common: {', '.join(self.region_masks)}")
+        return table.vertices[is_border], pairs[is_border]
 
     def _disjoint_regions(self) -> GroupMasks:
         """Return the groups of cells that become regions.
@@ -254,20 +348,27 @@ class NamedGroups(NamedTuple):
         Raises:
             InputError: a cell is in none of them or in several, or a name is unknown or names cells and facets.
         """
-        regions, cells, default_seam = self.region_masks, self.cells, self.sides.default_seam
-        side_names = default_seam.upper + default_seam.lower
-        side_names += tuple(name for seam in self.sides.seams.values() for name in seam.lower + seam.upper)
-        for name in regions:
-            if name in self.facets and not name.isdigit():
-                raise InputError(f"{name!r} names both cells and facets; each needs its own name")
+        regions, cells, sides = self.region_masks, self.cells, self.sides
+        seams = [
+            sides.default_seam,
+            *sides.seams.values(),
+            *(rule for rule in sides.named.values() if isinstance(rule, Seam)),
+        ]
+        side_names = [name for seam in seams for name in seam.upper + seam.lower]
         for name in side_names:
             require_known("region", name, regions, self.source_text)
         counts = np.sum(list(regions.values()), axis=0)
         cells.refuse(counts == 0, f"are in no named group ({self.source_text}: {', '.join(regions)})")
+        parts = {name: mask for name, mask in regions.items() if name in side_names or not mask.all()}
+        if (counts > 1).any() and np.any([*parts.values()], axis=0).all():  # a group of all cells besides others
+            regions, counts = parts, np.sum([*parts.values()], axis=0)
         if side_names and (counts > 1).any():
             regions = {name: regions[name] for name in dict.fromkeys(side_names)}
             counts = np.sum(list(regions.values()), axis=0)
             cells.refuse(counts == 0, f"are in none of {', '.join(regions)}; name every region in upper or lower")
+        for name in regions:
+            if (name in self.facets and not name.isdigit()) or name in sides.named:
+                raise InputError(f"{name!r} names both cells and facets; each needs its own name")
         cells.refuse(counts > 1, f"are in several of the groups {', '.join(regions)}; name regions in upper and lower")
         return regions
 
@@ -288,12 +389,15 @@ class NamedGroups(NamedTuple):
             if not upper or not lower or set(upper) & set(lower):
                 raise InputError(f"S=None is all that is between two bodies; give upper and lower; {regions_text}")
             return self._facets_between(upper, lower), Seam(lower, upper)
+        if name == ALL:
+            return self._borders()[0], default_seam
         facets, cells = self.facets[name], self.adjacent_cells(name)
         near_regions = self.region_names_of_cells(cells)
         if (cells[:, 1] < 0).all() and not lower:
             if other_regions := " and ".join(region for region in near_regions if region not in (upper or all_regions)):
                 conflict = f"{other_regions}, and {'+'.join(upper)}, named in upper, does not touch it there"
-                raise InputError(f"{name!r} lies on the outer boundary of {conflict}; let both share their nodes")
+                remedy = "let both share their nodes, or give a larger join"
+                raise InputError(f"{name!r} lies on the outer boundary of {conflict}; {remedy}")
             return facets, Seam((), upper or all_regions)
         if default_seam.direction is not None:
             return facets, Seam(lower or upper or all_regions, upper or lower or all_regions, default_seam.direction)
@@ -329,13 +433,12 @@ class NamedGroups(NamedTuple):
         Returns:
             (n, k) numbers of the k vertices of each of the n facets.
         """
-        above, below = (np.any([self.region_masks[name] for name in side], axis=0) for side in (upper, lower))
-        table = self.cells.facets_of_cells_at(np.intersect1d(self.cells.corners[above], self.cells.corners[below]))
-        first, second = table.cells[table.cells[:, 1] >= 0].T
-        facets = table.vertices[table.cells[:, 1] >= 0][above[first] & below[second] | below[first] & above[second]]
-        if not len(facets):
+        (facets, pairs), regions = self._borders(), [*self.region_masks]
+        above, below = (np.isin(pairs, [regions.index(name) for name in side]) for side in (upper, lower))
+        is_between = (above & below[:, ::-1]).any(axis=1)
+        if not is_between.any():
             raise InputError(f"{'+'.join(lower)} and {'+'.join(upper)} have no facet in common")
-        return facets
+        return facets[is_between]
 
 
 def _require_conforming(joint: Joint) -> None:

@@ -1,4 +1,4 @@
-"""Joints from mesh files, read by meshio or (Abaqus) by `geometry.importing.abaqus`, and from DOLFINx meshes."""
+"""Joints from mesh files, read by meshio or by the modules beside this one, and from DOLFINx meshes."""
 
 from __future__ import annotations
 
@@ -6,45 +6,40 @@ import io
 import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from functools import partial
 from itertools import takewhile
 from os.path import isfile
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias, Unpack
+from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
+from unittest.mock import patch
 
 import dolfinx
 import numpy as np
 
 from forms.base import InputError, import_optional, is_finite, require
-from geometry.importing import abaqus
-from geometry.importing.gathering import TagNames, gather_joint
+from geometry.importing import abaqus, exodus
+from geometry.importing.elements import cells_of, joined, shape_of, split, xdmf_blocks
+from geometry.importing.gathering import gather_joint
 from geometry.importing.naming import FileCells, GroupMasks, NamedGroups, SeamSides, SideArgs
 from geometry.joint import Joint
 from geometry.parallel import Comm, ResultType, on_root
-from geometry.refusals import refuse
-from geometry.topology import CELL_TYPES, FACET_TYPES, IntArray, corner_count, positions
+from geometry.refusals import refuse, require_known
+from geometry.topology import FACET_TYPES, IntArray, corner_count, positions
 
 if TYPE_CHECKING:
     import meshio
 
 # a file; a mesh; or a mesh, tags of its cells and tags of its facets
 Source: TypeAlias = "str | Path | dolfinx.mesh.Mesh | Sequence[dolfinx.mesh.Mesh | dolfinx.mesh.MeshTags | None]"
-MESHIO_FACETS = {"interval": "line", "triangle": "triangle", "quadrilateral": "quad"}  # start of meshio's names
+Names = Mapping[str, Any]  # names as in `read`
 GMSH_PHYSICAL = "gmsh:physical"
-MESHIO_NAMES = ("triangle triangle6", "quad quad9", "tetra tetra10", "hexahedron hexahedron27")  # degrees 1 and 2
-MESHIO_CELLS = {name: kind for kind, names in zip(CELL_TYPES, MESHIO_NAMES, strict=True) for name in names.split()}
-ELEMENT_REMEDIES = {
-    "quad8|hexahedron20": "save complete cells (gmsh: Mesh.SecondOrderIncomplete = 0)",
-    "wedge|pyramid": "mesh with tetrahedra or with hexahedra alone",
-    "vertex|line": "save the bodies' cells too (gmsh: name them with Physical Surface or Physical Volume)",
-    "": "save cells of degree 1 or 2 (gmsh: Mesh.ElementOrder)",
-}
+READERS = {".inp": abaqus.load, ".e": exodus.load, ".exo": exodus.load, ".ex2": exodus.load}
 
 
 def read(
-    mesh: Source, *, names: TagNames | None = None, scale: float = 1.0, comm: Comm = None, **sides: Unpack[SideArgs]
+    mesh: Source, *, names: Names | None = None, scale: float = 1.0, comm: Comm = None, **sides: Unpack[SideArgs]
 ) -> Joint:
     """Return a joint from a mesh file, or from a DOLFINx mesh with tags. Collective.
 
@@ -84,11 +79,20 @@ def read(
             folded, there are hanging nodes, or cells overlap their neighbours; S does not fit `Joint`.
     """
     require(is_finite(scale) and scale > 0, "scale", scale, "it must be a number > 0")
+    given = names.items() if isinstance(names, Mapping) else ()
+    named = {name: rule for name, rule in given if callable(rule) or _are_regions(rule)}
+    tags = {name: rule for name, rule in given if name not in named} if named else names
+    choice = SeamSides.of(**sides, named=named)
     if not isinstance(mesh, (str, Path)):
-        return gather_joint(mesh, names, scale, comm, sides)
-    if names is not None:
-        raise InputError("names are those of tags of DOLFINx; a file has its own")
-    return on_root(comm, partial(read_groups, Path(mesh), NamedGroups.make_joint, SeamSides.of(**sides), scale))
+        require(choice.regions is None, "regions", choice.regions, "it is of files; give names of tags")
+        return gather_joint(mesh, tags, scale, comm, choice)
+    if tags:
+        raise InputError("names: tags are of DOLFINx meshes; for a file give functions of the place, or two regions")
+    return on_root(comm, partial(read_groups, Path(mesh), NamedGroups.make_joint, choice, scale))
+
+
+def _are_regions(rule: object) -> bool:
+    return isinstance(rule, (tuple, list)) and all(isinstance(side, (str, tuple, list)) for side in rule)
 
 
 def read_groups(
@@ -99,22 +103,33 @@ def read_groups(
     Args:
         path: the file.
         function: function of the `NamedGroups` in the file.
-        sides: choice of the facets of S and of its upper side; None: the facet set "S".
+        sides: choice of groups, of the facets of S and of its upper side; None: the facet set "S".
         scale: factor on the coordinates.
 
     Raises:
         InputError: the file or its groups are unsuitable; the message names the file, also for errors of `function`.
     """
     try:
-        mesh = _load(path, scale)
-        cells, (source, array_name) = _cells_of(mesh), _group_source(mesh)
-        dim = cells.points.shape[1]
-        regions = _group_masks(mesh, dim, array_name)
+        mesh, sides = _load(path, scale), sides or SeamSides.of()
+        dim = max((block.dim for block in mesh.cells if len(block)), default=0)
+        blocks = [block for block in mesh.cells if len(block) and block.dim == dim]
+        if not blocks:
+            raise InputError("the file has no cells")
+        if sides.join is not None:
+            masters = joined(mesh.points, np.concatenate([block.data.ravel() for block in blocks]), sides.join)
+            for block in mesh.cells:
+                block.data = masters[block.data]
+            mesh.point_sets = {name: masters[nodes] for name, nodes in mesh.point_sets.items()}
+        mesh.points, nodes, cell_type, (elements, numbers) = cells_of(mesh.points, blocks)
+        cells, (source, array_name) = FileCells.of(mesh.points, nodes, cell_type), _group_source(mesh, sides.regions)
+        masks = _group_masks(mesh, dim, array_name)
+        regions = {name: np.isin(np.arange(len(nodes)), numbers[mask[elements]]) for name, mask in masks.items()}
         if not regions:
             example = f'Physical {"Surface" if dim == 2 else "Volume"}("BODY") = {{...}}'
             raise InputError(f"no named groups of cells ({source}); in gmsh: {example}; saved with Mesh.SaveAll = 0")
         facets = _group_facets(mesh, cells, _group_masks(mesh, dim - 1, array_name))
-        return function(NamedGroups(cells, regions, facets, source, sides or SeamSides.of()))
+        node_sets: GroupMasks = {name: np.isin(cells.point_numbers, of) for name, of in mesh.point_sets.items()}
+        return function(NamedGroups(cells, regions, facets, source, sides, node_sets))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -130,10 +145,15 @@ def _load(path: Path, scale: float) -> meshio.Mesh:
         raise InputError(f"the file does not exist in {path.parent.resolve()}")
     if not path.stat().st_size:  # some readers of meshio would wait for lines forever
         raise InputError("the file is empty")
+    meshio._mesh.topological_dimension |= {"wedge15": 3, "pyramid13": 3}  # elements that meshio knows but cannot hold
     log = io.StringIO()
     try:
-        with redirect_stdout(log), redirect_stderr(log), warnings.catch_warnings(action="ignore"):
-            mesh = (abaqus.load if suffix == ".inp" else meshio.read)(path)
+        quiet, able = (
+            warnings.catch_warnings(action="ignore"),
+            patch("meshio.xdmf.main.translate_mixed_cells", xdmf_blocks),
+        )
+        with redirect_stdout(log), redirect_stderr(log), quiet, able:
+            mesh = READERS.get(suffix, meshio.read)(path)
     except InputError:
         raise
     except (Exception, SystemExit) as error:  # meshio exits Python when no reader succeeds
@@ -159,46 +179,32 @@ def _require_single_names(path: Path) -> None:
             raise InputError(f"the physical name {name!r} stands for the groups {groups}; each needs its own name")
 
 
-def _cells_of(mesh: meshio.Mesh) -> FileCells:
-    """Return the cells of the highest dimension in the mesh.
-
-    Raises:
-        InputError: there are no cells, or several types; the type is not one of a joint; or cells are a surface in 3D.
-    """
-    dim = max((block.dim for block in mesh.cells if len(block)), default=0)
-    blocks = [block for block in mesh.cells if len(block) and block.dim == dim]
-    names = list(dict.fromkeys(block.type for block in blocks))
-    if not names:
-        raise InputError("the file has no cells")
-    types, kind = ", ".join(f"{sum(len(b) for b in blocks if b.type == kind)} {kind}" for kind in names), names[0]
-    if len(names) > 1:
-        raise InputError(f"mixed cell types: {types}; a joint needs cells of one type")
-    if kind not in MESHIO_CELLS:
-        remedy = next(text for pattern, text in ELEMENT_REMEDIES.items() if re.match(pattern, kind))
-        raise InputError(f"cells of a type that is not allowed: {types}; allowed: {', '.join(MESHIO_CELLS)}; {remedy}")
-    cells = np.concatenate([block.data for block in blocks]).astype(np.int64)
-    order = dolfinx.cpp.io.perm_vtk(dolfinx.mesh.to_type(MESHIO_CELLS[kind]), cells.shape[1])
-    return FileCells.of(mesh.points, cells[:, order], MESHIO_CELLS[kind], types)
-
-
-def _group_source(mesh: meshio.Mesh) -> tuple[str, str | None]:
+def _group_source(mesh: meshio.Mesh, regions: str | None) -> tuple[str, str | None]:
     """Return where the mesh has its named groups: a noun phrase for messages, and the name of the cell data.
 
     These cell data have the number of each cell's group. The name is None if groups are cell sets or there are none.
 
+    Args:
+        mesh: the mesh.
+        regions: name of the cell data that the user has chosen; None: not specified.
+
     Raises:
-        InputError: several arrays of integers could number the groups.
+        InputError: several arrays of integers could number the groups, or the chosen one does not exist.
     """
+    cell_data = {name: data for name, data in mesh.cell_data.items() if name != "gmsh:geometrical"}
+    arrays = [name for name, data in cell_data.items() if all(np.ndim(x) == 1 and x.dtype.kind in "iu" for x in data)]
+    if regions is not None:
+        require_known("array of integers", regions, arrays, "regions")
+        mesh.cell_sets.clear()
+        return f"numbers in the cell data {regions!r}", regions
     if GMSH_PHYSICAL in mesh.cell_data:
         return "physical names" if mesh.field_data else f"numbers in the cell data {GMSH_PHYSICAL!r}", GMSH_PHYSICAL
     if getattr(mesh, "cell_tags", None):
         return "families", "cell_tags"
     if any(not name.startswith("gmsh:") for name in mesh.cell_sets):
         return "cell sets", None
-    cell_data = {name: data for name, data in mesh.cell_data.items() if name != "gmsh:geometrical"}
-    arrays = [name for name, data in cell_data.items() if all(np.ndim(x) == 1 and x.dtype.kind in "iu" for x in data)]
     if len(arrays) > 1:
-        raise InputError(f"several arrays of integers could number the groups: {', '.join(arrays)}; keep one")
+        raise InputError(f"several arrays of integers could number the groups: {', '.join(arrays)}; give regions")
     return (f"numbers in the cell data {arrays[0]!r}", arrays[0]) if arrays else ("no cell sets, no numbers", None)
 
 
@@ -235,8 +241,8 @@ def _group_names(mesh: meshio.Mesh, dim: int, array_name: str, number: int) -> S
         array_name: name of the cell data with the number of each entity's group.
         number: the number of the group.
     """
-    if families := getattr(mesh, "cell_tags", None):
-        return tuple(families.get(number, ()))
+    if array_name == "cell_tags":
+        return tuple(mesh.cell_tags.get(number, ()))
     if array_name == GMSH_PHYSICAL:
         number = abs(number) or -1  # negative where gmsh reversed the cells; zero: no group
         names = [name for name, value in mesh.field_data.items() if tuple(np.ravel(value)) == (number, dim)]
@@ -259,15 +265,31 @@ def _group_facets(mesh: meshio.Mesh, cells: FileCells, groups: GroupMasks) -> di
     """
     if not groups:
         return {}
-    kind = FACET_TYPES[cells.type]
-    blocks = [block for block in mesh.cells if block.dim == cells.points.shape[1] - 1]
-    odd = [block.type for block in blocks if not block.type.startswith(MESHIO_FACETS[kind])]
-    if odd:
-        raise InputError(f"the file has {odd[0]} facets, but its {cells.type} cells have {MESHIO_FACETS[kind]} facets")
+    kind, dim = FACET_TYPES[cells.type], cells.points.shape[1]
+    is_split = any(shape_of(block.type) != cells.type for block in mesh.cells if len(block) and block.dim == dim)
+    rows, elements, n_elements = list[IntArray](), list[IntArray](), 0
+    for block in (block for block in mesh.cells if block.dim == dim - 1):
+        shape = shape_of(block.type)
+        corners: IntArray = block.data[:, : corner_count(shape)].astype(np.int64)
+        element: IntArray = np.arange(len(corners))
+        if shape != kind and not is_split:
+            raise InputError(f"the file has {block.type} facets, but its {cells.type} cells have {kind} facets")
+        if shape != kind:
+            element, corners = split(corners[:, [0, 1, 3, 2]], shape)
+        rows.append(corners)
+        elements.append(n_elements + element)
+        n_elements += len(block)
+    vertices, element = np.concatenate(rows), np.concatenate(elements)
     new_numbers = positions(cells.point_numbers, len(mesh.points))
-    rows = np.concatenate([block.data[:, : corner_count(kind)] for block in blocks]).astype(np.int64)
-    is_foreign, x = (new_numbers[rows] < 0).any(axis=1), mesh.points[rows, : cells.points.shape[1]]
+    is_foreign, x = (new_numbers[vertices] < 0).any(axis=1), mesh.points[vertices, :dim]
     for name, mask in groups.items():
-        text = f"{{bad}} of {mask.sum()} facets named {name!r} are not part of the bodies' mesh, the first at {{at}}"
-        refuse(mask & is_foreign, x, f"{text}; name all bodies, and in gmsh fragment them with it, or embed it")
-    return {name: np.unique(np.sort(new_numbers[rows[mask]], axis=1), axis=0) for name, mask in groups.items()}
+        is_bad = mask[element] & is_foreign
+        if is_bad.any():
+            place, cell_x = x[is_bad.argmax()].mean(axis=0), cells.points[cells.corners]
+            is_near = (cell_x.min(axis=1) <= place) & (place <= cell_x.max(axis=1))
+            advice = "fragment bodies with them, or embed them (gmsh)"
+            advice = advice if is_near.all(axis=1).any() else "the body there has no named group"
+            named = f"{mask[element].sum()} facets named {name!r}"
+            refuse(is_bad, x, f"{{bad}} of {named} are not part of the bodies' mesh, the first at {{at}}: {advice}")
+    sorted_rows = np.sort(new_numbers[vertices], axis=1)
+    return {name: np.unique(sorted_rows[mask[element]], axis=0) for name, mask in groups.items()}
