@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import h5py
 import meshio
@@ -13,6 +14,7 @@ from scipy.io import netcdf_file
 from forms.base import InputError
 from forms.traits import RangeWarning
 from geometry import read
+from tests.documents import CLONE
 from tests.meshes import GRID, LINES, NAMES, QUADS, squares, volume, volumes, write
 from tests.on_ranks import alone, on_ranks
 from tests.refused import refused
@@ -457,6 +459,84 @@ def test_two_ranks(there, tmp_path):
         json.dumps([{**joint, "coordinates": None} for joint in here])
     )
     assert "LEFT" in here[1]["facets"]
+
+
+# ---------------------------------------------------------------- the table of formats
+def mesh_of(feature):
+    """Points, blocks with meshio's name, and the number of the group of each element: bodies 1 and 2, S 5."""
+    if feature == "names":
+        return GRID, {"quad": QUADS, "line": LINES[:2]}, [[1, 1, 2, 2], [5, 5]]
+    if feature == "several shapes":
+        triangles = [[3, 4, 7], [3, 7, 6], [4, 5, 7], [5, 8, 7]]
+        return GRID, {"quad": QUADS[:2], "triangle": triangles, "line": LINES[:2]}, [[1, 1], [2] * 4, [5, 5]]
+    kind, facets = {"8": ("quad", "line3"), "20": ("hexahedron", "quad8"), "wedges": ("wedge", "triangle")}[feature]
+    points, nodes = two(kind) if feature == "wedges" else curved(kind, 0.02)
+    shared = [[node for node in nodes[1] if node in nodes[0]]]
+    return points, {f"{kind}{feature if feature.isdigit() else ''}": nodes, facets: shared}, [[1, 2], [5]]
+
+
+def read_as(suffix, folder, feature):
+    """The joint of such a mesh from a file of this format."""
+    points, blocks, tags = mesh_of(feature)
+    path, names = folder / f"a{suffix}", {"S": "5", "upper": "2"}
+    rows = [(kind, np.array(nodes), np.array(tag)) for (kind, nodes), tag in zip(blocks.items(), tags, strict=True)]
+    if suffix in (".e", ".exo"):
+        parts = [(kind, nodes[tag == k], k) for kind, nodes, tag in rows for k in (1, 2) if (tag == k).any()]
+        order = {20: [*range(12), *range(16, 20), *range(12, 16)]}
+        listed = [
+            (str(k), of.replace("hexahedron", "HEX"), n[:, order.get(n.shape[1], slice(None))]) for of, n, k in parts
+        ]
+        exodus(path, points, listed, (), [("5", np.unique(rows[-1][1]))], hdf=suffix == ".exo")
+    elif suffix == ".inp":
+        abaqus(path, points, rows)
+    else:
+        key = {".msh": "gmsh:physical", ".med": "cell_tags", ".mesh": "medit:ref"}.get(suffix, "part")
+        tagged = [tag for *_, tag in rows]
+        data = {key: tagged} | ({"gmsh:geometrical": tagged} if suffix == ".msh" else {})
+        padded = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+        mesh = meshio.Mesh(padded, [row[:2] for row in rows], cell_data=data)
+        if suffix == ".med":
+            mesh.cell_tags = {k: [str(k)] for k in (1, 2, 5)}
+        meshio.write(path, mesh, **({"file_format": "gmsh22"} if suffix == ".msh" else {}))
+    return read(path, **names)
+
+
+def abaqus(path, points, rows):
+    """With the facets as a set of nodes."""
+    types = {"quad": "CPE4", "triangle": "CPE3", "quad8": "CPE8R", "hexahedron20": "C3D20R", "wedge": "C3D6"}
+    text, number = ["*NODE", *(", ".join(map(str, [k, *x])) for k, x in enumerate(points.tolist(), 1))], 0
+    for kind, nodes, tag in rows[:-1]:
+        for k, element in zip(tag, nodes, strict=True):
+            number += 1
+            text += [f"*ELEMENT, TYPE={types[kind]}, ELSET={k}", ", ".join(map(str, [number, *(element + 1)]))]
+    text += ["*NSET, NSET=5", *(f"{node + 1}" for node in np.unique(rows[-1][1]))]
+    path.write_text("\n".join(text))
+
+
+PAGE = (CLONE / "thinlayer/docs/reference/joints.md").read_text()
+FORMATS = [[cell.strip() for cell in row] for row in re.findall(r"^\|(.*?)\|(.*?)\|(.*?)\|(.*?)\|(.*?)\|$", PAGE, re.M)]
+COLUMNS = {3: ("8", "20"), 4: ("wedges", "several shapes")}
+SUFFIXES = [(suffix, row) for row in FORMATS for suffix in re.findall(r"`(\.\w+)`", row[0])]
+
+
+@pytest.mark.parametrize(("suffix", "row"), SUFFIXES, ids=[suffix for suffix, _ in SUFFIXES])
+@pytest.mark.filterwarnings("ignore:.*are split into:forms.traits.RangeWarning")
+def test_the_table_of_formats(tmp_path, suffix, row):
+    """Each row of the page says what is read."""
+    assert len(read_as(suffix, tmp_path, "names").surface_rows) == 2
+    for column, features in COLUMNS.items():
+        for feature in features:
+            if row[column] == "yes":
+                joint = read_as(suffix, tmp_path, feature)
+                assert (joint.regions, len(joint.surface_rows) > 0) == (("1", "2"), True)
+            else:
+                refused(InputError, "", read_as, suffix, tmp_path, feature)
+
+
+def test_all_rows_of_the_table_are_tested():
+    suffixes = {".msh", ".inp", ".e", ".exo", ".vtu", ".vtk", ".xdmf", ".med", ".mesh"}
+    assert {suffix for suffix, _ in SUFFIXES} == suffixes
+    assert {row[column] for _, row in SUFFIXES for column in COLUMNS} == {"yes", "no"}
 
 
 # ---------------------------------------------------------------- messages

@@ -65,7 +65,7 @@ class _Model:
     """Nodes, elements and sets that have been read.
 
     A scope has its own numbers and names: an instance of a part, or the assembly, "". Without instances each part is
-    one. Keys are "SCOPE.5" for the number 5 of a node or element, and "SCOPE.NAME" for a set, in capitals.
+    one. Keys are "SCOPE#5" for the number 5 of a node or element, and "SCOPE.NAME" for a set, in capitals.
     """
 
     def __init__(self, has_instances: bool) -> None:
@@ -129,7 +129,7 @@ class _Model:
     def _number(self, kind: str, rows: Rows, start: int) -> range:
         """Give the next nodes or elements, from `start`, the numbers that begin the rows; return all of them."""
         for member, (number, *_) in enumerate(rows, start):
-            if self.members[kind].setdefault(f"{self.scope}.{int(number)}".upper(), (member,)) != (member,):
+            if self.members[kind].setdefault(f"{self.scope}#{int(number)}".upper(), (member,)) != (member,):
                 raise ValueError(f"the number {number} is in the file twice")
         return range(start, start + len(rows))
 
@@ -166,8 +166,10 @@ class _Model:
 
     def _find(self, kind: str, text: str, scope: str) -> Collection[int]:
         """Return the members of a set, or the node or element of a number; in the assembly also those of an instance."""
-        table, keys = self.members[kind], [f"{name}.{text}".upper() for name in ([scope] if scope else self.scopes)]
-        found = [key for key in (*keys, text.upper()) if key in table]
+        (instance, _, last), table = text.rpartition("."), self.members[kind]
+        mark = "#" if last.isdigit() else "."
+        keys = [f"{name}{mark}{text}".upper() for name in ([scope] if scope else self.scopes)]
+        found = [key for key in (*keys, *[f"{instance}{mark}{last}".upper()] * bool(instance)) if key in table]
         if not found:
             raise KeyError(text)
         if len(found) > 1 and found[0] != keys[0]:

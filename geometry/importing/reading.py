@@ -44,38 +44,54 @@ def read(
     """Return a joint from a mesh file, or from a DOLFINx mesh with tags. Collective.
 
     Regions of the joint are named groups of cells, and facet sets are named groups of facets. Every cell must be in
-    exactly one region. If groups of cells overlap, only those named in `upper` and `lower` become regions.
+    exactly one region. If groups of cells overlap, only those named in `upper` and `lower` become regions; a group of
+    all cells becomes none if there are others.
 
-    Groups and names in a file are gmsh's physical groups, or the file's cell sets. Without these, cell data number the
+    Groups and names in a file are gmsh's physical groups, or the file's sets. Without these, cell data number the
     groups: "gmsh:physical", or the only array of integers. The number of a group, as text, is then its name; negative
-    numbers mean no group.
+    numbers mean no group. A set of nodes names the facets with all vertices in it, unless this is a name already.
 
-    A DOLFINx mesh may be distributed in any way, with or without ghosts. The joint does not depend on this, because its
-    nodes and cells are sorted by their places.
+    Elements of 8, 15 or 20 nodes get the missing nodes. Wedges, pyramids, and elements of several shapes are split into
+    triangles or tetrahedra, with a RangeWarning. A DOLFINx mesh may be distributed in any way, with or without ghosts.
+    The joint does not depend on this, because its nodes and cells are sorted by their places.
 
     Args:
         mesh: path of a file; or a DOLFINx mesh; or (mesh, cell tags, facet tags) with None for missing tags. Cells are
-            triangles, quadrilaterals, tetrahedra or hexahedra, straight or of degree 2; in 2D they lie in a plane z =
-            const.
-        names: for DOLFINx tags, name -> (dimension of the tagged entities, tag, ...) with one or several tags, as in
-            gmsh's physical groups. In a dimension without names, groups are named by their tags, as text. Facets with
-            other tags are left out. Without cell tags there is one region, "BODY". The value on rank 0 is used.
+            straight or of degree 2; in 2D they lie in a plane z = const.
+        names: name of a facet set -> function of the coordinates (d, n) of n places that returns n times True or False,
+            true at all its vertices; or (lower, upper) regions on its two sides. For DOLFINx tags also name ->
+            (dimension of the tagged entities, tag, ...), as in gmsh's physical groups. In a dimension without such
+            names, groups are named by their tags, as text. Facets with other tags are left out. Without cell tags there
+            is one region, "BODY". The value on rank 0 is used.
         S: name of the group of facets that becomes the seam "S" (default: the group named "S"); None for all facets
-            between the regions `lower` and `upper`. For several seams, the names of their groups, which keep these
+            between the regions `lower` and `upper`; "all" for all facets between different regions; "pairs" for these
+            with a seam "A-B" for each pair of regions. For several seams, the names of their groups, which keep these
             names, or {name: upper side}. The upper side is a vector that points there, or (lower, upper) with names of
-            regions. None: the upper side is in the region that comes later in `Joint.regions`.
+            regions. None, and with "all": the upper side is in the region that comes later in `Joint.regions`.
         upper: name or names of the regions above a single S. Default: if S is on the outer boundary, all
             regions; with `direction` the regions `lower`, or all regions if `lower` is not given. Else it is required.
         lower: name or names of the regions below a single S. Default: if S is on the outer boundary, a rigid base; with
             `direction` the regions `upper`, or all regions if `upper` is not given; else all that are not in `upper`.
         direction: vector that points to the upper side, one component per dimension, for a single S inside one body.
+        regions: name of the array of integers in the file that numbers the groups, if there are several.
+        join: nodes closer than this fraction of the mesh's largest extent become one, e.g. 1e-6. Default: none do, and
+            coincident nodes are refused.
         scale: factor on the coordinates, > 0, e.g. 1e3 from metre to millimetre.
         comm: communicator whose rank 0 reads the file, or that the mesh is distributed on (default: MPI.COMM_WORLD).
 
+    Example:
+        >>> from dolfinx.mesh import create_unit_square
+        >>> from geometry import read
+        >>> from mpi4py import MPI
+        >>> square = create_unit_square(MPI.COMM_WORLD, 4, 4)
+        >>> joint = read(square, direction=(0, 1), names={"S": lambda x: x[1] == 0.5})
+        >>> len(joint.facets["S"])
+        4
+
     Raises:
         InputError: the file cannot be read or lacks names; tags are of another mesh, a tag in `names` does not occur,
-            or the mesh is on other ranks than `comm`; a name is unknown or ambiguous; cells are of several types or of
-            a type that is not allowed; the mesh is a surface in 3D; nodes or cells are duplicate, cells are flat or
+            or the mesh is on other ranks than `comm`; a name is unknown or ambiguous; cells are of a type that is not
+            allowed, or of several degrees; the mesh is a surface in 3D; nodes or cells are duplicate, cells are flat or
             folded, there are hanging nodes, or cells overlap their neighbours; S does not fit `Joint`.
     """
     require(is_finite(scale) and scale > 0, "scale", scale, "it must be a number > 0")
