@@ -204,16 +204,17 @@ def _simplices(corners: IntArray, shape: str) -> tuple[IntArray, IntArray]:
     return np.concatenate([rows for rows, _ in parts]), np.concatenate([vertices for _, vertices in parts])
 
 
-def joined(points: FloatArray, nodes: IntArray, join: float) -> IntArray:
+def joined(points: FloatArray, nodes: IntArray, join: float | None) -> IntArray:
     """Return (n_points,) for each point the number of the point with which it is joined; of several, the lowest.
 
     Args:
         points: (n_points, d) coordinates in d dimensions.
         nodes: numbers of the points that are nodes of cells; others stay.
-        join: largest distance of nodes that become one, over the size of the mesh.
+        join: largest distance of nodes that become one, over the size of the mesh; None: nodes stay.
     """
-    used, masters = np.unique(nodes), np.arange(len(points))
-    x = points[used]
+    masters = np.arange(len(points))
+    if join is None or not np.isfinite(x := points[(used := np.unique(nodes))]).all():
+        return masters
     near = cKDTree(x).query_pairs(join * np.ptp(x, axis=0).max(), output_type="ndarray")
     group = components(near[:, 0], near[:, 1], len(used))
     masters[used] = used[np.unique(group, return_index=True)[1]][group]

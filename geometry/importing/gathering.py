@@ -147,8 +147,7 @@ def _assemble(
         raise InputError("the mesh has no cells")
     node_order = np.lexsort(points.T[::-1])
     new_numbers = np.argsort(node_order)
-    if sides.join is not None:
-        new_numbers = joined(points[node_order], new_numbers[nodes], sides.join)[new_numbers]
+    new_numbers = joined(points[node_order], new_numbers[nodes], sides.join)[new_numbers]
     nodes, rows = new_numbers[nodes], np.sort(new_numbers[rows], axis=1)
     cell_order = np.lexsort(np.sort(nodes[:, : corner_count(cell_type)], axis=1).T[::-1])
     cells = FileCells.of(scale * points[node_order], nodes[cell_order], cell_type)

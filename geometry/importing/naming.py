@@ -163,14 +163,7 @@ class SeamSides(NamedTuple):
 
     @classmethod
     def of(
-        cls,
-        S: SeamNames = S,
-        upper: object = None,
-        lower: object = None,
-        direction: Sequence[float] | None = None,
-        regions: str | None = None,
-        join: float | None = None,
-        named: Mapping[str, Any] | None = None,
+        cls, S: SeamNames = S, upper: object = None, lower: object = None, direction: Any = None, **choice: Any
     ) -> SeamSides:
         """Return the choice of S and its upper sides from the arguments of `read`.
 
@@ -179,19 +172,21 @@ class SeamSides(NamedTuple):
                 between `lower` and `upper`; "all" or "pairs": all facets between regions.
             upper, lower: name or names of the regions above and below a single seam; None: not specified.
             direction: vector to the upper side of a single seam; None: not specified.
-            regions, join: attributes of the result.
-            named: name of a facet set -> function of the place, or (lower, upper) regions on its sides.
+            choice: further attributes by name; in `named` the regions on the two sides are (lower, upper).
 
         Raises:
             InputError: an argument has a wrong type; or `S` names several seams, and another argument is given.
         """
+        join, named = choice.get("join"), choice.pop("named", {})
         require(join is None or (is_finite(join) and 0 < join < 1), "join", join, "it must be a number > 0 and < 1")
-        vector = None if direction is None else tuple(np.ravel(direction).tolist())  # checked by the seam
+        vector: tuple[float, ...] | None = (
+            None if direction is None else tuple(np.ravel(direction).tolist())
+        )  # checked by the seam
         single = Seam(_names_of(lower, "lower"), _names_of(upper, "upper"), vector)
-        rules = {name: rule if callable(rule) else _seam(name, rule) for name, rule in (named or {}).items()}
+        rules = {name: rule if callable(rule) else _seam(name, rule) for name, rule in named.items()}
         sides = {name: rule for name, rule in rules.items() if isinstance(rule, Seam)}
         if (S is None or isinstance(S, str)) and (S not in (ALL, PAIRS) or single == Seam()):
-            return cls(S, sides.get(S or "", single) if single == Seam() else single, {}, rules, regions, join)
+            return cls(S, sides.get(S or "", single) if single == Seam() else single, {}, rules, **choice)
         side_rules = dict(S) if isinstance(S, Mapping) else dict.fromkeys(S)
         if not side_rules or not all(isinstance(name, str) for name in side_rules):
             allowed = "the names of several, {name: its upper side}, or None for all facets between lower and upper"
@@ -199,7 +194,7 @@ class SeamSides(NamedTuple):
         if single != Seam():
             raise InputError("S names several seams: give the sides of each there, as {name: (lower, upper)}")
         seams = {name: _seam(name, sides.get(name) if rule is None else rule) for name, rule in side_rules.items()}
-        return cls(None, single, seams, rules, regions, join)
+        return cls(None, single, seams, rules, **choice)
 
 
 def _seam(name: str, rule: object) -> Seam:
@@ -309,8 +304,6 @@ class NamedGroups(NamedTuple):
                 continue
             marks = checked_values(f"names: {name!r}", _marks, cells.points.T, rule, wanted=wanted, where=str)
             facets[name] = self._facets_at(marks > 0, name)
-            if not len(facets[name]):
-                raise InputError(f"names: no facet has all its vertices where the function of {name!r} is true")
         return self._replace(facets=facets)
 
     def _facets_at(self, is_there: BoolArray, name: str) -> IntArray:
@@ -349,12 +342,8 @@ class NamedGroups(NamedTuple):
             InputError: a cell is in none of them or in several, or a name is unknown or names cells and facets.
         """
         regions, cells, sides = self.region_masks, self.cells, self.sides
-        seams = [
-            sides.default_seam,
-            *sides.seams.values(),
-            *(rule for rule in sides.named.values() if isinstance(rule, Seam)),
-        ]
-        side_names = [name for seam in seams for name in seam.upper + seam.lower]
+        seams = sides.default_seam, *sides.seams.values(), *sides.named.values()
+        side_names = [name for seam in seams if isinstance(seam, Seam) for name in seam.upper + seam.lower]
         for name in side_names:
             require_known("region", name, regions, self.source_text)
         counts = np.sum(list(regions.values()), axis=0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
@@ -14,6 +13,7 @@ from os.path import isfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
 from unittest.mock import patch
+from warnings import catch_warnings
 
 import dolfinx
 import numpy as np
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 Source: TypeAlias = "str | Path | dolfinx.mesh.Mesh | Sequence[dolfinx.mesh.Mesh | dolfinx.mesh.MeshTags | None]"
 Names = Mapping[str, Any]  # names as in `read`
 GMSH_PHYSICAL = "gmsh:physical"
+XDMF_TASK = "meshio.xdmf.main.translate_mixed_cells"  # function of meshio that `xdmf_blocks` replaces
 READERS = {".inp": abaqus.load, ".e": exodus.load, ".exo": exodus.load, ".ex2": exodus.load}
 
 
@@ -131,11 +132,9 @@ def read_groups(
         blocks = [block for block in mesh.cells if len(block) and block.dim == dim]
         if not blocks:
             raise InputError("the file has no cells")
-        if sides.join is not None:
-            masters = joined(mesh.points, np.concatenate([block.data.ravel() for block in blocks]), sides.join)
-            for block in mesh.cells:
-                block.data = masters[block.data]
-            mesh.point_sets = {name: masters[nodes] for name, nodes in mesh.point_sets.items()}
+        masters = joined(mesh.points, np.concatenate([block.data.ravel() for block in blocks]), sides.join)
+        for block in mesh.cells if sides.join is not None else ():
+            block.data = masters[block.data]
         mesh.points, nodes, cell_type, (elements, numbers) = cells_of(mesh.points, blocks)
         cells, (source, array_name) = FileCells.of(mesh.points, nodes, cell_type), _group_source(mesh, sides.regions)
         masks = _group_masks(mesh, dim, array_name)
@@ -144,7 +143,9 @@ def read_groups(
             example = f'Physical {"Surface" if dim == 2 else "Volume"}("BODY") = {{...}}'
             raise InputError(f"no named groups of cells ({source}); in gmsh: {example}; saved with Mesh.SaveAll = 0")
         facets = _group_facets(mesh, cells, _group_masks(mesh, dim - 1, array_name))
-        node_sets: GroupMasks = {name: np.isin(cells.point_numbers, of) for name, of in mesh.point_sets.items()}
+        node_sets: GroupMasks = {
+            name: np.isin(cells.point_numbers, masters[of]) for name, of in mesh.point_sets.items()
+        }
         return function(NamedGroups(cells, regions, facets, source, sides, node_sets))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
@@ -164,11 +165,7 @@ def _load(path: Path, scale: float) -> meshio.Mesh:
     meshio._mesh.topological_dimension |= {"wedge15": 3, "pyramid13": 3}  # elements that meshio knows but cannot hold
     log = io.StringIO()
     try:
-        quiet, able = (
-            warnings.catch_warnings(action="ignore"),
-            patch("meshio.xdmf.main.translate_mixed_cells", xdmf_blocks),
-        )
-        with redirect_stdout(log), redirect_stderr(log), quiet, able:
+        with redirect_stdout(log), redirect_stderr(log), catch_warnings(action="ignore"), patch(XDMF_TASK, xdmf_blocks):
             mesh = READERS.get(suffix, meshio.read)(path)
     except InputError:
         raise
