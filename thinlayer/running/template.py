@@ -29,6 +29,7 @@ def template_text(mesh: Path) -> str:
 
 
 def _fill_template(mesh: Path, groups: NamedGroups) -> str:
+    groups = groups.with_described_facets()
     adjacent = ((name, groups.adjacent_cells(name)) for name in groups.facets)
     inside = {name: groups.region_names_of_cells(cells) for name, cells in adjacent if cells.size and cells.min() >= 0}
     seam_text, hint = _seam_entries(inside, ", ".join(groups.facets))
