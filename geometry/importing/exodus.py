@@ -54,7 +54,7 @@ def load(path: Path) -> meshio.Mesh:
 
     for name, k in groups("eb"):
         block = variables[f"connect{k}"]
-        kind = str(np.asarray((block.attrs if is_hdf else vars(block))["elem_type"]).astype(str)).upper()
+        kind = str(np.ravel((block.attrs if is_hdf else vars(block))["elem_type"]).astype(str)[0]).upper()
         base, n_vertices = next((of for start, of in TYPES.items() if kind.startswith(start)), (kind, 0))
         nodes: IntArray = np.asarray(block[:], np.int64) - 1
         n = nodes.shape[1]

@@ -179,9 +179,7 @@ class SeamSides(NamedTuple):
         """
         join, named = choice.get("join"), choice.pop("named", {})
         require(join is None or (is_finite(join) and 0 < join < 1), "join", join, "it must be a number > 0 and < 1")
-        vector: tuple[float, ...] | None = (
-            None if direction is None else tuple(np.ravel(direction).tolist())
-        )  # checked by the seam
+        vector: Any = None if direction is None else tuple(np.ravel(direction).tolist())  # checked by the seam
         single = Seam(_names_of(lower, "lower"), _names_of(upper, "upper"), vector)
         rules = {name: rule if callable(rule) else _seam(name, rule) for name, rule in named.items()}
         sides = {name: rule for name, rule in rules.items() if isinstance(rule, Seam)}
