@@ -101,8 +101,8 @@ def test_all_facets_between_regions(tmp_path):
     }  # fmt: skip
     assert joint.seams["B-D"].upper == ("D",)
     refused(InputError, "S names several seams", read, path, S="pairs", upper="B")
-    one = write(tmp_path / "one.msh", GRID, [("quad", QUADS)], [[1, 1, 1, 1]], {"A": (1, 2)})
-    refused(InputError, "no two regions have a facet in common: A", read, one, S="all")
+    single = write(tmp_path / "one.msh", GRID, [("quad", QUADS)], [[1, 1, 1, 1]], {"A": (1, 2)})
+    refused(InputError, "no two regions have a facet in common: A", read, single, S="all")
 
 
 def test_a_group_of_all_cells_besides_others(tmp_path):
@@ -117,10 +117,10 @@ def test_a_group_of_all_cells_besides_others(tmp_path):
 # ---------------------------------------------------------------- doubled nodes
 def test_doubled_nodes_are_joined_on_request(tmp_path):
     """Those of two bodies, and of a crack; what is closer than join is one node, what is not is none."""
-    apart = [*QUADS[:2], [9, 10, 7, 6], [10, 11, 8, 7]]
+    two_bodies = [*QUADS[:2], [9, 10, 7, 6], [10, 11, 8, 7]]
     for gap, join in ((0.0, 1e-9), (1e-6, 1e-6)):
         points = np.vstack([GRID, GRID[3:6] + np.array([0, gap])])
-        path = squares(tmp_path / "a.msh", points=points, cells=apart)
+        path = squares(tmp_path / "a.msh", points=points, cells=two_bodies)
         joint = read(path, upper="UP", join=join)
         assert (len(joint.points), places(joint, "S")) == (9, [(0.5, 0), (1.5, 0)])
         refused(InputError, "read with join=1e-6|larger join", read, path, upper="UP")

@@ -169,12 +169,12 @@ class _Model:
         (instance, _, last), table = text.rpartition("."), self.members[kind]
         mark = "#" if last.isdigit() else "."
         keys = [f"{name}{mark}{text}".upper() for name in ([scope] if scope else self.scopes)]
-        found = [key for key in (*keys, *[f"{instance}{mark}{last}".upper()] * bool(instance)) if key in table]
-        if not found:
+        matches = [key for key in (*keys, *[f"{instance}{mark}{last}".upper()] * bool(instance)) if key in table]
+        if not matches:
             raise KeyError(text)
-        if len(found) > 1 and found[0] != keys[0]:
-            raise ValueError(f"{text!r} is in {len(found)} instances; write INSTANCE.{text}")
-        return table[found[0]]
+        if len(matches) > 1 and matches[0] != keys[0]:
+            raise ValueError(f"{text!r} is in {len(matches)} instances; write INSTANCE.{text}")
+        return table[matches[0]]
 
 
 def _blocks(path: Path) -> Iterator[Block]:

@@ -318,7 +318,7 @@ class NamedGroups(NamedTuple):
         is_outer, is_border = table.cells[:, 1] < 0, np.diff(region[table.cells], axis=1)[:, 0] != 0
         is_seam, is_found = name in (self.sides.S, *self.sides.seams), is_there[table.vertices].all(axis=1)
         choices = (~is_outer, is_outer) if is_seam else (is_outer, is_border, ~is_outer)
-        return table.vertices[next((found for choice in choices if (found := is_found & choice).any()), is_found)]
+        return table.vertices[next((rows for choice in choices if (rows := is_found & choice).any()), is_found)]
 
     def _borders(self) -> tuple[IntArray, IntArray]:
         """Return (n, k) vertices of all facets between different regions, and (n, 2) their regions, ascending."""

@@ -96,9 +96,9 @@ def read(
             folded, there are hanging nodes, or cells overlap their neighbours; S does not fit `Joint`.
     """
     require(is_finite(scale) and scale > 0, "scale", scale, "it must be a number > 0")
-    given = names.items() if isinstance(names, Mapping) else ()
-    named = {name: rule for name, rule in given if callable(rule) or _are_regions(rule)}
-    tags = {name: rule for name, rule in given if name not in named} if named else names
+    entries = names.items() if isinstance(names, Mapping) else ()
+    named = {name: rule for name, rule in entries if callable(rule) or _are_regions(rule)}
+    tags = {name: rule for name, rule in entries if name not in named} if named else names
     choice = SeamSides.of(**sides, named=named)
     if not isinstance(mesh, (str, Path)):
         require(choice.regions is None, "regions", choice.regions, "it is of files; give names of tags")

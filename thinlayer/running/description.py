@@ -142,7 +142,11 @@ def _read_mesh(section: TomlTable, key: str) -> Arguments:
     value, side_readers = section.values[key], dict[str, Reader].fromkeys(("upper", "lower"), TomlTable.texts)
     table = section.as_table({"path": value} if isinstance(value, str) else value, "path and arguments of read", key)
     readers: Readers = {"path": TomlTable.text, "S": _read_S_facets, **side_readers, "direction": TomlTable.vector}
-    others: Readers = {"names": _read_S_facets, "regions": TomlTable.text, "join": positive_reader("a part of the size")}
+    others: Readers = {
+        "names": _read_S_facets,
+        "regions": TomlTable.text,
+        "join": positive_reader("a part of the size"),
+    }
     arguments = table.entries({**readers, **others, "scale": positive_reader("a factor")}, {"path": MESH_HINT})
     return {"S": None, **arguments} if side_readers.keys() <= arguments.keys() else arguments
 
