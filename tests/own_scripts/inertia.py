@@ -1,4 +1,4 @@
-"""Inertia by Newmark's method: a part of one's own that remembers velocities and accelerations."""
+"""Inertia by Newmark's method: a part that has velocities and accelerations."""
 
 from dataclasses import dataclass
 
@@ -38,16 +38,20 @@ class Newmark(Part):
 
     def begin(self, interval):
         if interval.theta < 1:
-            raise InputError("inertia balances forces at the ends of steps: theta = 1")
+            why = "inertia balances forces at the ends of steps: theta = 1"
+            raise InputError(why)
         self.interval, self.new = interval, self.rest()
 
     def evaluate(self, u, mid):
-        old, dt, beta, gamma = self.interval.old, self.interval.dt, self.definition.beta, self.definition.gamma
+        old, dt = self.interval.old, self.interval.dt
+        beta, gamma = self.definition.beta, self.definition.gamma
         v, a = (old.memory[self.key][name].x.array for name in ("v", "a"))
         self.moved = u.x.petsc_vec - old.u.x.petsc_vec
         if dt > 0:
-            self.new["a"].x.array[:] = (u.x.array - old.u.x.array - dt * v) / (beta * dt**2) - (0.5 / beta - 1) * a
-            self.new["v"].x.array[:] = v + dt * ((1 - gamma) * a + gamma * self.new["a"].x.array)
+            moved = u.x.array - old.u.x.array
+            new_a = (moved - dt * v) / (beta * dt**2) - (0.5 / beta - 1) * a
+            self.new["a"].x.array[:] = new_a
+            self.new["v"].x.array[:] = v + dt * ((1 - gamma) * a + gamma * new_a)
         self.forces = self.M * self.new["a"].x.petsc_vec
 
     def add_forces(self, out):
@@ -56,9 +60,12 @@ class Newmark(Part):
 
     def tangents(self, relative_residual):
         dt = self.interval.dt
-        return [Block(self.M, 1 / (self.definition.beta * dt**2) if dt > 0 else 0.0, kept=True)]
+        factor = 1 / (self.definition.beta * dt**2) if dt > 0 else 0.0
+        return [Block(self.M, factor, kept=True)]
 
     def commit(self):
-        v, before = self.new["v"].x.petsc_vec, self.interval.old.stored.get(self.key, 0.0)
+        v = self.new["v"].x.petsc_vec
+        before = self.interval.old.stored.get(self.key, 0.0)
         after = v.dot(self.M * v) / 2
-        return StepOutcome(before, after, remainder=self.forces.dot(self.moved) - (after - before), memory=self.new)
+        remainder = self.forces.dot(self.moved) - (after - before)
+        return StepOutcome(before, after, remainder=remainder, memory=self.new)

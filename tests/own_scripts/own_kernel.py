@@ -1,4 +1,4 @@
-"""A law of one's own in C: elastic up to a largest deviator, the plasticity of von Mises."""
+"""A law of one's own in C: plasticity of von Mises, with a largest deviator."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +26,8 @@ int kernel(double *out, const void *unused, const double *in)
         for (int j = 0; j < 6; j++) {
             const double both = i < 3 && j < 3;
             tangent[6 * i + j] = kappa * both + 2 * mu * k * ((i == j) - both / 3);
-            if (k < 1) tangent[6 * i + j] -= 2 * mu * k * trial[i] * trial[j] / (size * size);
+            const double flows = k < 1 ? trial[i] * trial[j] / (size * size) : 0;
+            tangent[6 * i + j] -= 2 * mu * k * flows;
         }
     }
     return 0;
@@ -45,5 +46,6 @@ class Mises(KernelLaw):
     source = Path("mises.c")
 
 
-slipped = drive(Mises(kappa=80.0, mu=20.0, limit=0.6), [{"w_T": w, "t_N": 0.0} for w in (0.02, 0.2)])
+law = Mises(kappa=80.0, mu=20.0, limit=0.6)
+slipped = drive(law, [{"w_T": w, "t_N": 0.0} for w in (0.02, 0.2)])
 print(slipped.tractions[:, 0])  # 0.4 and 0.424: mu w, and limit/sqrt(2) beyond

@@ -1,4 +1,4 @@
-"""A support of one's own: a stiff beam that is guided, so that all nodes of a side move alike."""
+"""A support of one's own: a guided stiff beam moves all nodes of a side alike."""
 
 from dataclasses import dataclass
 
@@ -14,31 +14,37 @@ from thinlayer.discretisation.part_definition import PartDefinition
 
 @dataclass(frozen=True)
 class Level(PartDefinition):
-    """All nodes of a facet set move alike along y, under a given force: a stiff beam that is guided."""
+    """All nodes of a facet set move alike along y, under a given force."""
 
     place: str
-    force: object  # along y, per thickness: a number, or a function (x, t) of the time
+    force: object  # along y, per thickness: a number, or a function (x, t)
     key: str = "level"
     components = ("y",)  # it ties these; along x nodes are free
 
     def total_force(self, model):
-        return model.coordinates.coefficient(self.force, "the level's force", ()).once("the whole beam")
+        force = model.coordinates.coefficient(self.force, "the level's force", ())
+        return force.once("the whole beam")
 
     def check(self, model):
         self.total_force(model)
 
     def multi_point_constraint(self, model):
-        n = model.V.dofmap.index_map.size_local * model.joint.dim  # displacements of this rank
+        # displacements of this rank
+        n = model.V.dofmap.index_map.size_local * model.joint.dim
         rows = self.bc_dofs_in(model, model.V)
         rows = rows[rows < n]
-        R = scipy.sparse.csr_matrix((np.ones(len(rows)), (rows, np.zeros_like(rows))), (n, 1))
-        return MultiPointConstraint(self.key, ["y"], R, {}, lambda t: np.array([self.total_force(model).at_time(t)]))
+        ones = (np.ones(len(rows)), (rows, np.zeros_like(rows)))
+        R = scipy.sparse.csr_matrix(ones, (n, 1))
+        force = lambda t: np.array([self.total_force(model).at_time(t)])
+        return MultiPointConstraint(self.key, ["y"], R, {}, force)
 
 
 joint = sandwich(width=40, lower=6, upper=6, h=1)  # mm
-concrete = LinearElastic.young(E=lambda x: 20e3 * (1 + x[0] / 40), nu=0.2)  # MPa; twice as stiff on the right
+# MPa; twice as stiff on the right
+concrete = LinearElastic.young(E=lambda x: 20e3 * (1 + x[0] / 40), nu=0.2)
 supports = {"BOTTOM": {"y": 0}, "LEFT": {"x": 0}}
-pressed = Structure(joint, body=concrete, supports=supports, parts=[Level("TOP", force=-2000)])
+beam = Level("TOP", force=-2000)
+pressed = Structure(joint, body=concrete, supports=supports, parts=[beam])
 state = solve(pressed.interface(ThinLayer(LinearElastic.young(E=2e3, nu=0.3), 0.2)))
-lowered, reaction = Probe(state).displacement([(1, 6), (39, 6)])[:, 1], state.reaction("BOTTOM").force[1]
-print(lowered, reaction)  # -0.0230, -0.0230 mm; 2000 N/mm
+lowered = Probe(state).displacement([(1, 6), (39, 6)])[:, 1]
+print(lowered, state.reaction("BOTTOM").force[1])  # -0.0230, -0.0230 mm; 2000 N/mm
