@@ -13,10 +13,17 @@ from thinlayer import __version__ as release  # noqa: E402, F401
 
 project, copyright = "thinlayer", "the thinlayer authors, MIT licence"
 SPHINX = [f"sphinx.ext.{name}" for name in ("autosummary", "intersphinx", "napoleon")]
-extensions = ["listings", "myst_parser", "sphinx_copybutton", *SPHINX, "docstrings"]
+extensions = ["listings", "myst_nb", "sphinx_copybutton", *SPHINX, "docstrings"]
 
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
+
+# Pages with `file_format: mystnb` in their head are notebooks: they are run, and may be downloaded with their outputs
+nb_execution_mode = "cache"  # in out/.jupyter_cache; a page whose code has not changed is not run again
+nb_execution_in_temp = True  # files that cells save are not left among the pages
+nb_execution_raise_on_error = True
+nb_execution_timeout = 600  # s, of a cell
+nb_output_stderr = "remove"  # progress
 
 default_role = "code"  # single backticks in docstrings
 autodoc_member_order, autodoc_typehints = "bysource", "none"
