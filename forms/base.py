@@ -18,7 +18,7 @@ PACKAGES = ("forms", "geometry", "thinlayer")
 # optional module -> the extra of pyproject.toml that installs it
 OPTIONAL_PACKAGES = {
     "dolfinx": "fenicsx", "matplotlib": "pictures", "pyvista": "pictures", "gmsh": "meshes", "meshio": "meshes",
-    "pint": "units",
+    "pint": "units", "pandas": "pandas",
 }  # fmt: skip
 
 

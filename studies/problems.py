@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import TypedDict, Unpack
 
 import numpy as np
@@ -20,7 +19,7 @@ from geometry import block, read, ring, sandwich
 from geometry.joint import Joint, Profile
 from geometry.shapes.sizing import GridArgs
 from geometry.topology import BoolArray
-from thinlayer import Structure, Surface, ThinLayer, piecewise
+from thinlayer import Structure, Surface, ThinLayer, examples, piecewise
 from thinlayer.discretisation.coefficient import LoadInput
 from thinlayer.discretisation.forces import BodyForce
 from thinlayer.discretisation.part_definition import PartDefinition
@@ -241,7 +240,6 @@ STEEL, ALUMINIUM, STONE = young(E=210e3, nu=0.3), young(E=70e3, nu=0.33), young(
 GLUE, GLUE_EPS = young(E=2e3, nu=0.4), 0.2  # 2 GPa where the layer is 0.2 mm thick
 JOINT, JOINT_EPS = young(E=1e3, nu=0.2), 0.01  # 1 GPa where joints are 10 mm thick
 HUB_RADII = (10.0, 15.0, 20.0)  # mm: inside of the shaft, S, outside of the hub
-ARCH_MESH_FILE = Path(__file__).parent / "data" / "arch.msh"  # mesh with curved cells; arch.geo has its geometry
 ARCH_WEIGHT = (0.0, -0.025)  # MN/m^3
 ARCH_RADIUS, MIDDLE = 1.15, 0.1  # m: joints are measured over the middle two thirds of their length
 
@@ -274,7 +272,7 @@ def arch(element: str) -> Problem:
     tractions = {"EXTRADOS": lambda x, t: (0.0, ufl.conditional(x[0] > 0, -0.4, -0.1))}
     setup: StructureArguments = {"body": STONE, "tractions": tractions, "body_force": ARCH_WEIGHT, "element": element}
     setup["supports"] = {"SPRINGINGS": 0.0}
-    return read(ARCH_MESH_FILE, S="JOINTS", lower="ODD STONES", upper="EVEN STONES"), setup
+    return read(examples.arch(), S="JOINTS", lower="ODD STONES", upper="EVEN STONES"), setup
 
 
 def is_inside_joints(x: Array) -> BoolArray:

@@ -13,18 +13,19 @@ CLONE = Path(__file__).parent.parent
 DOCS = CLONE / "thinlayer/docs"
 FILES = [CLONE / "README.md", CLONE / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 PAGES = {path.relative_to(CLONE).as_posix(): path.read_text() for path in FILES if "generated" not in path.parts}
-BLOCK = re.compile(r"^```(\w+)\n(.*?)^```\n(.*?)(?=^```|^#|\Z)", re.DOTALL | re.MULTILINE)
+BLOCK = re.compile(r"^```(\{code-cell\} )?(\w+)\n(.*?)^```\n(.*?)(?=^```|^#|\Z)", re.DOTALL | re.MULTILINE)
+NOTEBOOK = "---\nfile_format: mystnb\n"  # head of a page whose cells the site runs
 INDENTED = re.compile(r"^ {4} *\S.*\n(?:(?: {4}.*)?\n)*", re.MULTILINE)
 
 
 @dataclass(frozen=True)
 class Block:
-    """Code between fences, and the indented text below, which shows what it prints."""
+    """Code between fences, and the indented text below, which shows what it prints; None: the site shows it."""
 
     language: str
     line: int  # of the fence
     code: str
-    shown: str
+    shown: str | None
 
 
 def anchors(text: str) -> list[str]:
@@ -34,15 +35,16 @@ def anchors(text: str) -> list[str]:
 
 
 def sections() -> dict[str, list[Block]]:
-    """Blocks by page and heading; a tutorial is one script."""
+    """Blocks by page and heading; a notebook is one script."""
     blocks = defaultdict(list)
     for page, text in PAGES.items():
         for block in BLOCK.finditer(text):
-            language, code, rest = block.groups()
+            cell, language, code, rest = block.groups()
             shown = INDENTED.search(rest)
             line = text.count("\n", 0, block.start()) + 1
-            below = dedent(shown[0]) if shown else ""
-            name = page if "/tutorials/" in page else f"{page}#{anchors(text[: block.start()])[-1]}"
+            below = dedent(shown[0]) if shown else None if cell else ""
+            name = page if text.startswith(NOTEBOOK) else f"{page}#{anchors(text[: block.start()])[-1]}"
+            code = re.sub(r"^:", "#", code, flags=re.MULTILINE)  # options of a cell
             blocks[name].append(Block(language, line, code, below))
     return blocks
 

@@ -42,7 +42,7 @@ from thinlayer.parts.contact_part import ContactPart
 from thinlayer.parts.form_part import FormPart
 from thinlayer.parts.pressure_part import PressurePart
 
-SCRIPTS = re.findall(r"```python\n(.*?)```", PAGES["thinlayer/docs/tutorials/own_script.md"], re.DOTALL)
+SCRIPTS = re.findall(r"```{code-cell} python\n(.*?)```", PAGES["thinlayer/docs/tutorials/own_script.md"], re.DOTALL)
 STONE = LinearElastic.young(E=100.0, nu=0.3)
 CREEP = Maxwell(6.0, 4.0, t1=1.5)
 LOWER, UPPER, LAYER, TOP = 1, 2, 3, 4
@@ -51,7 +51,7 @@ KINDS = {name: mesh.CellType[name] for name in ("triangle", "quadrilateral", "te
 
 
 # ---------------------------------------------------------------- the scripts
-TEXTS = {"page": SCRIPTS[0] + SCRIPTS[1]} | {
+TEXTS = {"page": "".join(SCRIPTS)} | {
     name: (CLONE / "tests" / "own_scripts" / f"{name}.py").read_text() for name in ("bricks", "two_blocks", "glue_line")
 }
 
@@ -74,7 +74,7 @@ def printed_by_all() -> dict[str, str]:
 @on_ranks(printed_by_all, 2)
 @pytest.mark.parametrize("name", ["page", "bricks", "two_blocks"])
 def test_script_on_one_rank_and_two(there, name):
-    """What it prints is the same, to all digits but the last, and what the page says."""
+    """What it prints is the same, to all digits but the last."""
     serial, parallel = printed(name), there[name]
     assert len(numbers(serial)) >= 1
     assert numbers(serial) == pytest.approx(numbers(parallel), abs=2e-8)
@@ -82,8 +82,6 @@ def test_script_on_one_rank_and_two(there, name):
         mine, march_, status = serial.splitlines()
         assert numbers(mine) == pytest.approx(numbers(march_), rel=1e-8)
         assert min(map(int, status.split()[-3:])) > 0
-    if name == "page":
-        assert all(line.strip() in PAGES["thinlayer/docs/tutorials/own_script.md"] for line in serial.splitlines())
 
 
 @on_ranks(printed_by_all, 2)

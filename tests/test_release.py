@@ -49,6 +49,7 @@ def test_a_missing_extra_is_named_before_anything_is_computed(tmp_path, monkeypa
     assert "matplotlib is not installed: pip install 'thinlayer[pictures]'" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
     refused(InputError, r"gmsh is not .*thinlayer\[meshes\]", geometry.block, 2.0, 1.0, h=0.3)
+    refused(InputError, r"pandas is not installed: .*thinlayer\[pandas\]", thinlayer.Table().to_pandas)
     refused(InputError, r"meshio is not .*thinlayer\[meshes\]", geometry.read, CLONE / "studies/data/lap.msh")
 
 

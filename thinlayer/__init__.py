@@ -27,6 +27,7 @@ _STUB_TEXT = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
 _STUB_IMPORTS = [line for line in ast.parse(_STUB_TEXT).body if isinstance(line, ast.ImportFrom)]
 _MODULE_OF_NAME = {alias.name: str(line.module) for line in _STUB_IMPORTS for alias in line.names}
 _SUBMODULE_PATHS = {"plotting": "output.plotting", "fields": "output.paraview.writer", "goals": "estimating.goals"}
+_SUBMODULE_PATHS["examples"] = "examples"
 __all__ = sorted(_MODULE_OF_NAME)
 
 logging.getLogger("thinlayer").addHandler(logging.NullHandler())  # quiet by default

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from html import escape
 from typing import NamedTuple
 
 from forms.base import Array
@@ -159,9 +160,8 @@ class Estimate:
     def density(self, goal: str = "compliance") -> Array:
         """Return the density on S, per area, of the estimated change of a goal by meshing the layer. Collective.
 
-        A mesh of the layer is needed where the density is large. Its integral over S is the change: exactly if model
-        and goal are linear, otherwise to first order in the change. A warning is issued if the integral is off by more
-        than a fifth.
+        It shows where the change arises. Its integral over S is the change: exactly if model and goal are linear,
+        otherwise to first order in the change. A warning is issued if the integral is off by more than a fifth.
 
         Args:
             goal: name of the goal.
@@ -283,6 +283,10 @@ class Estimate:
 
     def __repr__(self) -> str:
         return f"Estimate({self})"
+
+    def _repr_html_(self) -> str:
+        """Return sentences and table as HTML, which notebooks display."""
+        return "<br>".join(map(escape, self.sentences)) + self.table._repr_html_()
 
 
 def _fields_text(traction: float, jump: float) -> list[str]:

@@ -7,6 +7,7 @@ import io
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from forms.base import InputError, unknown_name_message
+from forms.base import InputError, import_optional, unknown_name_message
 from geometry.parallel import on_root
 from thinlayer.system.folder import replace_file
 
@@ -222,8 +223,25 @@ class Table:
             raise ColumnError(unknown_name_message("column", column, self.columns))
         return [row[column] for row in self.rows]
 
+    def to_pandas(self) -> Any:
+        """Return the table as a DataFrame of pandas; empty entries are NaN in columns of numbers, otherwise None.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        return import_optional("pandas").DataFrame(self.rows, columns=self.columns)
+
+    def _texts(self) -> list[list[str]]:
+        rows = ([_entry_text(value, "{:.4g}".format) for value in row.values()] for row in self.rows)
+        return [self.columns, *rows]
+
+    def _repr_html_(self) -> str:
+        """Return the table as HTML, which notebooks display."""
+        rows = ("".join(f"<td>{escape(text)}</td>" for text in texts) for texts in self._texts())
+        return f"<table><tr>{'</tr><tr>'.join(rows)}</tr></table>".replace("td>", "th>", 2 * len(self.columns))
+
     def __str__(self) -> str:
-        lines = [self.columns, *([_entry_text(value, "{:.4g}".format) for value in row.values()] for row in self.rows)]
+        lines = self._texts()
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         padded_lines = (map(str.rjust, line, widths) for line in lines)
         return "\n".join("  ".join(entries).rstrip() for entries in padded_lines)
