@@ -54,4 +54,5 @@ def maps(panels: Mapping[str, Panel], x: Axis, y: Axis, ranges: dict[str, float]
     patches = [Patch(color=colour, label=name) for colour, name in zip(colours, ranges, strict=True)]
     figure.legend(handles=patches, loc="outside lower center", ncols=len(ranges), frameon=False, fontsize=FONT_SIZE + 1)
     figure.suptitle(title, fontsize=FONT_SIZE + 2)
-    return finish_picture(figure, save)
+    finish_picture(figure.axes, save)
+    return figure

@@ -165,7 +165,7 @@ def test_a_killed_compilation_is_repeated(tmp_path, compiled):
 
 def test_a_long_compilation_is_told_and_waited_for_by_another_process(tmp_path, compiled, capfd, monkeypatch):
     """Off a terminal too, and longer than FFCx's timeout (here none); what it made is used, of which nothing is told."""
-    slow = "from thinlayer.system import progress\nprogress.FIRST_REPORT_SECONDS[True] = 0.2\n" + SLOW
+    slow = "from thinlayer.system import progress\nprogress.FIRST_REPORT_SECONDS['terminal'] = 0.2\n" + SLOW
     words, pipes = [sys.executable, "-c", slow, str(tmp_path)], {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen(words, cwd=CLONE, text=True, **pipes) as other:
         other.stdout.readline()
@@ -174,7 +174,7 @@ def test_a_long_compilation_is_told_and_waited_for_by_another_process(tmp_path, 
         assert form.code == (None, None)  # nothing was compiled here
         assert other.stderr.read() == "compiling a form, kept for later runs, 0:00:00 so far\n"
         assert other.wait(240) == 0
-    monkeypatch.setitem(progress.FIRST_REPORT_SECONDS, True, 0.0)
+    monkeypatch.setitem(progress.FIRST_REPORT_SECONDS, "terminal", 0.0)
     capfd.readouterr()
     assert compiled(tmp_path).module
     assert capfd.readouterr().err == ""

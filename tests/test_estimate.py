@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from functools import cache
 
@@ -162,6 +163,8 @@ def test_sentences():
     assert "no change in reaction BOTTOM" in said[0]  # equilibrium gives it
     assert said[1].startswith("for these cells of the bodies, and 4 cells through the layer")
     assert estimated("bonded").sentences[0].startswith("perfect bond: ")
+    shown = estimated("bonded")._repr_html_()  # by notebooks
+    assert re.match("perfect bond: .*<br>.*<table>.*<th>better</th>.*<td>traction</td><td></td>", shown)
     assert math.isnan(estimated("bonded").jump)
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
+import sys
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -92,6 +95,15 @@ def test_tables_are_printed_as_they_are():
     table = Table([{"slip [mm]": 1.0, "a": "x"}, {"slip [mm]": 0.123456, "a": None}])
     assert str(table).splitlines() == ["slip [mm]  a", "        1  x", "   0.1235"]
     refused(InputError, "must be texts, not 1", lambda: Table([{1: 2.0}]))
+
+
+def test_tables_in_notebooks(monkeypatch):
+    table = Table([{"a<b": 1.0, "law": "x"}, {"a<b": None, "law": "y & z"}])
+    cells = re.findall("<(t[rdh])>([^<]*)", table._repr_html_())
+    assert cells == [("tr", ""), ("th", "a&lt;b"), ("th", "law"), ("tr", ""), ("td", "1"), ("td", "x"),
+                     ("tr", ""), ("td", ""), ("td", "y &amp; z")]  # fmt: skip
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=lambda rows, columns: (rows, columns)))
+    assert table.to_pandas() == (table.rows, ["a<b", "law"])
 
 
 @pytest.mark.few(1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import logging
 import re
+import sys
 from types import SimpleNamespace
 
 import pytest
@@ -14,6 +15,7 @@ from tests.viscous_joints import JOINT, SETUP
 from thinlayer import Structure, ThinLayer, ensemble, march, plotting, thin_enough
 from thinlayer.system import progress
 from thinlayer.system.progress import ProgressReporter
+from thinlayer.system.version import print_safely
 
 
 class Pipe(io.StringIO):
@@ -21,9 +23,13 @@ class Pipe(io.StringIO):
         self.seen = self.getvalue()
 
 
-def three_runs(terminal: bool, seconds: float) -> str:
+class OutStream(Pipe):
+    __module__ = "ipykernel.iostream"
+
+
+def three_runs(terminal: bool, seconds: float, kind: type[Pipe] = Pipe) -> str:
     """What is told of a sweep of three marches of four steps each, which take `seconds` per step."""
-    stream, clock = Pipe(), SimpleNamespace(now=100.0)
+    stream, clock = kind(), SimpleNamespace(now=100.0)
     stream.isatty = lambda: terminal
     teller = ProgressReporter(lambda: stream, lambda: clock.now)
     for _ in teller.track([0.4, 0.2, 0.1], "sweep", "eps = {:g}"):
@@ -49,6 +55,22 @@ def test_a_terminal_gets_one_line_that_changes_and_goes():
     assert "sweep: 1 of 3, eps = 0.4, march: t = 3 of 4, 0:00:06 so far, about 0:00:18 left" in output
 
 
+def test_a_notebook_gets_a_line_that_changes_every_five_seconds():
+    """Its front end writes over characters after a carriage return, and knows no other control characters."""
+    output = three_runs(False, 2.0, OutStream)
+    shown = [line for line in output.split("\r") if line.strip()]
+    assert [line.split(", ")[-2] for line in shown] == [f"0:00:{s:02} so far" for s in (6, 12, 18, 24)]
+    assert not {"\n", "\x1b"} & {*output}
+    assert len(output.split("\r")[-2]) >= max(map(len, shown))  # the last line goes
+    assert output.endswith(" \r")
+
+
+def test_lines_printed_during_work_are_not_glued_to_it(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    print_safely("a study ends")
+    assert capsys.readouterr() == ("a study ends\n", "\r\x1b[K")
+
+
 @pytest.mark.parametrize("terminal", [True, False])
 def test_short_and_silenced_work_tells_nothing(terminal, caplog):
     assert three_runs(terminal, 0.4) == ""
@@ -59,7 +81,7 @@ def test_short_and_silenced_work_tells_nothing(terminal, caplog):
 def test_all_long_work_tells(monkeypatch, capsys, tmp_path):
     """Each function tells of itself and of the work within it, here at once."""
     for wait in (progress.FIRST_REPORT_SECONDS, progress.REPORT_SECONDS):
-        monkeypatch.setitem(wait, False, 0.0)
+        monkeypatch.setitem(wait, "file", 0.0)
     layer, load = ThinLayer(LinearElastic(6.0, 4.0), 0.1, at=1.0), {"TOP": lambda x, t: (0.0, t)}
     structure = Structure(JOINT, tractions=load, **SETUP)
     model = structure.interface(layer)

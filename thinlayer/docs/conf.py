@@ -24,6 +24,7 @@ nb_execution_in_temp = True  # files that cells save are not left among the page
 nb_execution_raise_on_error = True
 nb_execution_timeout = 600  # s, of a cell
 nb_output_stderr = "remove"  # progress
+os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"  # as in Jupyter
 
 default_role = "code"  # single backticks in docstrings
 autodoc_member_order, autodoc_typehints = "bysource", "none"

@@ -286,7 +286,7 @@ class Estimate:
 
     def _repr_html_(self) -> str:
         """Return sentences and table as HTML, which notebooks display."""
-        return "<br>".join(map(escape, self.sentences)) + self.table._repr_html_()
+        return "<br>".join(map(escape, self.sentences)) + self.table._repr_html_().replace(">nan<", "><")
 
 
 def _fields_text(traction: float, jump: float) -> list[str]:

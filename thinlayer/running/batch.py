@@ -145,7 +145,7 @@ def run_jobs(jobs: Sequence[Job], out: Path, at_a_time: int | None = None) -> in
                     codes.append(job.status())
                     note = f"{time.monotonic() - start:.0f} s, see {job.folder}{LOG_SUFFIX}" if child else "done before"
                     print_safely(f"{len(codes) - 1} of {len(jobs)}  {job.folder.name}: {OUTCOMES[codes[-1]]} ({note})")
-            state_text = f"{len(codes) - 1} of {len(jobs)} done, {', '.join(job.folder.name for job in running)}"
+            state_text = ", ".join([f"{len(codes) - 1} of {len(jobs)} done", *(job.folder.name for job in running)])
             time_left, total = (sum(job.expected_seconds for job in group) for group in ([*waiting, *running], jobs))
             set_share(1 - time_left / total, state_text)
             time.sleep(POLL_SECONDS)

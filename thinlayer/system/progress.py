@@ -1,8 +1,8 @@
 """Reports of the progress of long work on standard error, and messages through Python's `logging`, by one rank.
 
 A report names the work and the part of it now being done, the time spent and the time left. On a terminal it is one
-changing line, shown after 5 s and removed at the end. Elsewhere it is a line a minute, and a line for each compilation
-of more than 5 s. Work within other work is reported on the same line.
+changing line, shown after 5 s and removed at the end; in a notebook too, where it changes every 5 s. Elsewhere it is a
+line a minute, and a line for each compilation of more than 5 s. Work within other work is reported on the same line.
 `logging.getLogger("thinlayer").setLevel("ERROR")` turns reports off. Messages are shown if the user asks for them:
 `logging.basicConfig(level="INFO")`, or `--verbose` on the command line.
 """
@@ -24,8 +24,11 @@ from mpi4py import MPI
 from geometry.parallel import ResultType, default_comm
 
 MIN_FORECAST_SHARE = 1e-3  # completed share from which on the remaining time is shown
-# seconds before the first line, and between lines; True: on a terminal
-FIRST_REPORT_SECONDS, REPORT_SECONDS = {True: 5.0, False: 60.0}, {True: 0.2, False: 60.0}
+LINE_WIDTH = 120  # largest number of characters of a changing line
+# by kind of stream: seconds before the first line, and between lines; text that removes a line, "": lines stay
+FIRST_REPORT_SECONDS = {"terminal": 5.0, "notebook": 5.0, "file": 60.0}
+REPORT_SECONDS = {"terminal": 0.2, "notebook": 5.0, "file": 60.0}
+REMOVE_LINE = {"terminal": "\r\x1b[K", "notebook": f"\r{LINE_WIDTH * ' '}\r", "file": ""}
 
 _SILENT_LOGGER = logging.Logger("thinlayer on other ranks", logging.CRITICAL + 1)
 
@@ -39,6 +42,13 @@ def logger(part: str, comm: MPI.Intracomm | None = None) -> logging.Logger:
         comm: communicator of the model; None: all ranks, in an `ensemble` those of the group.
     """
     return _SILENT_LOGGER if (comm or default_comm()).rank else logging.getLogger(f"thinlayer.{part}")
+
+
+def _kind_of(stream: TextIO) -> str:
+    """Return "terminal", "notebook" (a stream of Jupyter's kernel for Python) or "file"."""
+    if stream.isatty():
+        return "terminal"
+    return "notebook" if type(stream).__module__.startswith("ipykernel") else "file"
 
 
 @dataclass(eq=False)
@@ -86,7 +96,7 @@ class ProgressReporter:
         task = _Task(name)
         if not self._open_tasks:
             self._start_time, self._has_printed = self._clock(), False
-            self._next_print_time = self._start_time + FIRST_REPORT_SECONDS[self._stream().isatty()]
+            self._next_print_time = self._start_time + FIRST_REPORT_SECONDS[_kind_of(self._stream())]
         self._open_tasks.append(task)
 
         def set_share(share: float, now: str = "", piece: float = 0.0, *, at_once: bool = False) -> None:
@@ -99,8 +109,8 @@ class ProgressReporter:
         finally:
             if task in self._open_tasks:  # not if an abandoned generator is closed after the enclosing work
                 del self._open_tasks[self._open_tasks.index(task) :]
-            if not self._open_tasks and self._has_printed and self._stream().isatty():
-                self._stream().write("\r\x1b[K")
+            if not self._open_tasks and self._has_printed:
+                self._stream().write(REMOVE_LINE[_kind_of(self._stream())])
                 self._stream().flush()  # before the results are printed
 
     @contextmanager
@@ -113,7 +123,7 @@ class ProgressReporter:
             what: name of the work.
         """
         with self.report(what) as set_share:
-            timer = threading.Timer(FIRST_REPORT_SECONDS[True], set_share, (0.0,), {"at_once": True})
+            timer = threading.Timer(FIRST_REPORT_SECONDS["terminal"], set_share, (0.0,), {"at_once": True})
             timer.daemon = True
             timer.start()
             try:
@@ -135,11 +145,11 @@ class ProgressReporter:
                 yield item
 
     def _print(self, at_once: bool = False) -> None:
-        now, stream = self._clock(), self._stream()
+        now, stream, kind = self._clock(), self._stream(), _kind_of(self._stream())
         is_quiet = MPI.COMM_WORLD.rank or not logging.getLogger("thinlayer").isEnabledFor(logging.WARNING)
         if is_quiet or (now < self._next_print_time and not at_once):
             return
-        self._next_print_time, self._has_printed = now + REPORT_SECONDS[stream.isatty()], True
+        self._next_print_time, self._has_printed = now + REPORT_SECONDS[kind], True
         texts = [f"{task.title}: {task.piece_text}" if task.piece_text else task.title for task in self._open_tasks]
         # share of the outermost work, nested work included; the time left assumes the same pace
         share, task_share = 0.0, 1.0
@@ -151,7 +161,7 @@ class ProgressReporter:
         if share > MIN_FORECAST_SHARE:
             texts.append(f"about {timedelta(seconds=round(elapsed * (1 - share) / share))} left")
         line = ", ".join(texts)
-        stream.write(f"\r\x1b[K{line[:120]}" if stream.isatty() else f"{line}\n")
+        stream.write(f"{line}\n" if kind == "file" else f"{REMOVE_LINE[kind]}{line[:LINE_WIDTH]}")
         stream.flush()
 
 

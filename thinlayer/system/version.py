@@ -37,7 +37,12 @@ def error_reason(error: BaseException) -> str:
 
 
 def print_safely(text: object) -> None:
-    """Print `text`; do nothing if no process reads standard output any more, as in `thinlayer list | head -1`."""
+    """Print `text` in place of a line of progress.
+
+    It does nothing if no process reads standard output any more, as in `thinlayer list | head -1`.
+    """
+    if sys.stderr.isatty():
+        print("\r\x1b[K", end="", file=sys.stderr, flush=True)
     try:
         print(text, flush=True)
     except BrokenPipeError:

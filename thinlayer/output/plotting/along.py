@@ -16,7 +16,7 @@ from forms.base import require
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import PINNED_STATUS, Contact
 from thinlayer.output.plotting.curves import COLOURS, LINE_STYLES, set_symlog
-from thinlayer.output.plotting.picture import Picture, entry_by_label, finish_picture
+from thinlayer.output.plotting.picture import GivenAxes, Picture, entry_by_label, finish_picture, make_panels
 from thinlayer.output.surface import Surface
 from thinlayer.surface.lines import Line, Plane
 
@@ -36,7 +36,8 @@ def along(
     length: str = "",
     stress: str = "",
     log: bool = False,
-) -> Picture:
+    ax: GivenAxes = None,
+) -> Picture | None:
     """Draw fields on S as curves over arc length. Collective; all ranks have the picture.
 
     The picture has a row of panels for each field, and a column for each seam. If a seam has several separate lines,
@@ -56,6 +57,10 @@ def along(
         title: text over the picture.
         length, stress: names of the units of lengths and of stresses, for the labels.
         log: whether the vertical axes are logarithmic on both sides of zero.
+        ax: matplotlib's axes to draw in, one for each panel; the legend is in the first. None: a new picture is made.
+
+    Returns:
+        The new picture; None if `ax` is given.
 
     Raises:
         InputError: not a surface, state or field; a plane that does not cut S, or none in 3D.
@@ -82,8 +87,9 @@ def along(
     drawn = _fields_by_row(surface, fields, *unit_texts)
     rows = {label: {case: surface.along(f, plane=plane) for case, f in cases.items()} for label, cases in drawn.items()}
     seams, height = list(dict.fromkeys(surface.seams.tolist())), PANEL_INCHES[1] if len(rows) < 3 else LOW_PANEL_INCHES
-    figure = Picture(figsize=(PANEL_INCHES[0] + 2.2 * (len(seams) - 1), len(rows) * height + 0.8), layout="constrained")
-    axes_rows = figure.subplots(len(rows), len(seams), sharex="col", sharey="row", squeeze=False)
+    inches, shape = (PANEL_INCHES[0] + 2.2 * (len(seams) - 1), len(rows) * height + 0.8), (len(rows), len(seams))
+    panels = make_panels(ax, shape, len(rows) * len(seams), inches, sharex="col", sharey="row")
+    axes_rows = np.reshape(np.asarray(panels, object), shape)
     for (label, row), row_axes in zip(rows.items(), axes_rows, strict=True):
         values = np.concatenate([line.values.ravel() for lines in row.values() for line in lines])
         for axes, seam in zip(row_axes, seams, strict=True):
@@ -95,9 +101,9 @@ def along(
         axes.set_title(seam if len(seams) > 1 else "", fontsize=11)
     for axes in axes_rows[-1]:
         axes.set_xlabel(f"arc length{f' ({length})' if length else ''}")
-    _draw_legend(figure, rows.values(), surface.joint.dim)
-    figure.align_ylabels()
-    return finish_picture(figure, save, title)
+    panels[0].figure.align_ylabels(panels)
+    handles = _legend_handles(rows.values(), surface.joint.dim)
+    return finish_picture(panels, save, title, handles, min(len(handles), 5))
 
 
 def _fields_by_row(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, Mapping[str, npt.ArrayLike]]:
@@ -150,11 +156,10 @@ def _draw_panel(axes: Axes, curves: list[list[Line]]) -> None:
     axes.grid(color="0.9")
 
 
-def _draw_legend(figure: Picture, rows: Collection[Mapping[str, list[Line]]], dim: int) -> None:
-    """Draw a legend below the panels: line styles of the components of vectors, and colours of the curves.
+def _legend_handles(rows: Collection[Mapping[str, list[Line]]], dim: int) -> list[Line2D]:
+    """Return the entries of the legend: line styles of the components of vectors, and colours of the curves.
 
     Args:
-        figure: the picture.
         rows: for each row of panels, label of a curve -> its lines on S.
         dim: number of dimensions.
     """
@@ -168,5 +173,4 @@ def _draw_legend(figure: Picture, rows: Collection[Mapping[str, list[Line]]], di
     if len(labels) > 1:
         curve_styles = zip(cycle(COLOURS), cycle(("-",) if has_vectors else LINE_STYLES), labels, strict=False)
         handles += [Line2D([], [], color=colour, linestyle=dash, label=case) for colour, dash, case in curve_styles]
-    if handles:
-        figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 5), frameon=False)
+    return handles

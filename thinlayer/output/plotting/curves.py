@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
 
 from forms.base import Array, InputError, require
-from thinlayer.output.plotting.picture import Picture, entry_by_label, finish_picture, typeset
+from thinlayer.output.plotting.picture import GivenAxes, Picture, entry_by_label, finish_picture, make_panels, typeset
 from thinlayer.system.table import Table
 
 CurvesByLabel = Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike]]  # label -> (x, y)
@@ -38,7 +38,8 @@ def rates(
     title: str = "",
     reference: float = 1.0,
     errors: Mapping[str, str] = ERROR_COLUMNS,
-) -> Picture:
+    ax: Axes | None = None,
+) -> Picture | None:
     """Draw the errors in the tables of sweeps over the thickness eps, on logarithmic axes, with a reference line.
 
     Collective if the picture is saved or a file is read, which rank 0 does.
@@ -49,6 +50,10 @@ def rates(
         title: text over the picture.
         reference: slope of the reference line, the rate of convergence to compare with.
         errors: label of a curve -> column of the tables; by default errors of traction and jump.
+        ax: matplotlib's axes to draw in; None: a new picture is made.
+
+    Returns:
+        The new picture; None if `ax` is given.
 
     Raises:
         InputError: a table without rows or without these columns.
@@ -78,14 +83,14 @@ def rates(
     lines[slope_label] = eps, 0.6 * lowest_errors[-1] * (eps / eps[-1]) ** reference
     figure = curves(
         lines, "layer thickness eps", "relative difference on S, L^2",
-        title=title, styles=styles | {slope_label: ":"}, colours=colours, log="xy",
+        title=title, styles=styles | {slope_label: ":"}, colours=colours, log="xy", ax=ax,
     )  # fmt: skip
-    (axes,) = figure.axes
+    axes: Any = figure.axes[0] if figure and ax is None else ax
     axes.set_xticks(eps, [as_fraction(e) for e in eps])
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.minorticks_off()
-    return finish_picture(figure, save)
+    return finish_picture([axes], save)
 
 
 def curves(
@@ -102,7 +107,8 @@ def curves(
     ylim: AxisRange | Mapping[str, AxisRange] = None,
     columns: int = 3,
     levels: Mapping[str, Sequence[str]] | None = None,
-) -> Picture:
+    ax: GivenAxes = None,
+) -> Picture | None:
     """Draw curves in one panel or in several panels, with one legend below.
 
     Curves with the same label have the same style and colour in all panels.
@@ -122,6 +128,10 @@ def curves(
         columns: number of panels in a row.
         levels: title of a panel -> words that replace the numbers 0, 1, ... at its y axis, for curves of such numbers.
             None: all y axes show numbers.
+        ax: matplotlib's axes to draw in, one for each panel; the legend is in the first. None: a new picture is made.
+
+    Returns:
+        The new picture; None if `ax` is given.
 
     Raises:
         InputError: `lines` is no mapping.
@@ -138,33 +148,31 @@ def curves(
     panels: Any = lines if has_panels else {title: lines}
     columns = min(columns, len(panels))
     panel_rows, scale = -(-len(panels) // columns), 1.0 if columns > 2 else 1.4
-    figure_size = (3.1 * scale * columns, 2.6 * scale * panel_rows + 0.6) if has_panels else (6.5, 4.5)
-    figure = Picture(figsize=figure_size, layout="constrained")
+    width, height = (3.1 * scale * columns, 2.6 * scale * panel_rows + 0.6) if has_panels else (6.5, 4.5)
     labels = list(dict.fromkeys(label for curves_in_panel in panels.values() for label in curves_in_panel))
+    entry_inches = LINE_INCHES + LETTER_INCHES * max(map(len, labels), default=0)
+    legend_rows = max(1, math.ceil(len(labels) / max(1, width // entry_inches)))
+    inches = width, height + ROW_INCHES * (legend_rows - 1)
+    axes_list = make_panels(ax, (panel_rows, columns), len(panels), inches)
     slope_colours = {label: "0.5" for label in labels if label.startswith("slope")}
     styles, colours = _by_label(labels, styles), _by_label(labels, COLOURS) | slope_colours | _by_label(labels, colours)
     dashes, plotted = dict(zip(labels, cycle(LINE_STYLES), strict=False)), dict[str, Line2D]()
-    for number, (name, curves_in_panel) in enumerate(panels.items(), 1):
-        ax = figure.add_subplot(panel_rows, columns, number)
+    for axes, (name, curves_in_panel) in zip(axes_list, panels.items(), strict=True):
         for label, line in curves_in_panel.items():
             # points without a line are open markers, which do not hide one another
             marker: dict[str, Any] = {"ms": 6, "mfc": "none"} if styles.get(label) in MARKERS else {"ms": 4}
-            (plotted[label],) = ax.plot(*line, styles.get(label, "-"), color=colours[label], label=label, **marker)
+            (plotted[label],) = axes.plot(*line, styles.get(label, "-"), color=colours[label], label=label, **marker)
             if label not in styles:
                 plotted[label].set_linestyle(dashes[label])
-        ax.grid(color="0.9")
-        ax.set(xscale="log" if "x" in log else "linear", yscale="log" if "y" in log else "linear")
-        ax.set(xlabel=xlabel, ylabel=_for_panel(ylabel, name), xlim=_for_panel(xlim, name), ylim=_for_panel(ylim, name))
-        ax.set_title(name, fontsize=11)
+        axes.grid(color="0.9")
+        axes.set(xscale="log" if "x" in log else "linear", yscale="log" if "y" in log else "linear")
+        axes.set(xlabel=xlabel, ylabel=_for_panel(ylabel, name))
+        axes.set(xlim=_for_panel(xlim, name), ylim=_for_panel(ylim, name))
+        axes.set_title(name, fontsize=11)
         if levels and name in levels:
-            ax.set_yticks(range(len(levels[name])), map(typeset, levels[name]))
-    if len(plotted) > 1:
-        width, height = figure.get_size_inches()
-        legend_rows = math.ceil(len(plotted) / max(1, width // (LINE_INCHES + LETTER_INCHES * max(map(len, plotted)))))
-        figure.set_figheight(height + ROW_INCHES * (legend_rows - 1))
-        ncols = math.ceil(len(plotted) / legend_rows)
-        figure.legend(plotted.values(), plotted, loc="outside lower center", ncols=ncols, frameon=False)
-    return finish_picture(figure, save, title if has_panels else "")
+            axes.set_yticks(range(len(levels[name])), map(typeset, levels[name]))
+    handles = [*plotted.values()] if len(plotted) > 1 else []
+    return finish_picture(axes_list, save, title if has_panels else "", handles, math.ceil(len(plotted) / legend_rows))
 
 
 def as_fraction(x: float) -> str:

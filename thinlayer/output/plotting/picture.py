@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.backend_bases import RendererBase
 from matplotlib.figure import Figure
 from matplotlib.text import Text
@@ -27,6 +29,7 @@ UNDATED_METADATA: dict[str, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"
 # Words that are Greek letters; letters with an index, these letters alone, and powers.
 GREEK_PATTERN = "eps|lambda|nu|mu|pi|kappa|rho|psi|omega|Omega|delta|sigma"
 SYMBOL_PATTERN = r"(?:\\[A-Za-z]+|\b[A-Za-z]{1,2})_(?:[NTxyz\d]|min)\b|\\[A-Za-z]+|\b(?:10|L)\^-?\d+"
+GivenAxes = Axes | Sequence[Axes] | np.ndarray | None  # argument `ax`
 NOTEBOOK_SAVE_OPTIONS: dict[str, Any] = {"dpi": 100, "bbox_inches": "tight"}
 
 
@@ -36,7 +39,25 @@ class Picture(Figure):
     A notebook displays the picture if it is the last value of a cell, or by IPython's `display`. `savefig` and all
     other methods are those of a matplotlib figure. It is made without pyplot, so that matplotlib's backend does not
     change.
+
+    Attributes:
+        make_plotter: function that returns a plotter of pyvista with the structures of the picture; None: it has none.
     """
+
+    make_plotter: Callable[[], Any] | None = None
+
+    def interactive(self) -> None:
+        """Show the structures in the picture by pyvista, so that the mouse turns and enlarges them.
+
+        A script opens a window. A notebook uses pyvista's back end: with trame (pip install 'pyvista[jupyter]') the
+        structures turn, otherwise pyvista shows an image and warns.
+
+        Raises:
+            InputError: the picture shows curves.
+        """
+        if self.make_plotter is None:
+            raise InputError("interactive: the picture shows curves; pictures of `deformed` and `on_surface` can turn")
+        self.make_plotter().show()
 
     def draw(self, renderer: RendererBase) -> None:
         """Draw the figure by a matplotlib renderer, after replacing symbols in its texts by mathematics (`typeset`)."""
@@ -76,22 +97,57 @@ def typeset(text: str) -> str:
     return re.sub(SYMBOL_PATTERN, lambda match: "$" + re.sub(r"([_^])(-?\w+)", r"\1{\2}", match[0]) + "$", text)
 
 
-FigureType = TypeVar("FigureType", bound=Figure)
-
-
-def finish_picture(figure: FigureType, save: str | Path | None, title: str = "") -> FigureType:
-    """Give a picture a title and return it; rank 0 saves it to the file `save`. Collective unless `save` is None.
+def make_panels(
+    ax: GivenAxes, shape: tuple[int, int], n: int, inches: tuple[float, float], **sharing: Any
+) -> list[Axes]:
+    """Return the axes of n panels, of a new picture or those that the user gives.
 
     Args:
-        figure: the picture.
-        save: name of the file; None: it is not saved.
-        title: text over the picture; "": none.
+        ax: the user's axes, in any shape; None: a new picture.
+        shape: numbers of rows and columns of the new picture.
+        n: number of panels.
+        inches: width and height of the new picture, inches.
+        sharing: which axes the panels of the new picture share, as in matplotlib's `subplots`.
+
+    Raises:
+        InputError: `ax` is not that many axes of matplotlib.
     """
+    if ax is None:
+        picture = Picture(figsize=inches, layout="constrained")
+        panels = picture.subplots(*shape, squeeze=False, **sharing).ravel().tolist()
+        for panel in panels[n:]:
+            panel.remove()
+        return panels[:n]
+    panels = np.ravel(np.asarray(ax, object)).tolist()
+    is_right = len(panels) == n and all(isinstance(panel, Axes) for panel in panels)
+    require(is_right, "ax", ax, f"give {n} axes of matplotlib, one for each panel")
+    return panels
+
+
+def finish_picture(
+    panels: list[Axes], save: str | Path | None, title: str = "", handles: Collection[Any] = (), ncols: int = 1
+) -> Picture | None:
+    """Give a picture a legend and a title, save it, and return it. Collective unless `save` is None.
+
+    Args:
+        panels: axes of the picture. If they are in a figure of the user, the legend is in the first of them, and None
+            is returned: a notebook would show the figure twice.
+        save: name of the file to which rank 0 saves the picture; None: it is not saved.
+        title: text over the picture; "": none.
+        handles: entries of the legend.
+        ncols: number of columns of a legend below the picture.
+    """
+    figure: Any = panels[0].figure
+    picture = figure if isinstance(figure, Picture) else None
+    if handles and picture:
+        picture.legend(handles=handles, loc="outside lower center", ncols=ncols, frameon=False)
+    elif handles:
+        panels[0].legend(handles=handles)
     if title:
         figure.suptitle(title, fontsize=11)
     if save is not None:
         on_root(None, lambda: save_picture(figure, save))
-    return figure
+    return picture
 
 
 EntryType = TypeVar("EntryType")

@@ -265,17 +265,29 @@ class Scene:
     def render(self, grid: VtkGrid, s_meshes: Sequence[pyvista.PolyData] | None = None) -> npt.NDArray[np.uint8]:
         """Draw a structure off screen and return the pixels of the image (height, width, 3), as red, green and blue.
 
+        Args:
+            grid, s_meshes: what is drawn, see `add_to`.
+        """
+        x0, x1, y0, y1 = self.window
+        window_size = [round(LONG_SIDE_PIXELS * side / max(x1 - x0, y1 - y0)) for side in (x1 - x0, y1 - y0)]
+        plotter = pyvista.Plotter(off_screen=True, window_size=window_size, lighting="none")
+        self.add_to(plotter, grid, s_meshes)
+        pixels = plotter.screenshot(return_img=True)
+        plotter.close()
+        return pixels
+
+    def add_to(self, plotter: pyvista.Plotter, grid: VtkGrid, s_meshes: Sequence[pyvista.PolyData] | None) -> None:
+        """Add a structure to a plotter of pyvista, and let its camera show this scene's window.
+
         Lines are black at edges of bodies, and red around meshed layers and at both sides of S; a rigid base is grey.
 
         Args:
+            plotter: a plotter without lights.
             grid: displacement field of the structure.
             s_meshes: meshes of S to draw in addition, in the colours of their point data "rgb". Bodies then have one
                 colour and grey-brown edges, in 3D only these edges. None: bodies are coloured by displacement.
         """
-        shape, (right, up, towards) = self.deformed_shape(grid), self.axes
-        x0, x1, y0, y1 = self.window
-        window_size = [round(LONG_SIDE_PIXELS * side / max(x1 - x0, y1 - y0)) for side in (x1 - x0, y1 - y0)]
-        plotter = pyvista.Plotter(off_screen=True, window_size=window_size, lighting="none")
+        shape, (right, up, towards), (x0, x1, y0, y1) = self.deformed_shape(grid), self.axes, self.window
         plotter.add_light(pyvista.Light(light_type="headlight"))
         body = DISPLACEMENT_STYLE | {"clim": self.colour_limits} if s_meshes is None else PLAIN_BODY_STYLE
         edge, only_outlines = EDGE_STYLE if s_meshes is None else OUTLINE_STYLE, s_meshes is not None and grid.dim == 3
@@ -305,9 +317,6 @@ class Scene:
         plotter.camera_position = [centre + near_depth * towards, centre + far_depth * towards, up]
         plotter.camera.parallel_scale = (y1 - y0) / 2
         plotter.camera.clipping_range = (0.0, near_depth - far_depth)
-        pixels = plotter.screenshot(return_img=True)
-        plotter.close()
-        return pixels
 
 
 def _padded(x: Array) -> tuple[float, float]:

@@ -16,9 +16,9 @@ from matplotlib.patches import Patch
 
 from forms.base import Array, InputError
 from thinlayer.discretisation.state import State
-from thinlayer.output.paraview.grid import VtkGrid, gather_grid
+from thinlayer.output.paraview.grid import gather_grid
 from thinlayer.output.plotting.curves import COLOURS, SYMLOG_RATIO
-from thinlayer.output.plotting.picture import Picture, draw_on_root, entry_by_label, finish_picture
+from thinlayer.output.plotting.picture import Picture, draw_on_root, entry_by_label
 from thinlayer.output.plotting.scene import COLOUR_BAR_STYLE, Scene, View
 from thinlayer.output.surface import Surface
 
@@ -69,7 +69,7 @@ def deformed(
         >>> picture = plotting.deformed({"glue": state}, view, save="plates.png")
     """
     labelled = _state_by_label(states, "deformed")
-    return _draw_panels(labelled, view, lambda scene, _, grid: scene.render(grid), Scene.draw_colour_bar, title, save)
+    return _draw_panels(labelled, view, lambda *_: None, Scene.draw_colour_bar, title, save)
 
 
 def on_surface(
@@ -132,10 +132,10 @@ def on_surface(
         raise InputError(f"on_surface: the field has {wrong_counts[0]} components; give one of them")
     colours = _make_mappable(words, np.concatenate([f.ravel() for f in corner_values.values()]), log=log)
 
-    def render(scene: Scene, label: str, grid: VtkGrid) -> npt.NDArray[np.uint8]:
+    def mesh_s(scene: Scene, label: str) -> list[pyvista.PolyData]:
         x = surfaces[label].joint.points[surfaces[label].corners]
         lower, upper = x + scene.displacement_factor * np.moveaxis(displacements[label], 1, -1)
-        return scene.render(grid, _mesh_s(colours, corner_values[label], lower, upper, smooth=not words))
+        return _mesh_s(colours, corner_values[label], lower, upper, smooth=not words)
 
     def draw_legend(scene: Scene, figure: Picture, axes: list[Axes]) -> None:
         text = "; ".join(filter(None, [quantity, scene.factor_text]))
@@ -146,7 +146,7 @@ def on_surface(
         columns = min(len(patches), 4 * len(labelled))
         figure.legend(handles=patches, loc="outside lower center", ncols=columns, frameon=False, title=text)
 
-    return _draw_panels(labelled, replace(view, component="size"), render, draw_legend, title, save)
+    return _draw_panels(labelled, replace(view, component="size"), mesh_s, draw_legend, title, save)
 
 
 def _state_by_label(states: Mapping[str, State] | State, function_name: str) -> dict[str, State]:
@@ -167,34 +167,45 @@ def _state_by_label(states: Mapping[str, State] | State, function_name: str) -> 
     return panels
 
 
-Render = Callable[[Scene, str, VtkGrid], npt.NDArray[np.uint8]]
+MeshS = Callable[[Scene, str], list[pyvista.PolyData] | None]
 DrawLegend = Callable[[Scene, Picture, list[Axes]], None]
 
 
 def _draw_panels(
-    cases: Mapping[str, State], view: View, render: Render, draw_legend: DrawLegend, title: str, save: str | Path | None
+    cases: Mapping[str, State], view: View, mesh_s: MeshS, draw_legend: DrawLegend, title: str, save: str | Path | None
 ) -> Picture | None:
     """Draw images of states side by side with one legend, on rank 0; other ranks return None. Collective.
 
     Args:
         cases: label of a panel -> state.
         view: the user's settings of the view.
-        render: function of the scene, a panel's label and its displacement field; returns the pixels of the panel's
-            image.
+        mesh_s: function of the scene and a panel's label; returns meshes of S that are drawn in addition, or None.
         draw_legend: function of the scene, the picture and the axes of all panels; draws the legend.
         title: text over the picture.
         save: name of a file to save the picture to; None: it is not saved.
     """
     grids = {label: grid for label, state in cases.items() if (grid := gather_grid(state))}
 
+    def make_plotter(scene: Scene) -> pyvista.Plotter:
+        plotter = pyvista.Plotter(shape=(1, len(grids)), lighting="none")
+        for k, (label, grid) in enumerate(grids.items()):
+            plotter.subplot(0, k)
+            scene.add_to(plotter, grid, mesh_s(scene, label))
+            plotter.add_text(label, font_size=10)
+        plotter.link_views()
+        return plotter
+
     def draw() -> Picture:
         scene = Scene.of(list(grids.values()), view)
         figure, axes_list = scene.make_panels(len(grids))
         draw_legend(scene, figure, axes_list)
+        figure.make_plotter = lambda: make_plotter(scene)
         for axes, (label, grid) in zip(axes_list, grids.items(), strict=True):
-            axes.imshow(render(scene, label, grid), extent=scene.window)
+            axes.imshow(scene.render(grid, mesh_s(scene, label)), extent=scene.window)
             axes.set_title(label, fontsize=11)
-        return finish_picture(figure, None, title)
+        if title:
+            figure.suptitle(title, fontsize=11)
+        return figure
 
     return draw_on_root(next(iter(cases.values())).model.comm, draw, save)
 
