@@ -19,7 +19,7 @@ Panel = tuple[npt.ArrayLike, npt.NDArray[np.str_]]  # values of cells, texts of 
 Axis = tuple[str, Sequence[str]]  # label of the axis, labels of its columns or rows
 
 
-def maps(panels: Mapping[str, Panel], x: Axis, y: Axis, ranges: dict[str, float], *, title: str, save: Path) -> Picture:
+def maps(panels: Mapping[str, Panel], x: Axis, y: Axis, ranges: dict[str, float], *, title: str, save: Path) -> None:
     """Draw values over two axes as coloured cells, in panels in two columns with one legend.
 
     Args:
@@ -30,9 +30,6 @@ def maps(panels: Mapping[str, Panel], x: Axis, y: Axis, ranges: dict[str, float]
         ranges: name of a range of values with one colour -> its upper end; at most five, in increasing order.
         title: text over the picture.
         save: path of the file to which the picture is written.
-
-    Returns:
-        The picture.
     """
     n_columns = min(2, len(panels))
     n_rows = -(-len(panels) // n_columns)
@@ -55,4 +52,3 @@ def maps(panels: Mapping[str, Panel], x: Axis, y: Axis, ranges: dict[str, float]
     figure.legend(handles=patches, loc="outside lower center", ncols=len(ranges), frameon=False, fontsize=FONT_SIZE + 1)
     figure.suptitle(title, fontsize=FONT_SIZE + 2)
     finish_picture(figure.axes, save)
-    return figure

@@ -19,7 +19,7 @@ import forms
 import geometry
 import thinlayer
 from studies.rates import LAWS
-from tests.documents import CLONE, PAGES, Block, anchors, sections
+from tests.documents import CLONE, NOTEBOOK, PAGES, Block, anchors, sections
 from thinlayer import RangeWarning, compare, solve
 from thinlayer.running.case import DescribedCase
 from thinlayer.running.cli import main, studies
@@ -99,6 +99,15 @@ def test_blocks_print_what_the_page_says(name, tmp_path, monkeypatch, capsys):
         if block.shown:
             assert_says(block.shown, capsys.readouterr().out)
     assert all(block.code == LAP.read_text() for block in code["toml"])
+
+
+def test_notebooks_have_a_head_a_picture_and_exercises():
+    notebooks = {name: text for name, text in PAGES.items() if "{code-cell}" in text}
+    assert len(notebooks) >= 3
+    for name, text in notebooks.items():
+        assert text.startswith(NOTEBOOK), name
+        words = ["- **Goal**: ", "- **Time**: ", "- **Difficulty**: ★", f"`{Path(name).stem}.ipynb`", "## Try this"]
+        assert [word for word in [*words, "plotting."] if word not in text] == [], name
 
 
 def test_the_first_scripts_are_short():

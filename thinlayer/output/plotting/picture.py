@@ -119,8 +119,7 @@ def make_panels(
             panel.remove()
         return panels[:n]
     panels = np.ravel(np.asarray(ax, object)).tolist()
-    is_right = len(panels) == n and all(isinstance(panel, Axes) for panel in panels)
-    require(is_right, "ax", ax, f"give {n} axes of matplotlib, one for each panel")
+    require(len(panels) == n and all(isinstance(p, Axes) for p in panels), "ax", ax, f"give {n} axes of matplotlib")
     return panels
 
 
