@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from unittest.mock import patch
@@ -17,8 +17,8 @@ import ufl
 
 from forms import BulkLaw, Incompressible, LinearElastic, Rubber
 from forms.base import Array
-from forms.ends import FreeEnd, free_end
-from forms.ends.constants import TABLE_COLUMNS, chebyshev_poisson_ratios, free_end_table
+from forms.ends import free_end
+from forms.ends.constants import chebyshev_poisson_ratios
 from forms.tensors import Expr
 from geometry import block
 from geometry.joint import Joint
@@ -31,7 +31,6 @@ from thinlayer.discretisation.applicability import MIN_STIFFNESS_CONTRAST
 from thinlayer.discretisation.state import State
 from thinlayer.errors import RangeWarning
 from thinlayer.running.record import Record
-from thinlayer.system.progress import track
 from thinlayer.system.table import Table
 
 POISSON_RATIOS = (0.0, 0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.475, 0.49, 0.499, 0.4999, 0.5)  # Poisson's ratios
@@ -42,7 +41,6 @@ CELLS_3D, CELLS_RUBBER = 8, 12
 CORRECTED, IGNORED = "known", "ignored"  # treatment of ends; laws that ignore them treat the layer as infinite
 EDGE_OPTIONS = {CORRECTED: "free", IGNORED: "plain"}
 QUANTITIES = ("traction", "jump", "work")
-DRAWN_CONSTANTS = ("c_N", "rho_N", "m_N/c_N", "c_T", "m_T/c_T", "kappa")
 CELL_SIZE, H_S = 1 / 8, 1 / 32  # cell sizes
 CONTRASTS = (10.0, 20.0, MIN_STIFFNESS_CONTRAST, 80.0, 400.0)  # Young's modulus of the bodies over mu of the layer
 SOFT_RATIOS, SOFT_EPS = (0.0, 0.3, 0.45), (1 / 16, 1 / 64)  # Poisson's ratios of elastic layers, thicknesses
@@ -160,50 +158,35 @@ def run(record: Record, *, nu: Sequence[float] = POISSON_RATIOS, quick: bool = F
         nu: Poisson's ratios of the layer, from 0 to 0.5.
         quick: every other ratio, three structures with two thicknesses; the table's own rows are not computed anew.
     """
-    table = record.new_table("table.csv")
-    for ratio in track(nu[::2] if quick else nu, "free_ends", "nu = {:g}"):
-        end = compute_free_end(float(ratio))
-        table.append(_row(end) | {"from_table": _table_difference(end)})
-    record.check("largest difference from the package's table", np.nanmax(table["from_table"]), high=1e-8)
+    _check_constants(record, "table.csv", nu[::2] if quick else nu, 1e-8)
     if quick:
         _check_rates(record, CASES[:1], EPS[:2], CELLS_2D // 2)
     else:
-        _check_table(record)
+        _check_constants(record, "nodes.csv", chebyshev_poisson_ratios(N_TABLE_ROWS), 1e-9)
         _check_rates(record, CASES, EPS, CELLS_2D)
         _check_rates(record, [EDGE_CASE], EPS[:2], CELLS_3D)
     _check_rates(record, RUBBER_CASES, EPS[:2] if quick else EPS, CELLS_RUBBER)
     _check_contrasts(record, SOFT_RATIOS[::2] if quick else SOFT_RATIOS, SOFT_EPS[:1] if quick else SOFT_EPS)
 
 
-def _row(end: FreeEnd) -> dict[str, float]:
-    """Return a line of table.csv: the constants of `end` and some of their ratios.
+def _check_constants(record: Record, file: str, ratios: Iterable[float], high: float) -> None:
+    """Compute the constants of free ends anew, and check them against those that the package has for its laws.
 
-    NaN stands for constants that are infinite and ratios that are undefined.
+    Args:
+        record: record of the run, which gets the file and the check.
+        file: name of the csv file with the constants; those that are infinite have no entry.
+        ratios: Poisson's ratios of the layer.
+        high: largest relative difference that is allowed.
     """
-    normal = {"c_N": end.c_N, "m_N/c_N": end.m_N / end.c_N if 0 < end.nu < 0.5 else math.nan, "rho_N": end.rho_N}
-    finite = {name: value if math.isfinite(value) else math.nan for name, value in normal.items()}
-    return {"nu": end.nu, **finite, "c_T": end.c_T, "m_T/c_T": end.m_T / end.c_T, "kappa": end.kappa}
 
+    def row(nu: float) -> dict[str, float | None]:
+        end, shipped = compute_free_end(nu), free_end(nu)
+        errors = [abs(new / old - 1) for new, old in zip(end[1:], shipped[1:], strict=True) if 0 < old < math.inf]
+        finite_constants = {name: value if value < math.inf else None for name, value in end._asdict().items()}
+        return finite_constants | {"from_table": max(errors)}
 
-def _table_difference(end: FreeEnd) -> float:
-    """Return the largest relative difference of the constants in `end` from those in the package's table."""
-    shipped = free_end(end.nu)
-    value_pairs = [(getattr(end, name), getattr(shipped, name)) for name in (*TABLE_COLUMNS[1:], "kappa")]
-    return max(abs(a / b - 1) for a, b in value_pairs if 0 < b < math.inf)
-
-
-def _check_table(record: Record) -> None:
-    """Compute the rows of the package's table of constants anew, and check them against the table.
-
-    `record` writes the rows to nodes.csv, in the table's format.
-    """
-    table = record.new_table("nodes.csv")
-    for ratio in track(list(chebyshev_poisson_ratios(N_TABLE_ROWS)), "free_ends", "row of the table, nu = {:g}"):
-        end = compute_free_end(float(ratio))
-        table.append({name: getattr(end, name) for name in TABLE_COLUMNS})
-    reference = free_end_table()
-    error = max(float(np.abs(table[name] / reference[name] - 1).max()) for name in TABLE_COLUMNS[1:])
-    record.check("largest difference of a row from the package's table", error, high=1e-9)
+    table = record.rows(file, map(float, ratios), row, "nu = {:g}")
+    record.check(f"{file}: largest difference from the package's table", table["from_table"].max(), high=high)
 
 
 def _error_row(record: Record, case: EndCase, cells: int, eps: float) -> dict[str, float]:
@@ -297,10 +280,7 @@ def _check_contrasts(record: Record, ratios: Sequence[float], thicknesses: Seque
 
 
 def draw(record: Record) -> None:
-    """Draw errors over the thickness, and constants over Poisson's ratio, from the tables in the folder of `record`.
-
-    Lines show the constants of the package's table.
-    """
+    """Draw errors over the thickness, with and without correction, from the tables in the folder of `record`."""
     for case in (CASES[0], *RUBBER_CASES):
         table, errors = record.load(case.csv_name), {}
         for kind in EDGE_OPTIONS:
@@ -308,10 +288,3 @@ def draw(record: Record) -> None:
             errors[f"ends {kind}"] = Table.of({"eps": table["eps"], **columns})
         title, save = f"{case.name}, order 1, inner half of S", record.path(case.csv_name.replace(".csv", ".svg"))
         plotting.rates(errors, reference=2.0, title=title, save=save)
-    table, shipped = record.load("table.csv"), Table(_row(free_end(float(nu))) for nu in np.linspace(0.02, 0.4995, 200))
-    curves = {"half strip": table, "shipped": shipped}
-    panels = {name: {label: (rows["nu"], rows[name]) for label, rows in curves.items()} for name in DRAWN_CONSTANTS}
-    units = {name: "over eps" for name in DRAWN_CONSTANTS if name != "kappa"}
-    limits, save = {"c_N": (0.0, 3.0), "rho_N": (0.0, 3.0), "m_N/c_N": (0.0, 4.0)}, record.path("constants.svg")
-    options = {"title": "constants of a free end between rigid faces", "styles": ("o", "-"), "ylim": limits}
-    plotting.curves(panels, "Poisson's ratio nu of the layer", units, save=save, **options)
