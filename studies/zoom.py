@@ -12,7 +12,6 @@ from studies.problems import free_blocks
 from studies.sweeping import last_order
 from thinlayer import Structure, ThinLayer, Zoom, estimate, plotting, solve
 from thinlayer.discretisation.state import State
-from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 
@@ -100,17 +99,12 @@ def _zoom_errors(zoom: Zoom, full: Zoom) -> dict[str, float]:
 
 
 def draw(record: Record) -> None:
-    """Draw the errors of stresses and of strengths of singularities over the thickness.
-
-    The values are read from the tables of the materials in the folder of `record`.
-    """
-    panels, line_styles = {}, {"order 0": "o:", "order 1, free": "o--", "estimate": "o-"}
-    column_names = [f"{key} {state}" for state in STATE_FUNCTIONS for key in ("end", "inside", "H")]
+    """Draw the relative errors of stresses at the ends of S over the thickness, from the tables in `record`'s folder."""
+    panels = {}
     for nu, contrast in CASES:
         if record.has(file := f"errors_{nu:g}_{contrast:g}.csv"):
             table = record.load(file)
-            panels[f"nu = {nu:g}, E/mu = {contrast:g}"] = {name: (table["eps"], table[name]) for name in column_names}
-    styles = {name: line_styles[name.split(" ", 1)[1]] for name in column_names}
-    colours, save = dict(zip(column_names, 3 * COLOURS[:3], strict=True)), record.path("errors.svg")
-    options = {"styles": styles, "colours": colours, "log": "y", "columns": 2, "save": save}
-    plotting.curves(panels, "layer thickness eps over the width", "relative error", **options)
+            lines = {name: (table["eps"], table[f"end {name}"]) for name in STATE_FUNCTIONS}
+            panels[f"nu = {nu:g}, E/mu = {contrast:g}"] = lines
+    labels, save = ("layer thickness eps over the width", "error of stresses at the end"), record.path("errors.svg")
+    plotting.curves(panels, *labels, styles=("o:", "s--", "^-"), log="xy", columns=2, save=save)
