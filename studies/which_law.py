@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -14,7 +14,8 @@ import ufl
 from forms import Incompressible, LinearElastic, Rubber
 from forms.base import Array
 from geometry.parallel import default_comm
-from studies.maps import Panel, maps
+from geometry.topology import IntArray
+from studies.maps import maps
 from studies.problems import FOURIER_BODY, WaveSolution, fourier, free_blocks
 from studies.sweeping import difference
 from thinlayer import RangeWarning, Structure, Surface, Table, ThinLayer, solve
@@ -35,15 +36,13 @@ LAW_NAMES = {
     "rubber": "Rubber, order 1",
     "rubber_edges": "Rubber, free ends",
 }
-LAW_LETTERS = {"order_0": "0", "order_1": "1", "rubber": "R"}
-CORRECTED_LAWS = {"edges": "order_1", "rubber_edges": "rubber"}  # law corrected at free ends -> law without correction
+CORRECTED_LAWS = {"order_1": "edges", "rubber": "rubber_edges"}  # law -> the same law, corrected at free ends
+MAP_LABELS = {"0: order 0": "order_0", "1: LinearElastic, order 1": "order_1", "R: Rubber, order 1": "rubber"}
 QUANTITIES = ("traction", "jump", "compliance")
-ERROR_RANGES = {"< 0.1 %": 0.001, "0.1 to 1 %": 0.01, "1 to 5 %": 0.05, "5 to 20 %": 0.2, "> 20 %": math.inf}
 ALLOWED_ERRORS = (0.01, 0.05)  # errors for which the cheapest law is drawn
 WARNED_ERROR = 0.1  # error of order 1 from which on a warning is required
 LOAD = 1e-6  # stress: far below the moduli of the layers, so that warnings come from the laws, not from the loads
 INNER_HALF_WIDTH = 0.25  # free ends: errors are measured up to this distance from the middle of S
-SIGNS_TEXT = "!: with a RangeWarning; -: a law without such a material, or S too narrow for its strips at free ends"
 SET_UP_TITLES = {"rollers": "between rollers, under one half-wave", "free": "free ends, inner half of S"}
 
 ErrorFunction = Callable[[State], tuple[float, ...]]
@@ -197,7 +196,7 @@ class FreeEnds:
         allow it. `lmbda` and `mu` are Lamé's moduli of the layer, `eps` its thickness.
         """
         layers = _layers(lmbda, mu, eps)
-        corrected = {name: replace(layers[law], edges=None) for name, law in CORRECTED_LAWS.items() if law in layers}
+        corrected = {name: replace(layers[law], edges=None) for law, name in CORRECTED_LAWS.items() if law in layers}
         legal = {name: self.structure(eps).interface(layer).free_ends("S") is None for name, layer in corrected.items()}
         return layers | {name: layer for name, layer in corrected.items() if legal[name]}
 
@@ -253,66 +252,29 @@ def _check(record: Record, name: str, table: Table) -> None:
 
 
 def draw(record: Record) -> None:
-    """Draw the errors of each law over thickness and Poisson's ratio, and maps of the cheapest law for 1 % and 5 %.
+    """Draw maps of the cheapest law whose error is below 1 % and below 5 %, over thickness and Poisson's ratio.
 
     The values are read from table.csv in the folder of `record`.
     """
-    tables = record.load("table.csv").split("sides")
-    for name, what in SET_UP_TITLES.items():
-        table = tables[name]
-        # laws that accept one of its materials
-        drawn_laws = [law for law in LAW_NAMES if np.isfinite(_larger_errors(table, law)).any()]
-        nus, eps = np.unique(table["nu"]), np.unique(table["eps"])
+    for sides, table in record.load("table.csv").split("sides").items():
+        nus, eps, panels = np.unique(table["nu"]), np.unique(table["eps"]), dict[str, IntArray]()
         axes = ("Poisson's ratio nu of the layer", [f"{nu:g}" for nu in nus]), ("eps/l", [as_fraction(e) for e in eps])
-        errors = {}
         for contrast, part in table.split("E/mu").items():
-            for law in drawn_laws:
-                columns = _larger_errors(part, law), part[f"warned_{law}"]  # by ratio, then by thickness
-                worst, warned = (values.reshape(len(nus), -1).T for values in columns)
-                errors[f"{LAW_NAMES[law]}; E/mu = {contrast:,.0f}"] = worst, np.vectorize(_percent)(worst, warned > 0)
-        title = f"errors in per cent, the larger of traction and jump; {what}\n{SIGNS_TEXT}"
-        nonempty_panels = {panel: pair for panel, pair in errors.items() if np.isfinite(pair[0]).any()}
-        maps(nonempty_panels, *axes, ERROR_RANGES, title=title, save=record.path(f"errors_{name}.svg"))
-        panels, law_names = _cheapest_laws(drawn_laws, {panel: worst for panel, (worst, _) in errors.items()})
-        ranges = {f"{letter}: {law}": k + 0.5 for k, (letter, law) in enumerate(law_names.items())}
-        title = f"the first of {', '.join(law_names)} whose error is small enough; {what}"
-        maps(panels, *axes, ranges, title=title, save=record.path(f"cheapest_{name}.svg"))
+            for allowed in ALLOWED_ERRORS:
+                cheapest = _cheapest_laws(part, allowed).reshape(len(nus), -1)  # by ratio, then by thickness
+                panels[f"E/mu = {contrast:,.0f}, errors below {allowed:.0%}"] = cheapest.T
+        title = f"the cheapest law that is exact enough: {SET_UP_TITLES[sides]}"
+        maps(panels, *axes, (*MAP_LABELS, "m: meshed layer"), title=title, save=record.path(f"cheapest_{sides}.svg"))
 
 
-def _cheapest_laws(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[str, Panel], dict[str, str]]:
-    """Find for each material and thickness the first law whose error is small enough, else the meshed layer.
+def _cheapest_laws(table: Table, allowed: float) -> IntArray:
+    """Return for each row of `table` the number (rows,) of the first law in `MAP_LABELS` with errors below `allowed`.
 
-    Where a law can be corrected at free ends, the error is that with the correction.
-
-    Args:
-        laws: names of the laws in `LAW_NAMES`, the cheapest first.
-        errors: "LAW; E/mu = NUMBER" -> errors (thicknesses, Poisson's ratios).
-
-    Returns:
-        Title of a panel of `maps` -> numbers and letters of the laws, two arrays of this shape; and letter -> name of
-        the law.
+    If there is none, it is the number after the last law. Where a law can be corrected at free ends, its errors are
+    those with the correction.
     """
-    corrected = {law: name for name, law in CORRECTED_LAWS.items() if name in laws}
-    laws = [law for law in laws if law in LAW_LETTERS]
-    names = {LAW_LETTERS[law]: LAW_NAMES[law] for law in laws} | {"m": "meshed layer"}
-    panels = dict[str, Panel]()
-    for contrast in CONTRASTS:
-        pair = (laws, [corrected.get(law, law) for law in laws])
-        plain, better = (np.array([errors[f"{LAW_NAMES[law]}; E/mu = {contrast:,}"] for law in some]) for some in pair)
-        law_errors = np.where(np.isfinite(better), better, plain)
-        for allowed in ALLOWED_ERRORS:
-            cheapest = np.append(law_errors < allowed, np.ones((1, *law_errors.shape[1:]), bool), axis=0).argmax(axis=0)
-            panels[f"error < {100 * allowed:.0f} %; E/mu = {contrast:,}"] = cheapest, np.array(list(names))[cheapest]
-    return panels, names
-
-
-def _percent(error: float, warned: bool) -> str:
-    """Return a text for the relative error `error` in per cent; "-" for NaN, if a law does not accept the material.
-
-    "!" is added if `warned` is set: the law gave a warning.
-    """
-    if math.isnan(error):
-        return "-"
-    number = 100 * error
-    digits = ">999" if number > 999.5 else f"{number:.0f}" if number >= 10 else f"{number:.{1 if number < 0.1 else 2}g}"
-    return digits + "!" * bool(warned)
+    is_exact = []
+    for law in MAP_LABELS.values():
+        plain, corrected = (_larger_errors(table, name) for name in (law, CORRECTED_LAWS.get(law, law)))
+        is_exact.append(np.where(np.isfinite(corrected), corrected, plain) < allowed)
+    return np.argmax([*is_exact, np.ones(len(table), bool)], axis=0)
