@@ -230,7 +230,6 @@ class DroppedCase:
         bodies: bodies of both models: "kept" (a meshed layer moves them apart) or "extended" (it is cut out of them).
         dt: length of the only time step, from rest; 0: a static solve.
         qois: goals (quantities of interest) whose change is estimated, in addition to traction and jump on S.
-        inner_only: whether changes of traction and jump are measured only on the inner half of S, |x - 1/2| < 1/4.
         is_3d: whether the structure is in 3D.
     """
 
@@ -240,7 +239,6 @@ class DroppedCase:
     bodies: str = "kept"
     dt: float = 0.0
     qois: tuple[goals.Goal, ...] = (goals.Compliance(),)
-    inner_only: bool = False
     is_3d: bool = False
 
 
@@ -296,7 +294,7 @@ def published_cases() -> list[DroppedCase]:
     """Return each `DroppedCase` for which authors published results of another program that estimates such errors."""
     work, up, R, displacement = goals.Compliance(), (0.0, 1.0), Rubber.shear, goals.Displacement((0.3, 0.4), (0.6, 0.8))
     roller_case = partial(DroppedCase, make_structure=roller_blocks, qois=(work, goals.Displacement((0.3, 0.4), up)))
-    end_case = partial(DroppedCase, make_structure=free_pair, qois=(work, displacement), inner_only=True)
+    end_case = partial(DroppedCase, make_structure=free_pair, qois=(work, displacement))
     unequal_case = partial(end_case, make_structure=partial(free_pair, load=(1.0, 0.0), lower=SOFT_BODY))
     steel_case = partial(end_case, make_structure=partial(free_pair, load=(0.3, -1.0), lower=STEEL, upper=STEEL))
     pressed_case = partial(end_case, make_structure=displaced, qois=(goals.Reaction("TOP", up), goals.MeanTraction(up)))
