@@ -304,11 +304,9 @@ SWEEPS: dict[str, Sweep] = {
     "ring order1": glued_sweep(layer_fn(problems.GLUE, problems.GLUE_EPS, order=1), "order 1", orders=(1.8, 2.2),
         pick_eps=None),
     "fibre": glued_sweep(layer_fn(cylinders.COATING), problem=cylinders.coated_fibre, h=(0.05, 0.1),
-        eps=(0.08, 0.04, 0.02, 0.01), orders=(0.9, 1.1), unit="R", extras_fn=cylinders.fibre_errors,
-        check=cylinders.check_fibre),
+        eps=(0.08, 0.04, 0.02, 0.01), orders=(0.9, 1.1), unit="R"),
     "tubes": glued_sweep(layer_fn(cylinders.GLUE, cylinders.GLUE_EPS), "inner pressure", orders=(0.93, 1.1),
-        check=cylinders.check_tubes, problem=partial(cylinders.tubes, loads=cylinders.PRESSURE_LOADS),
-        extras_fn=cylinders.tube_errors),
+        problem=partial(cylinders.tubes, loads=cylinders.PRESSURE_LOADS), pick_eps=None),
     "tubes push": glued_sweep(layer_fn(cylinders.GLUE, cylinders.GLUE_EPS), "shaft pushed", orders=(0.9, 1.25),
         problem=partial(cylinders.tubes, loads=cylinders.PUSH_LOADS),
         where=lambda x: abs(x[1] + cylinders.TUBE_LENGTH / 2) < 0.3 * cylinders.TUBE_LENGTH),  # off their ends

@@ -11,7 +11,7 @@ import ufl
 from forms import Anisotropic, HolonomicCoulomb, Incompressible, LinearElastic, Maxwell, MohrCoulomb, Stack
 from forms.base import InputError
 from geometry import block, periodic, sandwich
-from studies.cylinders import lame
+from tests.cylinders import lame
 from tests.refused import refused
 from thinlayer import Springs, Structure, Surface, ThinLayer, UflPart, compare, goals, march, solve
 from thinlayer.errors import LooseBody
@@ -147,6 +147,9 @@ def test_bonded_tubes_are_those_of_lame():
     surface = Surface(limit.model)
     t = surface.profile(surface.frame(surface.traction(limit)))[1]
     assert t == pytest.approx(np.array([[0.0, by_law.stress(0, 3.0)]] * len(t)), rel=1e-3, abs=1e-4)
+    force = surface.integral(surface.frame(surface.traction(full))[1]) / (2 * np.pi * 0.4)
+    forces = [meshed.stress(1, r) * r for r in (3 - EPS / 2, 3.0, 3 + EPS / 2)]  # the mean through the layer, on S
+    assert force == pytest.approx(np.dot((1, 4, 1), forces) / 6, rel=1e-4)
 
 
 BETWEEN_TUBES = [Maxwell(3.0, 2.0, 0.8, 2.5), Incompressible(2.0), MohrCoulomb(3.0, 2.0, 0.02, 30.0, 0.05)]

@@ -10,8 +10,8 @@ from forms import Anisotropic, LinearElastic
 from forms.base import InputError
 from geometry import ring
 from geometry.seam import Seam
-from studies.cylinders import lame
 from studies.problems import FOURIER_LAYER, fourier
+from tests.cylinders import lame
 from tests.meshes import part_of
 from tests.orders import observed_orders
 from tests.refused import refused

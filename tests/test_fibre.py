@@ -9,11 +9,12 @@ import pytest
 
 from forms import LinearElastic
 from geometry import fibre
-from studies.cylinders import Cylinders
+from studies.cylinders import COATING, GLASS, RADIUS, RESIN, RIM, STRETCH, coated_fibre
+from tests.cylinders import MODES, Cylinders
 from tests.network_cases import springs
-from thinlayer import Structure, solve
+from thinlayer import Structure, ThinLayer, compare, solve
 
-BODY, GLASS = LinearElastic.young(1.0, 0.2), LinearElastic.young(5.0, 0.3)
+BODY = LinearElastic.young(1.0, 0.2)
 
 
 def stretched(joint, laws, K_N, K_T, stretch) -> float:
@@ -50,3 +51,20 @@ def test_curved_cells_follow_the_circle():
     energy = stretched(fibre(0.4, 1.0, 0.1, cell="quadrilateral", degree=2), (GLASS, BODY), 2.0, 0.7, (0.1, -0.03))
     assert energy == pytest.approx(right, rel=3e-5)
     assert abs(stretched(fibre(0.4, 1.0, 0.1), (GLASS, BODY), 2.0, 0.7, (0.1, -0.03)) / right - 1) > 1e-3
+
+
+def test_a_coating_and_its_law_differ_as_their_closed_forms_do():
+    eps, (joint, setup) = 0.04, coated_fibre(0.1)
+    structure, layer = Structure(joint, **setup), ThinLayer(COATING, eps, at=1.0)
+    full = solve(structure.full(layer, bodies="extended"))
+    radii, laws = (RADIUS - eps / 2, RADIUS + eps / 2, RIM), (GLASS, COATING.scaled(eps), RESIN)
+    coated = Cylinders.stretched(laws, radii, [None, None], (STRETCH, 0.0))
+    assert full.energies()["bodies"] + full.energies()["layer"] == pytest.approx(coated.energy, rel=5e-5)
+    springs = [(COATING.lmbda + 2 * COATING.mu, COATING.mu)]
+    jumps = Cylinders.stretched((GLASS, RESIN), (RADIUS, RIM), springs, (STRETCH, 0.0)).jumps(0)
+    inner, outer = (
+        np.array([coated.amplitudes(m, k, r)[:2] for m in MODES]) for k, r in ((0, radii[0]), (2, radii[1]))
+    )
+    weights = np.array([[2.0], [1.0]])  # of the squares of both modes in integrals over the circle
+    error = np.sqrt((weights * (outer - inner - jumps) ** 2).sum() / (weights * jumps**2).sum())
+    assert compare(full, solve(structure.interface(layer)))["error_jump"] == pytest.approx(error, rel=2e-3)

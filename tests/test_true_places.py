@@ -14,7 +14,7 @@ from forms import HolonomicCoulomb, Incompressible, LinearElastic, Rubber
 from forms.base import InputError
 from forms.work import energy
 from geometry import block, bond_cell, ring, sandwich
-from studies.cylinders import lame
+from tests.cylinders import lame
 from tests.orders import observed_orders
 from tests.refused import refused
 from tests.test_order1 import relative_errors
