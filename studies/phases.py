@@ -13,11 +13,8 @@ from forms.tensors import Expr
 from forms.traction import JumpStep
 from geometry import sandwich
 from studies.problems import FOURIER_BODY, SUPPORTS, Problem, StructureArguments, phases_on_s
-from studies.sweeping import Tables, end_state, last_order
 from thinlayer import Surface
 from thinlayer.discretisation.state import State
-from thinlayer.running.record import Record
-from thinlayer.solving.history import History, Solution
 
 # chi, in the axes t, n of S
 OBLIQUE, SHEARED = np.array([[0.0, 0.3], [0.3, 0.5]]), np.array([[0.0, 0.5], [0.5, 0.0]])
@@ -28,8 +25,6 @@ CASES: dict[str, tuple[NonMonotone, float, float]] = {
     "along": (NonMonotone(60.0, 40.0, alpha=0.3, transformation_energy=0.0004, chi=SHEARED), 4.0, 0.4),
 }
 PURE_LAW = NonMonotoneUnrelaxed(60.0, 40.0, alpha=0.6, transformation_energy=0.0025, chi=OBLIQUE)
-PURE_TOLERANCE = 1e-9  # distance of a phase fraction from a pure phase that counts as rounding
-MIN_SHARE = 0.15  # least share of S that each phase, and mixtures, must have
 
 
 @dataclass(frozen=True)
@@ -111,72 +106,3 @@ def phases_along(state: State, _: Surface) -> dict[str, Array]:
     The second argument, the surface S, is not used.
     """
     return dict(zip(("x", "phase"), phases_on_s(state), strict=True))
-
-
-def phase_fractions(full: Solution, limit: Solution) -> dict[str, float]:
-    """Measure which fractions of S are in each phase, and on how many facets both models differ.
-
-    Args:
-        full: solution with the meshed layer.
-        limit: solution with the interface law.
-
-    Returns:
-        With the interface law: fractions of S in phase 1 ("plus"), in phase -1 ("minus") and in mixtures ("mixed").
-        "differ" is the number of facets of S where the phases of both models differ by more than 1/2.
-    """
-    state = end_state(limit)
-    (_, limit_phases), (_, full_phases) = (phases_on_s(end_state(solution)) for solution in (limit, full))
-    is_mixed = (abs(limit_phases) > PURE_TOLERANCE) & (abs(limit_phases) < 1 - PURE_TOLERANCE)
-    (row,), is_different = Surface(state.model).table(state).rows, abs(full_phases - limit_phases) > 0.5
-    pure_fractions = {name: float(row[name] or 0.0) for name in ("plus", "minus")}
-    return pure_fractions | {"mixed": float(is_mixed.mean()), "differ": float(is_different.sum())}
-
-
-def check_phases(record: Record, tables: Tables) -> None:
-    """Check that phase 1, phase -1 and mixtures each occupy at least the fraction 0.15 of S.
-
-    Args:
-        record: record of the run, which receives the checks.
-        tables: name of a `Sweep` of the study `rates` -> its table, with a line for each thickness.
-    """
-    for name in ("non_monotone", "non_monotone across", "non_monotone along"):
-        for phase in ("plus", "minus", "mixed"):
-            record.check(f"share of S, {phase}, {name}", tables[name][phase][-1], low=MIN_SHARE)
-
-
-def snap_errors(full: Solution, limit: Solution) -> dict[str, float]:
-    """Compare the snaps in marches of both models.
-
-    Args:
-        full: history with the meshed layer.
-        limit: history with the interface law.
-
-    Returns:
-        The entries of `phase_fractions`, and "snaps", the number of snaps with the interface law. "error_times" is the
-        largest difference of the times of a snap, over the last such time. "error_lost" is the relative difference of
-        the total energies lost. Errors are NaN if the models have different numbers of snaps.
-    """
-    assert isinstance(full, History)
-    assert isinstance(limit, History)
-    row, time_error, lost_error = phase_fractions(full, limit) | {"snaps": len(limit.snaps)}, np.nan, np.nan
-    meshed, on_s = (np.array([(snap.t, snap.lost) for snap in march.snaps]).reshape(-1, 2) for march in (full, limit))
-    if len(meshed) == len(on_s) > 0:
-        time_error = float(abs(meshed - on_s)[:, 0].max() / on_s[-1, 0])
-        lost_error = float(abs(meshed[:, 1].sum() / on_s[:, 1].sum() - 1))
-    return row | {"error_times": time_error, "error_lost": lost_error}
-
-
-def check_snaps(record: Record, tables: Tables) -> None:
-    """Check that the meshed layer changes phase at the same facets of S as the interface law, at almost the same times.
-
-    The difference of the times must be O(eps).
-
-    Args:
-        record: record of the run, which receives the checks.
-        tables: name of a `Sweep` of the study `rates` -> its table, with a line for each thickness.
-    """
-    table = tables["non_monotone unrelaxed"]
-    record.check("columns in another phase than on S, unrelaxed, any eps", table["differ"].max(), high=0.0)
-    record.check("snaps, unrelaxed", table["snaps"].min(), low=5.0)
-    for what, high in {"times": 1.3, "lost": 1.6}.items() if len(table) > 1 else ():
-        record.check(f"last observed order, {what}, of snaps", last_order(table, f"error_{what}"), low=0.85, high=high)

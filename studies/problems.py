@@ -15,7 +15,7 @@ from scipy.linalg import expm
 from forms import BulkLaw, LinearElastic, MohrCoulomb
 from forms.base import Array
 from forms.tensors import Expr
-from geometry import block, read, ring, sandwich
+from geometry import block, disc, read, ring, sandwich
 from geometry.joint import Joint, Profile
 from geometry.shapes.sizing import GridArgs
 from geometry.topology import BoolArray
@@ -240,6 +240,8 @@ STEEL, ALUMINIUM, STONE = young(E=210e3, nu=0.3), young(E=70e3, nu=0.33), young(
 GLUE, GLUE_EPS = young(E=2e3, nu=0.4), 0.2  # 2 GPa where the layer is 0.2 mm thick
 JOINT, JOINT_EPS = young(E=1e3, nu=0.2), 0.01  # 1 GPa where joints are 10 mm thick
 HUB_RADII = (10.0, 15.0, 20.0)  # mm: inside of the shaft, S, outside of the hub
+ROD_RADIUS, ROD_HEIGHT = 12.0, 10.0  # mm: of each cylinder
+ROD_STRESS, ROD_BENDING = 20.0, 30.0  # MPa: mean, and at the edge
 ARCH_WEIGHT = (0.0, -0.025)  # MN/m^3
 ARCH_RADIUS, MIDDLE = 1.15, 0.1  # m: joints are measured over the middle two thirds of their length
 
@@ -256,6 +258,20 @@ def glued_hub(h: float) -> Problem:
     tractions = {"OUTSIDE": lambda x, t: (0.0, -ufl.conditional(x[1] > 0, 10.0 * x[1] / HUB_RADII[2], 0.0))}
     joint, bodies = ring(*HUB_RADII, h=h, cell="quadrilateral", degree=2), {"INNER": STEEL, "OUTER": ALUMINIUM}
     return joint, {"body": bodies, "supports": {"INSIDE": 0.0}, "tractions": tractions}
+
+
+def rods(sizes: tuple[float, float]) -> Problem:
+    """Two cylinders, glued end to end, under tension and bending, in 3D.
+
+    Args:
+        sizes: sizes of cells inside and on S, mm.
+
+    Returns:
+        The joint, and the arguments of its `Structure`.
+    """
+    tractions = {"TOP": lambda x, t: (0.0, ROD_STRESS + ROD_BENDING * x[0] / ROD_RADIUS, 0.0)}
+    joint = disc(ROD_RADIUS, ROD_HEIGHT, ROD_HEIGHT, sizes[0], h_S=sizes[1], cell="hexahedron", degree=2)
+    return joint, {"body": STEEL, "supports": {"BOTTOM": 0.0}, "tractions": tractions}
 
 
 def arch(element: str) -> Problem:

@@ -174,12 +174,6 @@ def end_state(solution: Solution) -> State:
     return solution if isinstance(solution, State) else solution.last
 
 
-def layer_of(solution: Solution) -> ThinLayer:
-    """Return the layer of the model that a state or history belongs to; the model has exactly one layer."""
-    (layer,) = end_state(solution).model.layers.values()
-    return layer.as_thin_layer
-
-
 def last_order(table: Table, column: str) -> float:
     """Return the observed rate of convergence between the last two rows of `table`; NaN if it cannot be computed.
 

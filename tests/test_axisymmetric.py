@@ -11,6 +11,7 @@ import ufl
 from forms import Anisotropic, HolonomicCoulomb, Incompressible, LinearElastic, Maxwell, MohrCoulomb, Stack
 from forms.base import InputError
 from geometry import block, periodic, sandwich
+from studies import problems
 from tests.cylinders import lame
 from tests.refused import refused
 from thinlayer import Springs, Structure, Surface, ThinLayer, UflPart, compare, goals, march, solve
@@ -131,6 +132,26 @@ def _of_point(law, a, axial):
         answer = respond(real, share * e, old, q, n)
         q, old = answer.q, share * e
     return answer.stress[0, 1]
+
+
+# ---------------------------------------------------------------- rods in space
+@pytest.mark.long
+def test_rods_in_space_are_their_section():
+    """Bending opens one half of S as much as it closes the other: means are those of tension alone, which a section has."""
+    (joint, setup), layer, R = problems.rods((6.0, 4.0)), ThinLayer(problems.GLUE, 0.4), problems.ROD_RADIUS
+    cut = sandwich(R, problems.ROD_HEIGHT, problems.ROD_HEIGHT, 2.0, h_S=0.8, h_ends=0.3)
+    pulled = {"TOP": (0.0, problems.ROD_STRESS)}
+    section = Structure(cut, body=problems.STEEL, supports={"BOTTOM": 0.0}, tractions=pulled, plane="axisymmetric")
+
+    def means(whole, build):
+        state, surface = solve(build(whole, layer)), Surface(whole.interface(layer))
+        rise = state.integral(state.u[1] * state.model.ds(state.model.domain.values("TOP")))
+        weight = 1 - (surface.x[::2] ** 2).sum(axis=0) / R**2  # equilibrium alone gives the plain mean
+        normal = surface.frame(surface.traction(state))[-1]
+        return rise / (np.pi * R**2), surface.integral(weight * normal) / surface.integral(weight)
+
+    for build in (Structure.full, Structure.interface):
+        assert means(Structure(joint, **setup), build) == pytest.approx(means(section, build), rel=0.01)
 
 
 # ---------------------------------------------------------------- tubes

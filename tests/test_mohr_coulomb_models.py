@@ -10,7 +10,7 @@ from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
 from geometry import block
 from studies.fig3_mohr_coulomb import R_X, glue_law
 from studies.problems import MORTAR_LAW, sheared
-from studies.rates import COULOMB, FLOOR, fig2_bar
+from studies.rates import COULOMB, FLOOR, SHEAR_TIMES, fig2_bar, metal_blocks
 from tests import closed_forms
 from tests.columns_in_time import check_balance, check_same
 from tests.own_laws import layer_of
@@ -136,6 +136,13 @@ def test_order_1_and_the_floor_that_coulombs_law_leaves():
         assert 0.9 < np.log2(right[0] / right[1]) < 1.3  # it comes down to 1
         assert low < wrong[1] < high
         assert wrong[1] > 4 * right[1]
+
+
+def test_plastic_bodies_dissipate_beside_a_plastic_layer():
+    joint, setup = metal_blocks(1 / 8)
+    history = march(Structure(joint, **setup).interface(ThinLayer(MORTAR_LAW, 1 / 16, at=1.0)), SHEAR_TIMES[:4])
+    total, bodies = (history.table[name].sum() for name in ("dissipated", "dissipated bodies"))
+    assert min(bodies, total - bodies) > 0.01 * history.last.audit.total
 
 
 def test_newton_is_quadratic(capfd):

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed, Stack
 from geometry import block, sandwich
-from studies.phases import CASES, JumpPhaseLaw, blocks
+from studies.phases import CASES, PURE_LAW, JumpPhaseLaw, blocks
 from studies.problems import phases_on_s
 from tests.closed_forms import NonMonotoneLimit
 from tests.columns_in_time import C as COMPLIANCE
@@ -30,6 +30,7 @@ from thinlayer.surface.law_points import layer_shares
 pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
 
 LMBDA, MU, ALPHA = 60.0, 40.0, 1.2
+EXACT = 1e-9
 CHI3 = np.array([[0.3, 0.5, -0.2], [0.5, 0.9, 0.4], [-0.2, 0.4, -0.6]])
 CHIS = {"normal": np.diag([0.0, 0.7]), "shear": np.array([[0.0, 0.4], [0.4, 0.0]])}
 RELAXED = NonMonotone(LMBDA, MU, ALPHA, 0.02, CHI)
@@ -169,6 +170,34 @@ def test_order_and_wrong_laws():
     for name in ("lmbda + mu", "one branch"):
         assert orders[name] == pytest.approx([0, 0], abs=0.1)
         assert errors[name][1].min() > 0.12
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_studies_have_each_phase_and_mixtures(case):
+    law, shear, pull = CASES[case]
+    joint, setup = blocks(1 / 8, shear, pull)
+    _, phases = phases_on_s(solve(Structure(joint, **setup).interface(ThinLayer(law, 1.0))))
+    mixed = (abs(phases) > EXACT) & (abs(phases) < 1 - EXACT)
+    assert min(share.mean() for share in (np.maximum(phases, 0), np.maximum(-phases, 0), mixed)) >= 0.15
+
+
+@pytest.mark.long
+def test_columns_snap_where_and_when_the_law_on_s_does():
+    """The meshed layer changes phase at the same facets; times and lost energies differ by O(eps)."""
+    joint, setup = blocks(1 / 8, shear=0.04, pull=0.03, moved=True)
+    plates, times, errors = Structure(joint, **setup), (0.25, 0.5, 0.75, 1.0), []
+    limit = march(plates.interface(ThinLayer(PURE_LAW, 1.0)), times)
+    on_s, phases = np.array([(snap.t, snap.lost) for snap in limit.snaps]), phases_on_s(limit.last)[1]
+    assert len(on_s) >= 5
+    for eps in (1 / 16, 1 / 32):
+        full = march(plates.full(ThinLayer(PURE_LAW, eps, at=1.0), cells_through=2), times)
+        assert np.abs(phases_on_s(full.last)[1] - phases).max() < 0.5
+        meshed = np.array([(snap.t, snap.lost) for snap in full.snaps])
+        late = np.abs(meshed - on_s)[:, 0].max() / on_s[-1, 0]
+        errors.append((late, abs(meshed[:, 1].sum() / on_s[:, 1].sum() - 1)))
+    orders = np.log2(np.divide(*errors))
+    assert orders.min() > 0.85
+    assert np.all(orders < [1.3, 1.6])
 
 
 # ---------------------------------------------------------------- temperature
