@@ -14,7 +14,6 @@ from studies.dropped import (
     further_cases,
     ignore_range_warnings,
     published_cases,
-    random_case,
 )
 from studies.sweeping import Curves, Field, end_state
 from thinlayer import Surface, estimate, march, plotting, solve
@@ -37,22 +36,11 @@ def run(record: Record, *, quick: bool = False) -> None:
     """Estimate how results of interface laws of order 0 change if layers are meshed, and measure the true change.
 
     The effectivity of an estimate is the estimated over the true change. effectivities.csv has true changes and
-    effectivities of tractions and jumps on S, goals.csv those of other results. random.csv has those of random
-    structures.
+    effectivities of tractions and jumps on S, goals.csv those of other results.
 
     Args:
         record: record of the run, with its folder, tables and checks.
-        quick: without structures in 3D, with fewer random structures.
-    """
-    _check_all_cases(record, quick=quick)
-    _check_random_cases(record, count=12 if quick else 100)
-
-
-def _check_all_cases(record: Record, *, quick: bool) -> None:
-    """Write true changes and effectivities of all cases to two tables of `record`, and check the effectivities.
-
-    An effectivity is an estimated over a true change. effectivities.csv is about fields on S, goals.csv about goals.
-    `quick` leaves out structures in 3D.
+        quick: without structures in 3D.
     """
     chosen_cases = [case for case in (*published_cases(), *further_cases()) if not (quick and case.is_3d)]
     cases = [(case, eps) for case in chosen_cases for eps in THICKNESSES]
@@ -69,21 +57,6 @@ def _check_all_cases(record: Record, *, quick: bool) -> None:
     record.check("median distance of a told goal's effectivity from 1", np.median(deviations), high=1e-6)
     record.check("largest distance of a told goal's effectivity from 1", deviations.max(), high=1e-4)
     record.check("goals that are not between their bounds", np.sum(goals["outside"]), high=0)
-
-
-def _check_random_cases(record: Record, *, count: int) -> None:
-    """Write true changes and effectivities of two goals of random structures to random.csv of `record`, and check them.
-
-    An effectivity is an estimated over a true change; `count` is the number of structures.
-    """
-    table = record.new_table("random.csv")
-    for seed in track(range(count), "may_i_drop", "random, {}"):
-        eps, case = random_case(seed)
-        _, goal_rows = effectivities(SolvedCase.from_case(case, eps))
-        table.extend({"seed": seed, "what": case.name, "eps": eps, **goal} for goal in goal_rows)
-    off = np.abs(table["effectivity"] - 1)
-    record.check("random: goals that are not between their bounds", np.sum(table["outside"]), high=0)
-    record.check("random: largest distance of a goal's effectivity from 1", off.max(), high=EFFECTIVITY_TOLERANCE)
 
 
 # ---------------------------------------------------------------- measurements

@@ -21,10 +21,10 @@ from forms import (
 )
 from forms.base import InputError
 from geometry import block, faults, ring, sandwich, wall
-from studies.dropped import random_case
 from studies.may_i_drop import SolvedCase, effectivities
 from tests.on_ranks import on_ranks
 from tests.own_laws import Cubic
+from tests.random_cases import random_case
 from tests.refused import refused
 from thinlayer import (
     RangeWarning,
@@ -245,7 +245,7 @@ def test_layers_with_strains_without_stresses_move_by_themselves():
 
 
 # ---------------------------------------------------------------- random structures
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", [*range(12), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(12, 100))])
 def test_random_structures(seed):
     eps, case = random_case(seed)
     for goal in effectivities(SolvedCase.from_case(case, eps))[1]:
