@@ -27,11 +27,11 @@ LASTING_SHEAR = 60.0  # shear, as in END_SHEAR, at which friction has its lastin
 
 PRESSURE = -(LMBDA + 2 * MU) * CLOSING_JUMP
 FIXED_STRESS, FIXED_JUMP = "normal stress held", "normal jump held"
+HELD_VALUES = {FIXED_STRESS: {"t_N": -PRESSURE}, FIXED_JUMP: {"w_N": CLOSING_JUMP}}
 RADIAL = f"w_T/|w_N| held, {PATH_DIRECTION:g}° off the normal"
 UNLOADED = "sheared, unloaded across S, sheared"
 PLANES = "slips parallel to S alone"
 PATHS, FLOW = "paths, dilatancy angle psi = 0", "flow rules (psi in degrees), normal stress held"
-DAVIS = tuple(f"lasting value (Davis), {PSI_LABELS[psi]}" for psi in DILATANCY_ANGLES if psi < OMEGA)
 
 
 def run(record: Record, *, quick: bool = False) -> None:
@@ -44,13 +44,13 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: longer steps.
     """
     steps, law = 100 if quick else 400, MohrCoulomb(LMBDA, MU, 0.0, OMEGA)
-    paths = {FIXED_STRESS: fixed_stress_path, FIXED_JUMP: fixed_jump_path, RADIAL: radial_path, UNLOADED: unloaded_path}
-    curves = {name: drive(law, path(steps)) for name, path in paths.items()}
+    curves = {name: drive(law, held_path(name, steps)) for name in HELD_VALUES}
+    curves |= {RADIAL: drive(law, radial_path(steps)), UNLOADED: drive(law, unloaded_path(steps))}
     laws: dict[str, BulkLaw] = {PLANES: MohrCoulombMonodirectional(LMBDA, MU, 0.0, OMEGA)}
     laws |= {name: replace(law, dilatancy_angle=psi) for psi, name in PSI_LABELS.items()}
     for name, other_law in laws.items():
-        curves[name] = drive(other_law, fixed_stress_path(steps))
-        curves[f"{name}, {FIXED_JUMP}"] = drive(other_law, fixed_jump_path(steps))
+        curves[name] = drive(other_law, held_path(FIXED_STRESS, steps))
+        curves[f"{name}, {FIXED_JUMP}"] = drive(other_law, held_path(FIXED_JUMP, steps))
     table = record.new_table("table.csv")
     for name, history in curves.items():
         shear, friction = MU * history.jumps[:, 0] / PRESSURE, apparent_friction(history)
@@ -62,11 +62,10 @@ def run(record: Record, *, quick: bool = False) -> None:
     error, max_friction = np.abs(sheared.tractions - exact).max(), float(np.nanmax(apparent_friction(curves[UNLOADED])))
     record.check("largest error against the closed form, opening held", error, high=6 / steps)
     record.check_near("largest friction while the normal stress is taken away", max_friction, tan_omega(), 1e-5)
-    for name, path in {FIXED_JUMP: fixed_jump_path, FIXED_STRESS: fixed_stress_path}.items():
-        friction = apparent_friction(drive(law, path(60, LASTING_SHEAR)))[-1]
-        record.check_near(f"lasting friction, {name}", friction, np.sin(np.radians(OMEGA)), 1e-6)
+    for name in HELD_VALUES:
+        record.check_near(f"lasting friction, {name}", lasting_friction(law, name), np.sin(np.radians(OMEGA)), 1e-6)
     for psi in DILATANCY_ANGLES[:2]:
-        friction = apparent_friction(drive(replace(law, dilatancy_angle=psi), fixed_stress_path(60, LASTING_SHEAR)))[-1]
+        friction = lasting_friction(replace(law, dilatancy_angle=psi), FIXED_STRESS)
         record.check_near(f"lasting friction, psi = {psi:g}", friction, formulas.apparent_friction(OMEGA, psi), 5e-7)
     record.check_near(f"lasting friction, {PLANES}", apparent_friction(curves[PLANES])[-1], tan_omega(), 1e-12)
 
@@ -75,6 +74,11 @@ def apparent_friction(history: PointHistory) -> Array:
     """Return the apparent friction (steps,) t_T/|t_N| at a point after each step of `history`; NaN without pressure."""
     t_T, t_N = history.tractions.T
     return np.where(t_N < 0, t_T / np.where(t_N < 0, -t_N, 1.0), np.nan)
+
+
+def lasting_friction(law: MohrCoulomb, name: str) -> float:
+    """Return the apparent friction after a large shear, at the constant stress or jump `name` of `HELD_VALUES`."""
+    return float(apparent_friction(drive(law, held_path(name, 60, LASTING_SHEAR)))[-1])
 
 
 def tan_omega() -> float:
@@ -91,32 +95,18 @@ def tangential_jumps(steps: int, end: float) -> Array:
     return np.linspace(0, end * PRESSURE / MU, steps + 1, dtype=np.float64)[1:]
 
 
-def fixed_jump_path(steps: int, end: float = END_SHEAR) -> list[dict[str, float]]:
-    """Return a path on which a layer is closed in one step, then sheared at this normal jump.
+def held_path(name: str, steps: int, end: float = END_SHEAR) -> list[dict[str, float]]:
+    """Return a path with a constant normal stress or normal jump, which acts first, and a growing tangential jump.
 
     Args:
-        steps: number of steps of the shear.
-        end: shear after the last step: mu w_T divided by `PRESSURE`, with the shear modulus mu.
+        name: name of what is constant, in `HELD_VALUES`.
+        steps: number of steps of the tangential jump.
+        end: shear at the end, over the pressure at the start.
 
     Returns:
-        The closing and then the steps of the shear. Each step prescribes {"w_T": value, "w_N": value}: the tangential
-        and the normal jump, divided by the thickness.
+        The prescribed components in each step.
     """
-    return [{"w_T": 0.0, "w_N": CLOSING_JUMP}, *({"w_T": w, "w_N": CLOSING_JUMP} for w in tangential_jumps(steps, end))]
-
-
-def fixed_stress_path(steps: int, end: float = END_SHEAR) -> list[dict[str, float]]:
-    """Return a path on which a layer is compressed in one step, then sheared under this normal stress.
-
-    Args:
-        steps: number of steps of the shear.
-        end: shear after the last step: mu w_T divided by `PRESSURE`, with the shear modulus mu.
-
-    Returns:
-        The compression and then the steps of the shear. Each step prescribes {"w_T": value, "t_N": value}: the
-        tangential jump divided by the thickness, and the normal traction.
-    """
-    return [{"w_T": 0.0, "t_N": -PRESSURE}, *({"w_T": w, "t_N": -PRESSURE} for w in tangential_jumps(steps, end))]
+    return [{"w_T": w, **HELD_VALUES[name]} for w in (0.0, *tangential_jumps(steps, end))]
 
 
 def radial_path(steps: int) -> list[dict[str, float]]:
@@ -134,7 +124,7 @@ def unloaded_path(steps: int) -> list[dict[str, float]]:
     first step of compression. A step prescribes the tangential jump "w_T" and either the normal jump "w_N" or the
     normal traction "t_N". Jumps are divided by the thickness.
     """
-    first = fixed_stress_path(steps // 2, END_SHEAR / 2)
+    first = held_path(FIXED_STRESS, steps // 2, END_SHEAR / 2)
     w_T, w_N = drive(MohrCoulomb(LMBDA, MU, 0.0, OMEGA), first).jumps[-1]
     opened = [{"w_T": w_T, "w_N": w} for w in np.linspace(w_N, (1 - LOOSENED_SHARE) * w_N, steps // 2 + 1)[1:]]
     last_w_N = opened[-1]["w_N"]
@@ -142,21 +132,18 @@ def unloaded_path(steps: int) -> list[dict[str, float]]:
 
 
 def draw(record: Record) -> None:
-    """Draw the apparent friction over the shear for all paths and laws, from table.csv in the folder of `record`."""
+    """Draw the apparent friction over the shear, for several paths and for several laws, from table.csv of `record`."""
     curves = record.load("table.csv").split("path")
-    tan, sin = tan_omega(), float(np.sin(np.radians(OMEGA)))
-    davis_friction = [formulas.apparent_friction(OMEGA, psi) for psi in DILATANCY_ANGLES if psi < OMEGA]
     shown = {PATHS: (UNLOADED, FIXED_STRESS, FIXED_JUMP, RADIAL), FLOW: (FIXED_STRESS, *PSI_LABELS.values(), PLANES)}
-    lines = {PATHS: {"tan(Omega)": tan, "sin(Omega)": sin, "first yield": formulas.first_yield_ratio(NU, OMEGA)}}
-    lines[FLOW] = {"tan(Omega)": tan, "sin(Omega)": sin} | dict(zip(DAVIS, davis_friction, strict=True))
-    panels = dict[str, Curves]()
+    values = {"tan(Omega)": tan_omega(), "sin(Omega)": float(np.sin(np.radians(OMEGA)))}
+    values["first yield"] = formulas.first_yield_ratio(NU, OMEGA)
+    lines: Curves = {name: (np.array([0.0, END_SHEAR]), np.full(2, value)) for name, value in values.items()}
+    panels = {}
     for title, paths in shown.items():
-        panels[title] = {path: (curves[path]["shear"], curves[path]["friction"]) for path in paths}
-        panels[title] |= {name: (np.array([0.0, END_SHEAR]), np.full(2, value)) for name, value in lines[title].items()}
-    styles = {"tan(Omega)": ":", "sin(Omega)": "--", "first yield": ":"} | dict.fromkeys(DAVIS, "-.")
-    colours = dict(zip((*PSI_LABELS.values(), PLANES), (*COLOURS[4:], "0.3"), strict=True))
-    colours |= dict.fromkeys(("tan(Omega)", "sin(Omega)"), "black") | dict.fromkeys(("first yield", *DAVIS), "0.5")
+        panels[title] = {path: (curves[path]["shear"], curves[path]["friction"]) for path in paths} | lines
+    line_colours = *COLOURS[4:], "0.3", "black", "black", "0.5"
+    colours = dict(zip((*PSI_LABELS.values(), PLANES, *lines), line_colours, strict=True))
     title = f"Mohr-Coulomb layer, Omega = {OMEGA:g}°: its lasting friction is sin(Omega), not tan(Omega)"
     labels = ("shear mu w_T over the pressure at the start", "apparent friction t_T / |t_N|")
-    options = {"styles": styles, "colours": colours, "ylim": (0.0, 0.65), "save": record.path("friction.svg")}
-    plotting.curves(panels, *labels, title=title, **options)
+    options = {"styles": dict(zip(lines, (":", "--", "-."), strict=True)), "colours": colours, "ylim": (0.0, 0.65)}
+    plotting.curves(panels, *labels, title=title, save=record.path("friction.svg"), **options)

@@ -18,10 +18,14 @@ from forms.law import Step
 from forms.stations import Faces
 from geometry import block, faults, sandwich
 from geometry.sheet import Sheet, straight_ends
+from studies import free_ends
 from tests.orders import observed_orders
 from thinlayer import RigidPlate, Springs, Structure, ThinLayer, compare, estimate, solve
+from thinlayer.discretisation import applicability
+from thinlayer.discretisation.applicability import MIN_STIFFNESS_CONTRAST
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.sides import FacetWeights, side_kinds
+from thinlayer.running.record import Record
 
 pytestmark = pytest.mark.few(5)
 
@@ -243,3 +247,21 @@ def test_rubber_between_plates_is_held():
     layer = ThinLayer(Rubber.shear(mu=0.4, nu=0.499), eps, order=1, at=1.0)
     full, limit = solve(structure.full(layer)), solve(structure.interface(layer))
     assert limit.load_work() == pytest.approx(full.load_work(), rel=1e-3)  # 1.5 times as much with p = 0 there
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("nu", [0.0, 0.45])
+def test_the_least_stiffness_of_bodies_that_lets_ends_be_corrected(nu, monkeypatch, tmp_path):
+    """Above it no error grows by the correction, below it some double: of traction, jump and work."""
+    monkeypatch.setattr(applicability, "MIN_STIFFNESS_CONTRAST", 0.0)
+    eps, factors = 1 / 16, {}
+    with Record("free_ends", tmp_path, {}) as record:
+        for contrast in (10.0, 20.0, MIN_STIFFNESS_CONTRAST, 80.0, 400.0):  # E of the bodies over mu of the layer
+            law = LinearElastic.shear(100.0 / contrast, nu).scaled(1 / eps)
+            row = free_ends._error_row(record, replace(free_ends.CASES[0], law=law), 12, eps)
+            corrected, ignored = (
+                [row[free_ends._column_name(w, k)] for w in free_ends.QUANTITIES] for k in free_ends.EDGE_OPTIONS
+            )
+            factors[contrast] = max(np.divide(corrected, ignored))
+    assert max(factor for contrast, factor in factors.items() if contrast >= MIN_STIFFNESS_CONTRAST) <= 1
+    assert max(factor for contrast, factor in factors.items() if contrast < MIN_STIFFNESS_CONTRAST) >= 2

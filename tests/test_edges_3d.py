@@ -7,12 +7,16 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import ufl
 
 from forms import LinearElastic
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.ends import free_end
-from studies.free_ends import edge_3d, graded_axis, grid_joint
+from forms.tensors import Expr
+from geometry import block
+from geometry.joint import Joint
 from studies.problems import FOURIER_BODY as BODY
+from studies.sweeping import reaction_error
 from tests.meshes import part_of
 from tests.refused import refused
 from tests.test_edges import weights_on
@@ -21,6 +25,49 @@ from thinlayer import Structure, ThinLayer, compare, solve
 pytestmark = pytest.mark.few(5)
 
 LAW = LinearElastic.shear(8.0, 0.3)
+
+
+def graded_axis(length: float, first: float, last: float) -> Array:
+    """Return coordinates (n,) from 0 to `length`, whose distances grow nearly geometrically from `first` to `last`."""
+    count, sizes = 1, np.array([first])
+    while sizes.sum() < length:
+        count += 1
+        sizes = first * (last / first) ** (np.arange(count) / (count - 1))
+    return np.append(0.0, np.cumsum(sizes)) * length / sizes.sum()
+
+
+def grid_joint(*coordinates: Array, cell: str = "hexahedron") -> Joint:
+    """Return the joint of a block on a rigid base in 3D, meshed on a tensor grid.
+
+    Args:
+        coordinates: increasing coordinates of the grid's planes along x, along y and along z.
+        cell: "hexahedron" or "tetrahedron".
+    """
+    nx, ny, nz = (len(nodes) - 1 for nodes in coordinates)
+    joint = block(nx, ny, 1.0, depth=nz, cell=cell, structured=True)
+    x = [np.interp(joint.points[:, k], np.arange(len(nodes)), nodes) for k, nodes in enumerate(coordinates)]
+    return replace(joint, points=np.stack(x, axis=1))
+
+
+def edge_3d(eps: float, cells: float, cell: str = "hexahedron") -> Structure:
+    """Make a structure of a block on a rigid base in 3D, whose layer has one free edge, along x = 0.
+
+    The loads on top vary along the edge. The other lateral sides are planes of symmetry.
+
+    Args:
+        eps: thickness of the layer.
+        cells: number of cells per thickness near the edge.
+        cell: "hexahedron" or "tetrahedron".
+    """
+    axes = graded_axis(1.0, eps / cells, 1 / 8), graded_axis(0.5, 2 * eps / cells, 1 / 8), np.arange(4) / 3
+    joint, pi = grid_joint(*axes, cell=cell), ufl.pi
+
+    def load(x: Expr, t: Expr) -> list[Expr]:
+        wave = ufl.cos(pi * x[2])
+        return [0.3 * (1 - x[0]) + 0.2 * wave, -1 + 0.6 * x[0] * wave, 0.5 * ufl.sin(pi * x[2])]
+
+    supports = {"RIGHT": {"x": 0}, "FRONT": {"z": 0}, "BACK": {"z": 0}}
+    return Structure(joint, body=BODY, supports=supports, tractions={"TOP": load})
 
 
 def plate(shape, eps, cell="hexahedron"):
@@ -67,6 +114,23 @@ def test_a_straight_edge_along_which_loads_vary():
         errors[edges] = np.array([row["error_traction"], row["error_jump"], abs(work)])
     assert np.all(errors["free"] < [0.25 * error for error in errors["plain"]])
     assert errors["free"].max() < 6e-4
+
+
+@pytest.mark.long
+def test_errors_at_a_straight_edge_are_of_order_2():
+    """Those of traction, jump and work, with its constants; without them they are of order 1."""
+    errors = {"free": [], "plain": []}
+    for eps in (1 / 16, 1 / 32):
+        structure, inner = edge_3d(eps, 8), lambda x: x[0] > 0.5
+        full = solve(structure.full(ThinLayer(LAW, eps, at=1.0), cells_through=8))
+        for edges, rows in errors.items():
+            limit = solve(structure.interface(ThinLayer(LAW, eps, order=1, edges=edges, at=1.0)))
+            work = limit.energies()["loads"] / full.energies()["loads"] - 1
+            jump = compare(full, limit, where=inner)["error_jump"]
+            rows.append([reaction_error(full, limit, inner)["error_reaction"], jump, abs(work)])
+    orders = {edges: np.log2(np.divide(*rows)) for edges, rows in errors.items()}
+    assert orders["free"].min() >= 1.85
+    assert orders["plain"].max() <= 1.3
 
 
 @pytest.mark.few(5)
