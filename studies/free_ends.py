@@ -18,6 +18,7 @@ from forms.base import Array
 from forms.ends import free_end
 from forms.ends.constants import chebyshev_poisson_ratios
 from geometry import block
+from geometry.topology import BoolArray
 from studies.half_strip import compute_free_end
 from studies.problems import FOURIER_BODY, free_blocks, top_loaded
 from studies.sweeping import last_order, reaction_error
@@ -145,19 +146,19 @@ def _error_row(record: Record, case: EndCase, cells: int, eps: float) -> dict[st
         "error_QUANTITY, ignored" without. A quantity is "traction" or "jump", on the inner part of S, or "work", that
         of the loads on top.
     """
-
-    def is_inner(x: Array) -> BoolArray:
-        return np.asarray(abs(x[0] - 0.5) < 0.25)
-
     structure, row, law = case.make_structure(eps, cells), {"eps": eps}, case.law
     full = record.add_report(solve(structure.full(ThinLayer(law, eps, at=1.0), cells_through=cells)))
     for treatment, edges in EDGE_OPTIONS.items():
         with warnings.catch_warnings(action="ignore", category=RangeWarning):  # says that ends are ignored
             limit = record.add_report(solve(structure.interface(ThinLayer(law, eps, order=1, edges=edges, at=1.0))))
-        row[_column_name("traction", treatment)] = reaction_error(full, limit, is_inner)["error_reaction"]
-        row[_column_name("jump", treatment)] = compare(full, limit, where=is_inner)["error_jump"]
+        row[_column_name("traction", treatment)] = reaction_error(full, limit, _is_inner)["error_reaction"]
+        row[_column_name("jump", treatment)] = compare(full, limit, where=_is_inner)["error_jump"]
         row[_column_name("work", treatment)] = abs(_work_on_top(limit) / _work_on_top(full) - 1)
     return row
+
+
+def _is_inner(x: Array) -> BoolArray:
+    return np.asarray(abs(x[0] - 0.5) < 0.25)
 
 
 def _work_on_top(state: State) -> float:
