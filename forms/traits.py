@@ -124,9 +124,8 @@ def _is_for_another_stress(cls: type, name: str, responses: tuple[str, ...]) -> 
     bases = reversed(cls.__mro__[: _mro_index(cls, name) + 1])
     current = _custom_responses(cls, responses)
     earlier = next((attributes for base in bases if (attributes := _custom_responses(base, responses))), current)
-    return any(
-        earlier.get(key) is not current.get(key) for key in responses if key in earlier or key not in UPDATE_METHODS
-    )
+    compared = (key for key in responses if key in earlier or key not in UPDATE_METHODS)
+    return any(earlier.get(key) is not current.get(key) for key in compared)
 
 
 def _custom_responses(cls: type, names: tuple[str, ...]) -> dict[str, object]:

@@ -48,14 +48,11 @@ def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: 
     for model, ratio, tolerance in (("meshed layer", ratio_band, 1e-3), ("interface law", ratio_interface, 1e-6)):
         max_error = np.abs(ratio[is_inner] / K_T - 1).max()
         record.check(f"largest |t_T/u_T / K_T - 1| of the {model}, x in {INNER_RANGE} mm", max_error, high=tolerance)
-        record.check_near(
-            f"t_T/u_T of the {model} at {POINT_X:g} mm, N/mm^3", np.interp(POINT_X, x, ratio), K_T, tolerance
-        )
+        stiffness, what = np.interp(POINT_X, x, ratio), f"t_T/u_T of the {model} at {POINT_X:g} mm, N/mm^3"
+        record.check_near(what, stiffness, K_T, tolerance)
     if len(eps) > 1:
-        last_order = deviation["order_moduli_held"][-1]
-        record.check(
-            f"last observed order of the deviation at {POINT_X:g} mm, moduli held", last_order, low=0.9, high=1.1
-        )
+        what = f"last observed order of the deviation at {POINT_X:g} mm, moduli held"
+        record.check(what, deviation["order_moduli_held"][-1], low=0.9, high=1.1)
 
 
 class StratifiedBar:

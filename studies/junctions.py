@@ -170,11 +170,9 @@ def compare_models(record: Record, name: str, sizes: Sequence[float]) -> list[Ro
     """
     case, rows = CASES[name], list[Row]()
     for eps in sizes:
-        joint = case.make_joint(eps)
-        full = record.add_report(
-            solve(case.structure(joint, meshed=True).full(case.thin_layers(eps), bodies=case.bodies))
-        )
-        by_law = record.add_report(solve(case.structure(joint, meshed=False).interface(case.thin_layers(eps))))
+        joint, layers = case.make_joint(eps), case.thin_layers(eps)
+        full = record.add_report(solve(case.structure(joint, meshed=True).full(layers, bodies=case.bodies)))
+        by_law = record.add_report(solve(case.structure(joint, meshed=False).interface(layers)))
         rows.append({"case": name, "eps": eps, **model_differences(case, full, by_law)})
         if eps == max(sizes) and name in PICTURE_FILES:
             states = {f"meshed layers, eps = {eps:g}": full, "interface laws": by_law}

@@ -259,9 +259,7 @@ def draw_along(record: Record, cases: Mapping[str, str], name: str) -> None:
             lines = panels.setdefault(f"{column}, {label}", {})
             for model, rows in table.split("model").items():
                 lines.pop(LAW_KEY, None)  # the interface law comes last
-                lines[LAW_KEY if model == LAW_KEY else f"meshed layer, eps = {as_fraction(eps)}"] = (
-                    rows["x"],
-                    rows[column],
-                )
+                line = LAW_KEY if model == LAW_KEY else f"meshed layer, eps = {as_fraction(eps)}"
+                lines[line] = rows["x"], rows[column]
     look = {"styles": {LAW_KEY: "--"}, "colours": {LAW_KEY: "black"}, "columns": 2, "save": record.path(f"{name}.svg")}
     plotting.curves(panels, "x along S over half the width", **look)

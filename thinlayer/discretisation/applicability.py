@@ -194,9 +194,8 @@ class Applicability:
         The layer must meet all other conditions of the use "ends", see `why_not`.
         """
         assert self.strips is not None
-        strips = self.strips.for_spreading_length(
-            min(self.relative_width, (self.E_over_mu / BODY_COMPLIANCE_FACTOR) ** (1 / 3))
-        )
+        spreading_length = min(self.relative_width, (self.E_over_mu / BODY_COMPLIANCE_FACTOR) ** (1 / 3))
+        strips = self.strips.for_spreading_length(spreading_length)
         sheet, eps = self.layer.sheet, self.layer.eps
         return FacetWeights.of_ends(straight_ends(self.free_rim, sheet), sheet, eps, strips)
 

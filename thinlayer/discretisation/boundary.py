@@ -204,9 +204,8 @@ def _continued_normals(domain: Domain, place: str, facets: Indices) -> Array:
     facet_numbers = domain.numbers(joint.dim - 1, facets)
     region_names = np.array(joint.regions)[joint.region[joint.table.cells[facet_numbers, 0]]]
     side_indices = np.flatnonzero(np.isin(region_names, band.regions))
-    _, drawn_vertices = cKDTree(band.drawn_joint.points).query(
-        band.reference[joint.table.vertices[facet_numbers[side_indices]]]
-    )
+    drawn_points = band.reference[joint.table.vertices[facet_numbers[side_indices]]]
+    _, drawn_vertices = cKDTree(band.drawn_joint.points).query(drawn_points)
     ridges, ridge_indices = np.unique(np.sort(drawn_vertices, axis=1), axis=0, return_inverse=True)
     out[side_indices] = side_normals(band.drawn_joint, name, ridges)[ridge_indices.ravel()]
     return out

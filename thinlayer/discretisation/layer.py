@@ -287,9 +287,8 @@ class SeamLayer:
         self.law_name, traits = type(self.law).__name__, self.law.traits
         self.remembers = traits.rate or traits.remembers
         self.has_pressure_flow = isinstance(layer, ThinLayer) and layer.order == 1 and traits.constrained
-        self.key = str(
-            Key(CONTACT_KIND if self.contact else LAYER_KIND, name if len(structure.joint.seams) > 1 else "")
-        )
+        seam_name = name if len(structure.joint.seams) > 1 else ""
+        self.key = str(Key(CONTACT_KIND if self.contact else LAYER_KIND, seam_name))
 
     def __str__(self) -> str:
         return f"the layer {self.name!r}" if len(self.structure.joint.seams) > 1 else "the layer"

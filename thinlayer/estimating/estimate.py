@@ -114,9 +114,8 @@ def estimate(
     solve_errors: list[SolveError] = []
     has_bounds = model.linear and model.symmetric and isinstance(state, State)
     bound_width = width if has_bounds else None
-    for order, candidate in enumerate(
-        _start_models(model, order_1_layers)
-    ):  # their tangents are preconditioners of the iteration
+    # their tangents are preconditioners of the iteration
+    for order, candidate in enumerate(_start_models(model, order_1_layers)):
         try:
             *earlier, first_state = _states_of_path(state, candidate, order > 0, options)
             before = earlier[-1] if earlier else None

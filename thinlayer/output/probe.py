@@ -254,11 +254,10 @@ class Probe:
         """
         keys = [law_key for law_key, variables in self._variables.items() if name in variables]
         if not keys or key not in (None, *keys):
-            all_names = "; ".join(f"{law_key}: {', '.join(names)}" for law_key, names in self.names.items())
+            names_of_laws = (f"{law_key}: {', '.join(names)}" for law_key, names in self.names.items())
+            all_names = "; ".join(names_of_laws) or "none, as no law has any"
             of_law = "" if key is None else f" of the law {key!r}"
-            raise InputError(
-                f"unknown internal variable {name!r}{of_law}; known: {all_names or 'none, as no law has any'}"
-            )
+            raise InputError(f"unknown internal variable {name!r}{of_law}; known: {all_names}")
         if key is None and len(keys) > 1:
             raise InputError(f"several laws have an internal variable {name!r}; give key=, one of {', '.join(keys)}")
         return key or keys[0]

@@ -212,10 +212,8 @@ def consistent_tractions(surface: SurfaceMesh, state: State, *, bonds_joined: bo
     bc_marker = fem.Function(r.function_space)
     bc_marker.x.array[model.bc_dofs_in(r.function_space)] = 1.0
     bc_marker.x.scatter_forward()
-    # both of shape (2, n, k, d)
-    forces, bc_markers = (
-        np.moveaxis(surface.side_values(f, model, surface.corner_points), 1, -1) for f in (r, bc_marker)
-    )
+    side_values = (surface.side_values(f, model, surface.corner_points) for f in (r, bc_marker))
+    forces, bc_markers = (np.moveaxis(values, 1, -1) for values in side_values)  # both of shape (2, n, k, d)
     side_nodes, n_nodes = _side_nodes(surface, bonds_joined)
     nodal_force, is_known = np.zeros((n_nodes, d)), np.zeros((n_nodes, d), bool)
     nodal_force[side_nodes], is_known[side_nodes] = forces, bc_markers < 0.5
@@ -289,14 +287,12 @@ def _first_guess(surface: SurfaceMesh, side_nodes: IntArray, tractions: Array, i
     """
     signs = np.array([1.0, -1.0])[:, None, None]
     n_known = surface.nodal_sums(is_known[side_nodes].sum(axis=0).astype(float))
-    averages = surface.nodal_sums((signs * tractions[side_nodes] * is_known[side_nodes]).sum(axis=0)) / np.maximum(
-        n_known, 1.0
-    )
+    known_sums = surface.nodal_sums((signs * tractions[side_nodes] * is_known[side_nodes]).sum(axis=0))
+    averages = known_sums / np.maximum(n_known, 1.0)
     corner_weights = np.minimum(n_known, 1.0)[surface.nodes]
     weight_sums = corner_weights.sum(axis=1)
     facet_means = (averages[surface.nodes] * corner_weights).sum(axis=1) / np.maximum(weight_sums, 1.0)
     facet_weights = np.broadcast_to(np.minimum(weight_sums, 1.0)[:, None], surface.nodes.shape)
-    neighbour_means = surface.nodal_sums(facet_means[:, None] * facet_weights) / np.maximum(
-        surface.nodal_sums(facet_weights), 1.0
-    )
+    neighbour_sums = surface.nodal_sums(facet_means[:, None] * facet_weights)
+    neighbour_means = neighbour_sums / np.maximum(surface.nodal_sums(facet_weights), 1.0)
     return np.where(n_known > 0, averages, neighbour_means)

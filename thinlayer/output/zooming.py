@@ -144,9 +144,8 @@ class Zoom:
         w = coarse_problem.equilibrate_dirichlet(coarse_problem.to_layers(state.u.x.array))
         self._warn_of_tractions(coarse_problem.state(w))
         fine_problem = DirichletLayers(refined_model, state.t)
-        return fine_problem.state(
-            fine_problem.equilibrate_dirichlet(coarse_problem.interpolate_to_refined(w, fine_problem))
-        )
+        fine_w = coarse_problem.interpolate_to_refined(w, fine_problem)
+        return fine_problem.state(fine_problem.equilibrate_dirichlet(fine_w))
 
     @property
     def eps(self) -> float:

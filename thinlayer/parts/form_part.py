@@ -212,11 +212,8 @@ class LawFormPart(FormPart):
             stored_energy = energy(_with_strains(nonlinear, step_strains.now), u) + sum(strain_energies)
         K = _linear_stiffness(V, linear, body_terms, other_terms) if linear or body_terms else None
         F = work(_with_strains(nonlinear, step_strains.at_balance_time), u, v) if nonlinear else None
-        g = (
-            sum(_strain_work(p, v) for p in _with_strains(prestrained, step_strains.at_balance_time))
-            if prestrained
-            else None
-        )
+        strained_terms = _with_strains(prestrained, step_strains.at_balance_time)
+        g = sum(_strain_work(p, v) for p in strained_terms) if prestrained else None
         super().__init__(key, u, K, F, stored_energy, g=g)
         strained_bodies = [p for p in nonlinear if p.n is None and p.prescribed_strain is not None]
         self._scale_forms = _strain_force_integrals(_with_strains(strained_bodies, step_strains.at_balance_time), u)

@@ -26,10 +26,7 @@ UNDERFLOW_LIMIT = np.finfo(float).tiny / np.finfo(float).eps ** 2
 SOFTENING_TOLERANCE = 1e-3
 REST_STEP_FRACTION = np.finfo(float).eps  # fraction of a step that is too short for any change of internal variables
 INDEPENDENCE_TOLERANCE = 1e-8  # least singular value, over the largest, of linearly independent functions
-MIN_REGULARISATION, MAX_REGULARISATION = (
-    1e-6,
-    1e-3,
-)  # bounds of the share of the tangent at rest added to a singular one
+MIN_REGULARISATION, MAX_REGULARISATION = 1e-6, 1e-3  # share of the tangent at rest that is added to a singular one
 
 
 @dataclass(frozen=True)

@@ -183,9 +183,8 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             destroy(x, r)
         after, before = residuals
         layer_weights = equations.create_vector()
-        layer_weights.array[: equations.n_displacements] = (
-            self.model.constraints.forces_on_y(self.layer_loads) * on_layers
-        )
+        loads_on_y = self.model.constraints.forces_on_y(self.layer_loads)
+        layer_weights.array[: equations.n_displacements] = loads_on_y * on_layers
         change_terms = np.concatenate([(q.array_r + layer_weights.array_r) * d.array_r, g.array_r * (before - after)])
         destroy(d, layer_weights)
         expected, abs_sum = self.model.comm.allreduce(np.array([change_terms.sum(), np.abs(change_terms).sum()]))

@@ -76,9 +76,8 @@ class Equations(PartSum):
         user_parts = [part for definition in model.parts if (part := definition.part(model)) is not None]
         self._unshared_parts = [*self.layers, *user_parts]
         super().__init__([*matrices.bodies, *self._unshared_parts])
-        self._layout = UnknownLayout(
-            self.comm, {DISPLACEMENT_KEY: self.u, **{p.key: p.field for p in self.field_parts}}
-        )
+        fields = {DISPLACEMENT_KEY: self.u, **{p.key: p.field for p in self.field_parts}}
+        self._layout = UnknownLayout(self.comm, fields)
         matrices.matrix = self._matrix = matrices.matrix or TangentMatrix(self.comm, self._layout.sizes)
         self.factor = matrices.factor
         self.n_displacements = self._layout.sizes[DISPLACEMENT_KEY]
@@ -453,12 +452,8 @@ class Equations(PartSum):
         for part in self.parts:
             part.set_time(t)
         parameters = [values for part in self.parts for values in part.parameters()]
-        return [
-            self.loads_at(t).array_r.copy(),
-            self.constraints.bc_values(t),
-            *self._strain_integrals_at(t),
-            *parameters,
-        ]
+        loads, displacements = self.loads_at(t).array_r.copy(), self.constraints.bc_values(t)
+        return [loads, displacements, *self._strain_integrals_at(t), *parameters]
 
     def _strain_integrals_at(self, t: float) -> list[Array]:
         if self.model.strain:  # it has its own error for values that are not finite

@@ -108,9 +108,8 @@ class SupportReactions:
         rows = [constraints.support_works(support_forces, self._motion_values)]
         rows += [(residual[dofs] @ self._motion_values(dofs))[None] for dofs in mpc_dofs]
         first_base = len(model.supports.entries) + len(rows) - 1
-        rows += [
-            -self._layer_resultant(model.layers[str(name)], r)[None] * layers for name in model.held_places[first_base:]
-        ]
+        base_layers = [model.layers[str(name)] for name in model.held_places[first_base:]]
+        rows += [-self._layer_resultant(layer, r)[None] * layers for layer in base_layers]
         return np.asarray(model.comm.allreduce(np.concatenate(rows)))
 
     def _layer_resultant(self, layer: SeamLayer, template: PETSc.Vec) -> Array:

@@ -178,10 +178,7 @@ def _replace_ffcx_cache() -> None:
                 built_files = {file.name: file for file in new_folder.iterdir() if file.name.startswith(f"{name}.")}
                 ready_marker = built_files.pop(f"{name}.c.cached")
                 built_files.pop(f"{name}.o", None)
-                for file in [
-                    *built_files.values(),
-                    ready_marker,
-                ]:  # `ready_marker` last: it says that all others are there
+                for file in [*built_files.values(), ready_marker]:  # the marker says that all others are there
                     move_to_cache(file, folder / file.name)
         finally:
             unlock_library(folder, name)

@@ -236,9 +236,8 @@ class Checkpoint:
         state = replace(state, reactions=reactions, **{name: state_data[name] for name in STATE_NUMBERS})
         for name, values in _state_arrays(state).items():
             order = self._file_orders[name]
-            order.assign(
-                values, self._receive_values(row, arrays.get(name), order.file_rows, order.width * values.shape[1])
-            )
+            n_values = order.width * values.shape[1]
+            order.assign(values, self._receive_values(row, arrays.get(name), order.file_rows, n_values))
         for f in (*_state_functions(state).values(), *state.fields.values()):
             f.x.scatter_forward()
         return state

@@ -53,10 +53,8 @@ class Journal:
     def __post_init__(self) -> None:
         self.model = self.equations.model
         names = self.model.comm.bcast([*self.observe])  # one order of the columns on all ranks
-        self._observers, self._column_functions = (
-            {name: self.observe[name] for name in names},
-            column_getters(self.model),
-        )
+        self._observers = {name: self.observe[name] for name in names}
+        self._column_functions = column_getters(self.model)
         self._log = logger("march", self.model.comm)
         self.start, theta = (float(self.arguments[name] or 0.0) for name in ("start", "theta"))
         self.history, self.pace = History(self.model, theta=theta), Pace()
