@@ -35,9 +35,6 @@ CELL_SIZE = 1 / 16  # cell size
 TOP_SHIFT = (0.01, -0.02, 0.005)  # displacement of the top
 RAY_ANGLES = (10, 95, 150, 200, 310)  # degrees, directions of the star's layers
 ORDER_RANGE = (0.9, 1.1)  # range of orders away from junctions and free ends
-STYLES = ("o-", "s-", "^-", "D-", "v-", "o--", "s--", "^--", "D--", "v--")  # of the cases' curves, in turn
-AWAY = "away from\njunctions and free ends"
-PANEL_TITLES = {"jump": "jump on all of S", "inner_jump": f"jump {AWAY}", "inner_traction": f"traction {AWAY}"}
 PICTURE_FILES = {"star of five layers": "star.png", "grains": "grains.png"}
 ERROR_NAMES = ("jump", "inner_jump", "inner_traction", "energy")
 
@@ -259,12 +256,7 @@ def stiffening_energy(u: Expr, model: Model) -> Expr:
 
 
 def draw(record: Record) -> None:
-    """Draw the differences of the models over the thickness, from table.csv in the folder of `record`."""
-    cases, panels = record.load("table.csv").split("case"), {}
-    for error, title in PANEL_TITLES.items():
-        lines = {name: (rows["eps"], rows[error]) for name, rows in cases.items()}
-        eps, smallest_errors = min(lines.values(), key=lambda line: line[1][-1])
-        panels[title] = lines | {"slope 1": (eps, 0.7 * smallest_errors[-1] * eps / eps[-1])}
-    options = {"log": "xy", "styles": dict(zip(lines, STYLES, strict=False)) | {"slope 1": ":"}}
-    labels, save = ("layer thickness eps over the width", "relative difference, L^2"), record.path("rates.svg")
-    plotting.curves(panels, *labels, save=save, **options)
+    """Draw the difference of the jumps far from junctions over the thickness, from table.csv in the folder of `record`."""
+    tables = {name: rows for name, rows in record.load("table.csv").split("case").items() if not CASES[name].stiffen}
+    title, save = "networks: jump far from junctions and free ends", record.path("rates.svg")
+    plotting.rates(tables, errors={"jump": "inner_jump"}, title=title, save=save)

@@ -143,22 +143,6 @@ def check_smaller_fraction(record: Record, tables: Tables) -> None:
         record.check(what, less / more, low=2.5)
 
 
-def check_third_order(record: Record, tables: Tables) -> None:
-    """Check that the traction converges almost as eps^3 for layers about as hard as the bodies.
-
-    The rate of convergence tends to 3 from below as eps E_layer/E_body becomes small against the width. The last rate
-    must be at least 2.5 if this ratio is below 0.05, else at least 2.
-
-    Args:
-        record: record of the run, which receives the checks.
-        tables: name of a `Sweep` of the study `rates` -> its table, with a line for each thickness.
-    """
-    for name, law in HARD_LAWS.items():
-        if len(table := tables[name]) > 1:
-            low = 2.5 if table["eps"][-1] * law.mu / FOURIER_BODY.mu < 0.05 else 2.0
-            record.check(f"last observed order of the traction, {name}", last_order(table, "error_reaction"), low=low)
-
-
 # ---------------------------------------------------------------- problems
 def fig2_bar(sizes: tuple[float, float, float]) -> Problem:
     """The bar of Fig. 2 of the paper, on a rigid base, pressed by 0.0164 MPa, sheared by 0.164 MPa.
@@ -267,8 +251,7 @@ SWEEPS: dict[str, Sweep] = {
         extras_fn=reaction_error),
     "order1_stack": order_1_sweep(layer_fn(SUBLAYERS, order=1), layer_variants=STACK_VARIANTS),
     "hard_layer": hard_sweep(layer_fn(HARD_LAWS["hard_layer"], None, order=1), "harder than the bodies"),
-    "hard_layer softer": hard_sweep(layer_fn(HARD_LAWS["hard_layer softer"], None, order=1), "softer than the bodies",
-        check=check_third_order),
+    "hard_layer softer": hard_sweep(layer_fn(HARD_LAWS["hard_layer softer"], None, order=1), "softer than the bodies"),
     "rubber": rubber_sweep(layer_fn(Rubber.shear(40.0, 0.3), order=1), "nu = 0.3"),
     "rubber harder": rubber_sweep(layer_fn(Rubber.shear(40.0, 0.45), order=1), "nu = 0.45"),
     "rubber almost": rubber_sweep(layer_fn(Rubber.shear(40.0, 0.499), order=1), "nu = 0.499"),

@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from forms import BulkLaw
 from forms.base import Array
-from forms.law import Law
 from studies.problems import LayerOfThickness, Problem, fourier
 from thinlayer import Structure, Surface, Table, ThinLayer, compare, plotting, solve
 from thinlayer.discretisation.layer import SurfaceLaw
@@ -142,7 +141,7 @@ class Sweep:
                 what = re.split(r"[;.]\s", getattr(self.problem, "func", self.problem).__doc__ or name)[0]
                 title, save = ", ".join(filter(None, (what, self.label))), record.path(f"deformed_{case_file}.png")
                 plotting.deformed(states, plotting.View(unit=self.unit), save=save, title=title)
-            row = compare(full, limit, where=self.where) | fraction_column(layer.law)
+            row = compare(full, limit, where=self.where)
             for suffix, variant_fn in self.layer_variants.items():
                 errors = compare(full, solve_interface(variant_fn(e), f"interface{suffix}_{e:g}"), where=self.where)
                 row |= {f"{column}{suffix}": errors[column] for column in ERROR_COLUMNS.values()}
@@ -155,13 +154,6 @@ class Sweep:
         for what, column in (ERROR_COLUMNS | reaction_column).items() if self.orders and len(eps) > 1 else ():
             record.check(f"last observed order of the {what}, {name}", last_order(table, column), low=low, high=high)
         return table
-
-
-def fraction_column(law: Law) -> dict[str, float]:
-    """Return {"h": elastic fraction of `law`}, the largest one of its sublayers; {} if it has none."""
-    parameters = (sublayer.parameters() for _, sublayer in law.sublayers)
-    fractions = [values["elastic_fraction"] for values in parameters if "elastic_fraction" in values]
-    return {"h": max(fractions)} if fractions else {}
 
 
 def middle(eps: Sequence[float]) -> float:
