@@ -39,7 +39,7 @@ def maps(panels: Mapping[str, IntArray], x: Axis, y: Axis, labels: Sequence[str]
         is_bottom = k >= len(panels) - n_columns
         axes.pcolormesh(choices, cmap=colour_map, vmin=0, vmax=len(labels) - 1, edgecolors="white")
         for (i, j), choice in np.ndenumerate(choices):
-            axes.text(j + 0.5, i + 0.5, labels[choice][0], ha="center", va="center", fontsize=FONT_SIZE)
+            axes.text(j + 0.5, i + 0.5, labels[int(choice)][0], ha="center", va="center", fontsize=FONT_SIZE)
         axes.set_xticks(np.arange(len(x[1])) + 0.5, x[1] if is_bottom else [], rotation=60, fontsize=FONT_SIZE)
         axes.set_yticks(np.arange(len(y[1])) + 0.5, y[1] if k % n_columns == 0 else [], fontsize=FONT_SIZE)
         axes.tick_params(length=0)

@@ -23,10 +23,9 @@ from forms import IncrementalCoulomb, LinearElastic, NonMonotone, VonMises
 from geometry import sandwich
 from geometry.joint import Joint
 from studies.by_hand import CHOLESKY, K_N, K_T, LOAD, MULTIGRID, NU, E, by_hand
-from studies.friction_cost import NETWORK, WORKS, friction
+from studies.friction_cost import WORKS, friction
 from studies.other_programs import MODULES, ngsolve, scikit_fem
 from studies.problems import SNAP_LAW_ARGS, SUPPORTS
-from studies.sweeping import Curves
 from studies.timing import Stages, compared, in_turn, timed
 from thinlayer import ArcLength, Bond, SolveError, Structure, ThinLayer, estimate, goals, march, solve
 from thinlayer.discretisation.coefficient import LoadInput
@@ -36,7 +35,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
 from thinlayer.solving.history import History
 from thinlayer.system.progress import logger
-from thinlayer.system.table import Row, Table
+from thinlayer.system.table import Row
 
 SIZES = {2: (70, 222, 700), 3: (14, 32, 46)}  # dimension -> cells along: about 1e4, 1e5 and 1e6 unknowns, 3e5 in 3D
 QUICK = {2: (70,), 3: (10,)}
@@ -107,34 +106,15 @@ def parts(*, quick: bool = False) -> dict[str, Callable[[], Iterable[Row]]]:
 
 
 def draw(record: Record) -> None:
-    """Draw ratios of times over unknowns, and unknowns, times and errors of thin layers over width by thickness."""
-    rows = record.load("table.csv").split("part")
-
-    def lines(table: Table) -> Curves:
-        return {work: (of["unknowns"], of["ratio"]) for work, of in table.split("work").items()}
-
-    panels = {
-        f"over {name}": {
-            f"{work}, {dim:g}D": xy for dim, of in part.split("dim").items() for work, xy in lines(of).items()
-        }
-        for name, part in rows["solves"].split("reference").items()
-    }
-    contact = lines(rows["friction"])
-    panels["friction over bonded"] = contact
-    panels["a network over bonded"] = {NETWORK: contact.pop(NETWORK)}
-    look = {"styles": ("o-", "s--", "^-.", "D:", "v-", "P--")}
-    save = record.path("performance_ratios.svg")
-    thinlayer.plotting.curves(panels, "unknowns", "ratio of times", save=save, log="x", xlim=(3e3, 2e6), **look)
-    panels = {
-        f"{y}, {dim:g}D": {
-            work: (1 / of["eps"], np.where(of[y] > 0, of[y], np.nan)) for work, of in part.split("work").items()
-        }
-        for dim, part in rows["thin"].split("dim").items()
-        for y in ("unknowns", "seconds", "error")
-    }
-    across, save = "width of S over the layer's thickness", record.path("performance.svg")
-    title = "cost of a thin layer, and relative error of the energy"
-    thinlayer.plotting.curves(panels, across, title=title, save=save, log="xy", xlim=(7, 150), **look)
+    """Draw unknowns, times and errors of thin layers over width by thickness."""
+    panels = {}
+    for dim, part in record.load("table.csv").split("part")["thin"].split("dim").items():
+        works = part.split("work").items()
+        for y in ("unknowns", "seconds", "error"):
+            panels[f"{y}, {dim:g}D"] = {work: (1 / of["eps"], np.where(of[y] > 0, of[y], np.nan)) for work, of in works}
+    across, styles = "width of S over the layer's thickness", ("o-", "s--", "^-.", "D:", "v-", "P--")
+    title, save = "cost of a thin layer, and relative error of the energy", record.path("performance.svg")
+    thinlayer.plotting.curves(panels, across, title=title, styles=styles, save=save, log="xy", xlim=(7, 150))
 
 
 # ---------------------------------------------------------------- works, most of them in a process of their own
