@@ -95,24 +95,6 @@ def apparent_friction(friction_angle: float, dilatancy_angle: float) -> float:
 # With delta = eps sqrt(lmbda/(12 mu)), p = (1 - v) lmbda w_N/eps, where delta^2 lap_S v = v, and v = 1 on free ends.
 # For infinite lmbda this is Stefan's squeeze film, with the leading term of Gent and Lindley (Proc. Inst. Mech. Eng.
 # 173, 1959): eps times the stiffness is 4 mu s^2 for a strip and 6 mu s^2 for a disc; s is loaded over free area.
-def strip_stiffness(lmbda: float, mu: float, eps: float, a: float) -> float:
-    """Return the mean normal traction per opening of a rubber strip between rigid plates, stress per length.
-
-    In plane strain it is [lmbda (1 - tanh(x)/x) + 2 mu]/eps with x = a/delta and delta = eps sqrt(lmbda/(12 mu)). For
-    an infinite lmbda it is 4 mu a^2/eps^3 + 2 mu/eps.
-
-    Args:
-        lmbda: first Lame modulus of the layer, stress; > 0 or math.inf.
-        mu: shear modulus of the layer, stress; > 0.
-        eps: thickness of the layer, length; > 0.
-        a: half the width of the strip, length; > 0.
-
-    Raises:
-        InputError: an argument out of range.
-    """
-    return (pressure_modulus(lmbda, mu, a / eps, 0.5) + 2 * mu) / eps
-
-
 def disc_stiffness(lmbda: float, mu: float, eps: float, radius: float) -> float:
     """Return the mean normal traction per opening of a rubber disc between rigid plates, stress per length.
 
@@ -469,24 +451,3 @@ class Bar:
         phase = signed_phase_fraction(x, C, g)
         elastic_work = stiffness * np.square(U)
         return stiffness * np.asarray(U) - self.alpha * phase, elastic_work / 2 + phase_energy(x, C, g, phase), phase
-
-    def path_vertices(self, mixing: float, end_elongation: float | None = None) -> Array:
-        """Return the four vertices of the piecewise linear equilibrium path of a bar with a uniform layer.
-
-        The path starts without load at the first vertex. Phases start to mix at the second one, and all of the layer is
-        in phase 1 at the third. Between these two the elongation decreases if mixing < (1 - eps)/(K R), and grows
-        otherwise.
-
-        Args:
-            mixing: share, from 0 to 1, of the energy that mixing phases gains.
-            end_elongation: elongation of the bar at the fourth vertex, larger than the others; None: twice the largest
-                of these.
-
-        Returns:
-            Elongation of the bar and stress at each vertex, (4, 2).
-        """
-        mixing_offset = mixing * self.alpha / 2
-        sigma = np.array([0, self.sigma_up - mixing_offset, self.sigma_up - self.alpha + mixing_offset])
-        delta = self.l * self.R * sigma + np.array([0, 0, self.free_elongation])
-        end_delta = 2 * delta.max() if end_elongation is None else end_elongation
-        return np.column_stack([[*delta, end_delta], [*sigma, (end_delta - self.free_elongation) / (self.l * self.R)]])

@@ -329,3 +329,21 @@ def rubber_annulus(lmbda: float, mu: float, eps: float, inner: float, outer: flo
     integrals = [np.diff(ends * ive(1, ends) * rising)[0], -np.diff(ends * kve(1, ends) * falling)[0]]
     lost = 2 * float(np.linalg.solve(at_ends, np.ones(2)) @ integrals) / (ends[1] ** 2 - ends[0] ** 2)
     return (lmbda * (1 - lost) + 2 * mu) / eps
+
+
+def strip_stiffness(lmbda: float, mu: float, eps: float, a: float) -> float:
+    """Return the mean normal traction per opening of a rubber strip between rigid plates, stress per length.
+
+    In plane strain it is [lmbda (1 - tanh(x)/x) + 2 mu]/eps with x = a/delta and delta = eps sqrt(lmbda/(12 mu)). For
+    an infinite lmbda it is 4 mu a^2/eps^3 + 2 mu/eps.
+
+    Args:
+        lmbda: first Lame modulus of the layer, stress; > 0 or math.inf.
+        mu: shear modulus of the layer, stress; > 0.
+        eps: thickness of the layer, length; > 0.
+        a: half the width of the strip, length; > 0.
+
+    Raises:
+        InputError: an argument out of range.
+    """
+    return (pressure_modulus(lmbda, mu, a / eps, 0.5) + 2 * mu) / eps

@@ -58,13 +58,26 @@ def test_snaps(bar):
         assert not bar.responses_at(delta - inside, z).is_local_minimum
 
 
+def path_vertices(bar, mixing, end_elongation):
+    """The four vertices (elongation, stress) of the equilibrium path of a bar with a uniform layer.
+
+    Without load, where phases start to mix, where all of the layer is in phase 1, and at the given elongation.
+    """
+    mixing_offset = mixing * bar.alpha / 2
+    sigma = np.array([0, bar.sigma_up - mixing_offset, bar.sigma_up - bar.alpha + mixing_offset])
+    delta = bar.l * bar.R * sigma + np.array([0, 0, bar.free_elongation])
+    return np.column_stack(
+        [[*delta, end_elongation], [*sigma, (end_elongation - bar.free_elongation) / (bar.l * bar.R)]]
+    )
+
+
 @pytest.mark.parametrize("mixing", [0.2, 0.9, 1.0])
 def test_equilibrium_path_of_a_uniform_layer(mixing):
     """Every elongation of the layer gives a point on the polygon; the layer's stress is the derivative of its energy."""
     U = np.linspace(0, 1.5 * LONG.U(LONG.delta_1), 401)
     sigma, _, phase = LONG.layer_response(U, mixing)
     delta = U + sigma * LONG.l * (1 - LONG.eps) / LONG.K
-    vertices = LONG.path_vertices(mixing, end_elongation=10.0)
+    vertices = path_vertices(LONG, mixing, end_elongation=10.0)
     assert vertices[-1, 0] == 10.0
     assert max(distance_to_polygon(np.array(p), vertices) for p in zip(delta, sigma, strict=True)) < 1e-12
     assert set(phase[[0, -1]]) == {0, 1}

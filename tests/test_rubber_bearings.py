@@ -10,7 +10,7 @@ import pytest
 
 from forms import Incompressible, LinearElastic, Rubber, formulas
 from geometry import sandwich
-from tests.closed_forms import rubber_annulus, rubber_strip_tilted
+from tests.closed_forms import rubber_annulus, rubber_strip_tilted, strip_stiffness
 from tests.test_rubber_closed_forms import ANNULUS, EPS, MU, RADIUS, STRIP
 from thinlayer import Structure, Surface, ThinLayer, solve
 
@@ -24,7 +24,7 @@ pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"
 
 
 def closed_form(bearing, lmbda):
-    stiffness = {"strip": formulas.strip_stiffness, "disc": formulas.disc_stiffness, "annulus": rubber_annulus}[bearing]
+    stiffness = {"strip": strip_stiffness, "disc": formulas.disc_stiffness, "annulus": rubber_annulus}[bearing]
     return stiffness(lmbda, MU, EPS, *(ANNULUS if bearing == "annulus" else SPANS[bearing][1:]))
 
 

@@ -10,7 +10,7 @@ from scipy.integrate import quad, solve_bvp
 
 from forms import LinearElastic, formulas
 from forms.base import InputError
-from tests.closed_forms import rubber_annulus, rubber_strip_tilted
+from tests.closed_forms import rubber_annulus, rubber_strip_tilted, strip_stiffness
 from tests.refused import refused
 
 MU, EPS = 1.2, 3.0  # MPa, mm
@@ -28,7 +28,7 @@ INCOMPRESSIBLE = (160.8, 590400.0, 60.8, 36.444691)
 
 def bearings(lmbda, mu=MU, eps=EPS, scale=1.0):
     return (
-        formulas.strip_stiffness(lmbda, mu, eps, STRIP * scale),
+        strip_stiffness(lmbda, mu, eps, STRIP * scale),
         rubber_strip_tilted(lmbda, mu, eps, STRIP * scale),
         formulas.disc_stiffness(lmbda, mu, eps, RADIUS * scale),
         rubber_annulus(lmbda, mu, eps, ANNULUS[0] * scale, ANNULUS[1] * scale),
@@ -71,4 +71,4 @@ def test_annulus_solves_the_equation_of_the_pressure():
 
 def test_refused():
     for lmbda, mu, a in ((-1.0, MU, STRIP), (5.0, 0.0, STRIP), (math.nan, MU, STRIP), (5.0, MU, 0.0)):
-        refused(InputError, "allowed: > 0", formulas.strip_stiffness, lmbda, mu, EPS, a)
+        refused(InputError, "allowed: > 0", strip_stiffness, lmbda, mu, EPS, a)
