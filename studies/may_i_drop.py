@@ -153,4 +153,4 @@ def draw(record: Record) -> None:
             lines[label] = np.sort(rows[field]), np.arange(1, len(rows) + 1) / len(rows)
     title, save = "changes if the layers are meshed", record.path("effectivities.svg")
     labels = ("estimated over true change", "share of the structures with at most this ratio")
-    plotting.curves(lines, *labels, title=title, xlim=(0.98, 1.02), save=save)
+    plotting.curves(lines, *labels, title=title, xlim=(0.99, 1.01), save=save)
