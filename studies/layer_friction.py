@@ -65,8 +65,8 @@ def run(record: Record, *, quick: bool = False) -> None:
     for name in HELD_VALUES:
         record.check_near(f"lasting friction, {name}", lasting_friction(law, name), np.sin(np.radians(OMEGA)), 1e-6)
     for psi in DILATANCY_ANGLES[:2]:
-        friction = lasting_friction(replace(law, dilatancy_angle=psi), FIXED_STRESS)
-        record.check_near(f"lasting friction, psi = {psi:g}", friction, formulas.apparent_friction(OMEGA, psi), 5e-7)
+        lasting = lasting_friction(replace(law, dilatancy_angle=psi), FIXED_STRESS)
+        record.check_near(f"lasting friction, psi = {psi:g}", lasting, formulas.apparent_friction(OMEGA, psi), 5e-7)
     record.check_near(f"lasting friction, {PLANES}", apparent_friction(curves[PLANES])[-1], tan_omega(), 1e-12)
 
 
