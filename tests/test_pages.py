@@ -20,7 +20,7 @@ import geometry
 import thinlayer
 from studies.rates import LAWS
 from tests.documents import CLONE, NOTEBOOK, PAGES, Block, anchors, sections
-from thinlayer import RangeWarning, compare, solve
+from thinlayer import RangeWarning, compare, estimate, goals, solve
 from thinlayer.running.case import DescribedCase
 from thinlayer.running.cli import main, studies
 from thinlayer.running.description import ENTRY_READERS, Description
@@ -113,7 +113,8 @@ def test_notebooks_have_a_head_a_picture_and_exercises():
 def test_the_first_scripts_are_short():
     creep = SECTIONS[f"{DOCS}howto/time.md#time-creep-steps-restart"][0].code
     law = creep[creep.index("@dataclass") : creep.index("steel =")]
-    for code, most in ((SECTIONS["README.md#a-script"][0].code, 20), (law, 17)):
+    first, second = (SECTIONS[f"README.md#{name}"][0].code for name in ("thinlayer", "a-script"))
+    for code, most in ((first, 10), (second, 20), (law, 17)):
         assert len([line for line in code.splitlines() if line.strip()]) <= most
 
 
@@ -125,6 +126,10 @@ def test_errors_of_the_first_example_are_those_of_a_meshed_layer():
     said = re.search(r"errors are\s(\S+) % in traction, (\S+) % in jump and\s(\S+) % in compliance", PAGES["README.md"])
     true = (row["error_traction"], row["error_jump"], 1 - work[1] / work[0])
     assert tuple(f"{100 * value:.2g}" for value in true) == said.groups()
+    better = estimate(limit, goals=[goals.Compliance()]).better.energies()["loads"]
+    gain = re.search(r"a lap joint\s(\S+) % too small.*? within\s(\S+) %", PAGES["README.md"], re.DOTALL)
+    assert gain[1] == said[3]
+    assert better == pytest.approx(work[0], rel=float(gain[2]) / 100)
 
 
 def test_keys_of_descriptions_are_those_of_the_guide():
