@@ -59,7 +59,8 @@ def test_a_missing_dolfinx_is_named(statement):
     script = f"import sys; sys.modules['dolfinx'] = None; import forms, thinlayer; {statement}"
     done = subprocess.run([sys.executable, "-c", script], cwd=CLONE, capture_output=True, text=True)
     assert "dolfinx is not installed: pip install 'thinlayer[fenicsx]'" in done.stderr
-    script = f"import sys; from types import SimpleNamespace as S; sys.modules['dolfinx'] = S(__version__='0.8.0'); {statement}"
+    old = "types.SimpleNamespace(__version__='0.8.0')"
+    script = f"import sys, types; sys.modules['dolfinx'] = {old}; {statement}"
     done = subprocess.run([sys.executable, "-c", script], cwd=CLONE, capture_output=True, text=True)
     assert "DOLFINx 0.8.0 is too old; thinlayer needs 0.9 or newer" in done.stderr
 
