@@ -31,7 +31,7 @@ def _ratios(dropped: SolvedCase, state) -> tuple[float, float]:
     """Changes of traction and jump to a state over the true ones, on the inner half of S."""
     inner = (lambda x: abs(x[0] - 0.5) < 0.25) if dropped.case.name.startswith("free ends") else 1.0
     # measured as in the other program
-    changes, truth = (dropped.changes(one, inner, Surface.reaction) for one in (state, dropped.full))
+    changes, truth = (dropped.changes(changed, inner, Surface.reaction) for changed in (state, dropped.full))
     return changes["traction"] / truth["traction"], changes["jump"] / truth["jump"]
 
 
