@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import re
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -12,6 +14,7 @@ import numpy.typing as npt
 
 from forms import BulkLaw
 from forms.base import Array
+from geometry.parallel import ResultType
 from studies.problems import LayerOfThickness, Problem, fourier
 from thinlayer import Structure, Surface, Table, ThinLayer, compare, plotting, solve
 from thinlayer.discretisation.layer import SurfaceLaw
@@ -154,6 +157,14 @@ class Sweep:
         for what, column in (ERROR_COLUMNS | reaction_column).items() if self.orders and len(eps) > 1 else ():
             record.check(f"last observed order of the {what}, {name}", last_order(table, column), low=low, high=high)
         return table
+
+
+def timed(work: Callable[[], ResultType]) -> tuple[float, ResultType]:
+    """Return the processor time of some work, s, and its result."""
+    gc.collect()
+    start = time.process_time()
+    result = work()
+    return time.process_time() - start, result
 
 
 def middle(eps: Sequence[float]) -> float:

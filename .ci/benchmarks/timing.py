@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import gc
 import math
 import time
 from collections.abc import Callable, Hashable, Mapping
@@ -14,6 +13,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from geometry.parallel import ResultType
+from studies.sweeping import timed
 from thinlayer.solving.petsc import PREFIX, OptionValue, set_defaults
 from thinlayer.system.ranks import destroy
 from thinlayer.system.table import Row
@@ -49,14 +49,6 @@ def compared(work: str, ours: Measured, reference: str, other: Measured, limit: 
     row: Row = {"work": work, **ours, "reference": reference, "limit": limit, "error": error}
     row |= {"reference_seconds": other["seconds"], "reference_peak_mb": other.get("peak_mb")}
     return row | {"ratio": ours["seconds"] / other["seconds"]}
-
-
-def timed(work: Callable[[], ResultType]) -> tuple[float, ResultType]:
-    """Processor time of some work, s, and its result."""
-    gc.collect()
-    begin = time.process_time()
-    result = work()
-    return time.process_time() - begin, result
 
 
 def in_turn(
