@@ -17,10 +17,10 @@ from studies import rates
 from tests.documents import names_of_checks
 from tests.refused import refused
 from thinlayer.running.batch import Job, run_jobs
-from thinlayer.running.markup import formula_html
+from thinlayer.running.markup import DATA_FOLDER, formula_html
 from thinlayer.running.process import CHECK_FAILED, OK, UNFINISHED
 from thinlayer.running.record import Record
-from thinlayer.running.reproduce import Page
+from thinlayer.running.reproduce import Page, bounds_text, number_text
 
 BROWSERS = ("chromium", "chromium-headless-shell", "chromium-browser", "google-chrome")
 SQUARE = b'<svg xmlns="http://www.w3.org/2000/svg" width="9" height="9"><rect width="9" height="9"/></svg>'
@@ -73,13 +73,73 @@ def test_the_page_is_whole_in_itself(page):
     pictures = re.findall(r'src="data:image/(png|svg\+xml);base64,([^"]+)"', text)
     assert not re.search(r"<(script|link|iframe)|url\(|@import", text)
     assert len(ids) == len({*ids})
-    assert {link for link in links if not link.startswith("https://doi.org/")} <= {f"#{name}" for name in ids}
+    anchors = {link for link in links if link.startswith("#")}
+    assert anchors <= {f"#{name}" for name in ids}
+    pages = {link for link in links if not link.startswith(("#", "https://doi.org/"))}
+    assert {Path(link).stem for link in pages} == {name for part in page.paper["sections"] for name in part["laws"]}
+    assert all((page.out / link).resolve().is_relative_to(CLONE) and (page.out / link).exists() for link in pages)
     assert len(pictures) == text.count(" src=") > 40
     for kind, content in pictures:
         assert base64.b64decode(content, validate=True).startswith(b"<svg" if kind == "svg+xml" else b"\x89PNG")
     rows = json.loads((page.out / "reproduce.json").read_text())["rows"]
     assert {row["verdict"] for row in rows} == {"holds"}
     assert f"{len(rows)} of {len(rows)} numbers hold; 8 figures" in text
+
+
+def test_each_section_has_a_tile_that_tells_a_number(page):
+    text = (page.out / "index.html").read_text()
+    tiles = re.findall(
+        r'<a href="#(\w+)"><strong>.*?</strong><img .*?>\s*<span class="count holds">(\d+) of \2 hold</span>(.*)</a>',
+        text,
+    )
+    assert [name for name, _, _ in tiles] == [part["id"] for part in page.paper["sections"]]
+    assert sum(int(count) for _, count, _ in tiles) == len(page.rows)
+    assert all("2" in telling and "?" not in telling for _, _, telling in tiles)  # the number of all checks
+
+
+def test_each_section_has_a_sketch_of_its_own_with_readable_text(page):
+    sketches = [part["sketch"] for part in page.paper["sections"]]
+    assert {*sketches} == {path.name for path in DATA_FOLDER.glob("sketch_*.svg")}
+    assert len(sketches) == len({*sketches})
+    for name in sketches:
+        text = (DATA_FOLDER / name).read_text()
+        assert int(re.search(r'viewBox="0 0 (\d+)', text)[1]) <= 340  # px, the width at which a section places it
+        assert min(map(int, re.findall(r'font-size="(\d+)"', text))) >= 12
+
+
+def test_tables_have_the_papers_column_where_it_prints_numbers(page):
+    """And the reasons for bounds of orders stand under the tables."""
+    text = (page.out / "index.html").read_text()
+    tables = re.findall(r"<h3>(Numbers of the paper|Checks)</h3><div[^>]*><table>(.*?)</table>", text, re.DOTALL)
+    assert {(title, "<th>Paper</th>" in table) for title, table in tables} == {
+        ("Checks", False),
+        ("Numbers of the paper", True),
+    }
+    assert all("" not in re.findall(r'class="paper".*?>(.*?)</td>', table) for _, table in tables)
+    names = [entry["check"].rpartition(", ")[2] for entry in entries(page) if "order of the *," in entry["check"]]
+    orders = {rates.SWEEPS[name].orders for name in names}
+    assert {bounds_text({"low": low, "high": high}) for low, high in orders} == {*page.paper["bounds"]}
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (1.00223, "1.00"),
+        (0.7920, "0.792"),
+        (13.0, "13"),
+        (85713.7, "85714"),
+        (8.49895e-8, r"$8.50 \cdot 10^{-8}$"),
+        (99.99, "100"),
+    ],
+)
+def test_numbers_have_three_digits(value, text):
+    assert number_text(value, "#") == text
+
+
+def test_bounds_as_text():
+    assert bounds_text({"low": None, "high": 1e-6}) == "≤ $10^{-6}$"
+    assert bounds_text({"low": 0.93, "high": 1.07}) == "0.93 to 1.07"
+    assert bounds_text({"low": 11538.4, "high": 11538.6}) == "11538 ± 0.1"
 
 
 def test_a_browser_shows_the_page(page, tmp_path):

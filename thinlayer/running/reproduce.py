@@ -36,6 +36,12 @@ STATUS_OF_VERDICT = {"holds": OK, "fails": CHECK_FAILED, "missing": UNFINISHED} 
 HEADER_PACKAGES = ("python", "thinlayer", "fenics-dolfinx", "petsc", "numpy")  # versions at the head of the page
 MAX_HALF_WIDTH_RATIO = 0.05  # half-width over lower end, up to which a range is shown as a number and a tolerance
 COLUMNS = {"label": "Number", "printed": "Paper", "computed": "Computed", "bounds": "Bounds", "verdict": "Verdict"}
+GROUPS = {"Numbers of the paper": True, "Checks": False}  # table of a section -> whether the paper prints its numbers
+CLONE = DATA_FOLDER.parents[1]
+LAW_PAGES = (
+    "out/docs/laws/{}.html",
+    "thinlayer/docs/laws/{}.md",
+)  # page of a law in the clone: built, or else its source
 ERRATA_COLUMNS = {"where": "Where", "printed": "Printed", "right": "Right", "shown": "Shown by"}
 Entries = Mapping[str, Any]  # a table of paper.toml, or a check of run.json
 MISSING_CHECK = {"value": None, "low": None, "high": None, "passed": None}  # entries of a missing check
@@ -59,7 +65,7 @@ def reproduce(out: Path, *, quick: bool, at_a_time: int | None) -> int:
     """
     start_time, page = time.monotonic(), Page(out, quick=quick)
     run_jobs([*page.jobs.values()], out, at_a_time)
-    head_file = DATA_FOLDER.parents[1] / ".git" / "HEAD"
+    head_file = CLONE / ".git" / "HEAD"
     name = head_file.read_text().strip().removeprefix("ref: ") if head_file.exists() else "not known"
     commit = (head_file.parent / name).read_text().strip() if (head_file.parent / name).is_file() else name
     facts = {name: package_versions()[name] for name in HEADER_PACKAGES}
@@ -138,7 +144,7 @@ class Page:
                 row_label = entry.get("label", check["name"])
                 for wildcard_text in wildcard_texts:
                     row_label = row_label.replace("*", wildcard_text, 1)
-                computed = f"{check['value']:.6g}" if matches else ""
+                computed = number_text(check["value"], "#") if matches else ""
                 verdict = {True: "holds", False: "fails", None: "missing"}[check["passed"]]
                 texts = {"label": row_label, "printed": entry.get("printed", ""), "verdict": verdict}
                 rows.append(about | check | texts | {"computed": computed, "bounds": bounds_text(check)})
@@ -150,14 +156,30 @@ class Page:
         values |= {name: escape(self.paper["paper"][name].strip()) for name in ("title", "bibtex")}
         sections = self.paper["sections"]
         values["links"] = "".join(fill_template("link", id=part["id"], short=part["short"]) for part in sections)
+        values["tiles"] = "".join(map(self.tile_html, sections))
         values["sections"] = "".join(map(self.section_html, sections))
         values["gaps"] = "".join(fill_template("gap", name=name, log=f"{name}{LOG_SUFFIX}") for name in self.unfinished)
-        values["errata"] = html_table(ERRATA_COLUMNS, "erratum", map(self.erratum_row, self.paper["errata"]))
+        values["errata"] = html_table(ERRATA_COLUMNS, map(self.erratum_row, self.paper["errata"]))
         values["summary"] = self.summary
         return fill_template("page", **values, facts=html_pairs(facts), versions=html_pairs(package_versions()))
 
+    def tile_html(self, part: Entries) -> str:
+        """Return the HTML of a section's tile: its name, its sketch, how many numbers hold, and what they tell.
+
+        Args:
+            part: table of the section in paper.toml. In its text "telling", the computed values of the section's rows
+                replace the signs *, the first value the first sign.
+        """
+        rows, telling = [row for row in self.rows if row["section"] == part["id"]], part["telling"]
+        for row in rows:
+            telling = telling.replace("*", row["computed"] or "?", 1)
+        n_held = sum(row["verdict"] == "holds" for row in rows)
+        values = {"id": part["id"], "short": part["short"], "state": "holds" if n_held == len(rows) else "fails"}
+        values |= {"count": f"{n_held} of {len(rows)}", "telling": line_html(telling)}
+        return fill_template("tile", **values, sketch=html_picture(DATA_FOLDER / part["sketch"], "", "image"))
+
     def section_html(self, part: Entries) -> str:
-        """Return the HTML of one section of the page: statements of the paper on the left, results on the right.
+        """Return the HTML of one section of the page: statements of the paper, results, pictures and numbers.
 
         Args:
             part: table of the section in paper.toml, with its texts, pictures and entries of numbers.
@@ -168,7 +190,28 @@ class Page:
         values["pictures"] = "".join(html_picture(self.out / name, text) for name, text in part["pictures"].items())
         run_names = dict.fromkeys(row["run"] for row in part["rows"])
         values["details"] = "".join(self.details_html(name, part.get("tables", ())) for name in run_names)
-        return fill_template("section", **values, numbers=html_table(COLUMNS, "number", self.number_rows(part["rows"])))
+        rows = [row for row in self.rows if row["section"] == part["id"]]
+        groups = {title: [row for row in rows if bool(row["printed"]) == printed] for title, printed in GROUPS.items()}
+        tables = [
+            fill_template("group", title=name, table=html_table(COLUMNS, rows)) for name, rows in groups.items() if rows
+        ]
+        reasons = [
+            text for bounds, text in self.paper["bounds"].items() if any(row["bounds"] == bounds for row in rows)
+        ]
+        values["laws"] = "".join(self.law_html(name, title) for name, title in part["laws"].items())
+        return fill_template(
+            "section", **values, numbers="".join(tables), reasons="".join(map(paragraphs_html, reasons))
+        )
+
+    def law_html(self, name: str, title: str) -> str:
+        """Return the HTML of a link to the page of a law; "" where there are no pages, as in an installed package.
+
+        Args:
+            name: name of the law's page, without its ending.
+            title: name of the law's class.
+        """
+        pages = [path for pattern in LAW_PAGES if (path := CLONE / pattern.format(name)).exists()]
+        return fill_template("law", title=title, link=os.path.relpath(pages[0], self.out)) if pages else ""
 
     def details_html(self, run: str, tables: Iterable[str]) -> str:
         """Return the HTML of a box with details of a run, closed until a reader opens it.
@@ -184,7 +227,7 @@ class Page:
         texts = {path.name: str(Table.load(path)) for path in table_paths if path.exists()}
         values = {"command": escape(shlex.join(job.command_words)), "seconds": f"{result.get('seconds', 0):.0f}"}
         values["tables"] = "".join(fill_template("csv", name=name, text=escape(text)) for name, text in texts.items())
-        values["numbers"] = html_table(COLUMNS, "number", self.number_rows([{"run": run, "check": "*"}]))
+        values["numbers"] = html_table(COLUMNS, self.number_rows([{"run": run, "check": "*"}]))
         return fill_template("details", **values, parameters=html_pairs(result.get("parameters", {})))
 
     def erratum_row(self, entry: Mapping[str, str]) -> dict[str, str]:
@@ -196,7 +239,7 @@ class Page:
         """
         rows = self.number_rows([entry]) if "check" in entry else ()
         evidence = "; ".join(f"{row['label']}: {row['computed']}" for row in rows) or entry["evidence"]
-        return {**entry, "shown": evidence}
+        return {**entry, "shown": f"[{evidence}](#{entry['section']})"}
 
 
 # ---------------------------------------------------------------- pieces of HTML
@@ -220,6 +263,19 @@ def fill_template(piece: str, **values: str) -> str:
     return template_pieces()[piece].substitute(values)
 
 
+def number_text(value: float, form: str = "") -> str:
+    """Return a number with 3 digits, in markup; whole numbers, and those of 100 or more, have all digits before the point.
+
+    Args:
+        value: the number.
+        form: "#" keeps zeros at the end, as in 1.00; "" drops them.
+    """
+    if value % 1 == 0 or abs(value) >= 100:
+        return f"{value:.0f}"
+    digits, _, power = f"{value:{form}.3g}".partition("e")
+    return f"${digits} \\cdot 10^{{{int(power)}}}$".replace("$1 \\cdot ", "$") if power else digits.rstrip(".")
+
+
 def bounds_text(check: Entries) -> str:
     """Return the bounds of a check as text: "≥ a" or "≤ b" if there is only one, else "a to b".
 
@@ -227,22 +283,26 @@ def bounds_text(check: Entries) -> str:
     """
     low, high = check["low"], check["high"]
     if low is None or high is None:
-        return "".join(f"{sign} {end:.6g}" for sign, end in (("≥", low), ("≤", high)) if end is not None)
+        return "".join(f"{sign} {number_text(end)}" for sign, end in (("≥", low), ("≤", high)) if end is not None)
     half_width = (high - low) / 2
-    narrow_text = f"{low + half_width:.6g}" + f" ± {half_width:.2g}" * (half_width > 0)
-    return narrow_text if half_width <= MAX_HALF_WIDTH_RATIO * abs(low) else f"{low:.6g} to {high:.6g}"
+    narrow_text = number_text(low + half_width) + f" ± {number_text(half_width)}" * (half_width > 0)
+    is_narrow = half_width <= MAX_HALF_WIDTH_RATIO * abs(low)
+    return narrow_text if is_narrow else f"{number_text(low)} to {number_text(high)}"
 
 
-def html_table(headings: Mapping[str, str], piece: str, rows: Iterable[Entries]) -> str:
-    """Return the HTML of a table.
+def html_table(headings: Mapping[str, str], rows: Iterable[Entries]) -> str:
+    """Return the HTML of a table, without the columns that are empty.
 
     Args:
         headings: name of a column that is shown -> its heading.
-        piece: name of the piece of the template that makes a row.
         rows: for each row, name of a column -> text.
     """
-    lines = [fill_template(piece, **row | {name: line_html(row[name]) for name in headings}) for row in map(dict, rows)]
-    return fill_template("table", head="".join(f"<th>{name}</th>" for name in headings.values()), body="".join(lines))
+    rows, body = [*rows], ""
+    shown = {name: heading for name, heading in headings.items() if any(row[name] for row in rows)}
+    for row in rows:
+        cells = [fill_template("cell", name=name, heading=shown[name], text=line_html(row[name])) for name in shown]
+        body += fill_template("row", verdict=row.get("verdict", ""), cells="".join(cells))
+    return fill_template("table", head="".join(f"<th>{heading}</th>" for heading in shown.values()), body=body)
 
 
 def html_pairs(values: Mapping[str, object]) -> str:
@@ -251,12 +311,17 @@ def html_pairs(values: Mapping[str, object]) -> str:
     return "".join(fill_template("pair", name=escape(name), value=escape(text)) for name, text in texts.items())
 
 
-def html_picture(path: Path, text: str) -> str:
-    """Return the HTML of the picture in the file `path`, embedded in the page, with the caption `text`.
+def html_picture(path: Path, text: str, piece: str = "figure") -> str:
+    """Return the HTML of the picture in the file `path`, embedded in the page.
 
     If the file is missing, a note stands in its place.
+
+    Args:
+        path: the file.
+        text: caption.
+        piece: name of the piece of the template: "figure", or "image" for a picture without caption.
     """
     if not path.exists():
         return fill_template("no figure", caption=line_html(text))
     img = {"alt": escape(re.sub(r"[$`\\{}]", "", text)), "type": guess_type(path.name)[0] or "", "name": path.stem}
-    return fill_template("figure", **img, content=base64.b64encode(path.read_bytes()).decode(), caption=line_html(text))
+    return fill_template(piece, **img, content=base64.b64encode(path.read_bytes()).decode(), caption=line_html(text))
