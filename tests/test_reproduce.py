@@ -88,10 +88,8 @@ def test_the_page_is_whole_in_itself(page):
 
 def test_each_section_has_a_tile_that_tells_a_number(page):
     text = (page.out / "index.html").read_text()
-    tiles = re.findall(
-        r'<a href="#(\w+)"><strong>.*?</strong><img .*?>\s*<span class="count holds">(\d+) of \2 hold</span>(.*)</a>',
-        text,
-    )
+    count = r'<span class="count holds">(\d+) of \2 hold</span>'
+    tiles = re.findall(rf'<a href="#(\w+)"><strong>.*?</strong><img .*?>\s*{count}(.*)</a>', text)
     assert [name for name, _, _ in tiles] == [part["id"] for part in page.paper["sections"]]
     assert sum(int(count) for _, count, _ in tiles) == len(page.rows)
     assert all("2" in telling and "?" not in telling for _, _, telling in tiles)  # the number of all checks

@@ -10,6 +10,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 from forms.base import InputError, require
@@ -47,10 +48,8 @@ class Job:
     @property
     def command_words(self) -> list[str]:
         """Words of the command line that run this job: those after `thinlayer run`, without --out and the folder."""
-        words = [self.study]
-        for name, value in self.options.items():
-            words += [f"--{name}"] if value is True else [f"--{name}", str(value)]
-        return words
+        options = ([f"--{name}", *([] if value is True else [str(value)])] for name, value in self.options.items())
+        return [self.study, *chain.from_iterable(options)]
 
     def run_content(self) -> RunContent | None:
         """Return the content of the file run.json in the folder, as nested JSON data, or None if it is not of this job.
@@ -81,9 +80,9 @@ class Job:
             return None
         command = [sys.executable, "-m", "thinlayer", "run", *self.command_words, "--out", str(self.folder)]
         command += ["--resume"] if earlier_content else []
-        environment = {"OMP_NUM_THREADS": "1", **os.environ}  # every core has a run of its own
         with Path(f"{self.folder}{LOG_SUFFIX}").open("wb") as log:
-            process = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
+            # every core has a run of its own
+            process = subprocess.Popen(command, stdout=log, stderr=log, env={"OMP_NUM_THREADS": "1", **os.environ})
         stack.enter_context(process)  # which waits for it
         stack.callback(process.terminate)
         return process

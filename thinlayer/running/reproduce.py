@@ -16,8 +16,8 @@ import re
 import shlex
 import time
 import tomllib
-from collections.abc import Iterable, Mapping
-from functools import cache
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache, reduce
 from html import escape
 from mimetypes import guess_type
 from pathlib import Path
@@ -33,15 +33,10 @@ from thinlayer.system.table import Table
 from thinlayer.system.version import print_safely
 
 STATUS_OF_VERDICT = {"holds": OK, "fails": CHECK_FAILED, "missing": UNFINISHED}  # verdict of a row -> exit status
-HEADER_PACKAGES = ("python", "thinlayer", "fenics-dolfinx", "petsc", "numpy")  # versions at the head of the page
 MAX_HALF_WIDTH_RATIO = 0.05  # half-width over lower end, up to which a range is shown as a number and a tolerance
 COLUMNS = {"label": "Number", "printed": "Paper", "computed": "Computed", "bounds": "Bounds", "verdict": "Verdict"}
 GROUPS = {"Numbers of the paper": True, "Checks": False}  # table of a section -> whether the paper prints its numbers
-CLONE = DATA_FOLDER.parents[1]
-LAW_PAGES = (
-    "out/docs/laws/{}.html",
-    "thinlayer/docs/laws/{}.md",
-)  # page of a law in the clone: built, or else its source
+LAW_PAGES = ("out/docs/laws/{}.html", "thinlayer/docs/laws/{}.md")  # a law's page in the clone: built, or its source
 ERRATA_COLUMNS = {"where": "Where", "printed": "Printed", "right": "Right", "shown": "Shown by"}
 Entries = Mapping[str, Any]  # a table of paper.toml, or a check of run.json
 MISSING_CHECK = {"value": None, "low": None, "high": None, "passed": None}  # entries of a missing check
@@ -65,11 +60,10 @@ def reproduce(out: Path, *, quick: bool, at_a_time: int | None) -> int:
     """
     start_time, page = time.monotonic(), Page(out, quick=quick)
     run_jobs([*page.jobs.values()], out, at_a_time)
-    head_file = CLONE / ".git" / "HEAD"
+    head_file = DATA_FOLDER.parents[1] / ".git" / "HEAD"
     name = head_file.read_text().strip().removeprefix("ref: ") if head_file.exists() else "not known"
     commit = (head_file.parent / name).read_text().strip() if (head_file.parent / name).is_file() else name
-    facts = {name: package_versions()[name] for name in HEADER_PACKAGES}
-    facts |= {"commit": commit[:12], "code": code_hash(), "date": time.strftime("%F")}
+    facts = {"commit": commit[:12], "code": code_hash(), "date": time.strftime("%F")}
     facts["machine"] = f"{platform.system()} {platform.machine()}, {len(os.sched_getaffinity(0))} cores"
     facts["command"] = f"python3 -m thinlayer reproduce{' --quick' * quick}"
     return page.write(facts | {"seconds": f"{time.monotonic() - start_time:.0f}"})
@@ -108,9 +102,10 @@ class Page:
         self.results = {name: job.run_content() or {} for name, job in self.jobs.items()}
         self.unfinished = [name for name, result in self.results.items() if result.get("error", "no run") is not None]
         self.rows = [row for part in self.paper["sections"] for row in self.number_rows(part["rows"], part["id"])]
-        count_text = f"{sum(row['verdict'] == 'holds' for row in self.rows)} of {len(self.rows)} numbers hold"
-        n_figures = sum(part.get("figures", 0) for part in self.paper["sections"])
-        self.summary = f"{count_text}; {n_figures} figures; {len(self.paper['errata'])} places of the paper corrected"
+        n_drawn, n_wrong = sum(part.get("figures", 0) for part in self.paper["sections"]), len(self.paper["errata"])
+        self.summary = (
+            f"{count_text(self.rows)} numbers hold; {n_drawn} figures; {n_wrong} places of the paper corrected"
+        )
         content = {**facts, "versions": package_versions(), "unfinished": self.unfinished, "rows": self.rows}
         for name, text in {"reproduce.json": json.dumps(content, indent=1), "index.html": self.html(facts)}.items():
             with replace_file(self.out / name) as file:
@@ -141,12 +136,10 @@ class Page:
             checks = self.results[run].get("checks", ())
             matches = [(check, match.groups()) for check in checks if (match := pattern.fullmatch(check["name"]))]
             for check, wildcard_texts in matches or [({"name": entry["check"], **MISSING_CHECK}, ())]:
-                row_label = entry.get("label", check["name"])
-                for wildcard_text in wildcard_texts:
-                    row_label = row_label.replace("*", wildcard_text, 1)
+                label = fill_stars(entry.get("label", check["name"]), wildcard_texts)
                 computed = number_text(check["value"], "#") if matches else ""
                 verdict = {True: "holds", False: "fails", None: "missing"}[check["passed"]]
-                texts = {"label": row_label, "printed": entry.get("printed", ""), "verdict": verdict}
+                texts = {"label": label, "printed": entry.get("printed", ""), "verdict": verdict}
                 rows.append(about | check | texts | {"computed": computed, "bounds": bounds_text(check)})
         return rows
 
@@ -154,12 +147,11 @@ class Page:
         """Return the HTML of the whole page; `facts`, name -> text, say how it was made."""
         values = {name: paragraphs_html(text) for name, text in self.paper["paper"].items() if name != "bibtex"}
         values |= {name: escape(self.paper["paper"][name].strip()) for name in ("title", "bibtex")}
-        sections = self.paper["sections"]
-        values["links"] = "".join(fill_template("link", id=part["id"], short=part["short"]) for part in sections)
-        values["tiles"] = "".join(map(self.tile_html, sections))
-        values["sections"] = "".join(map(self.section_html, sections))
+        parts = self.paper["sections"]
+        values["links"] = "".join(fill_template("link", id=part["id"], short=part["short"]) for part in parts)
+        values |= {"tiles": "".join(map(self.tile_html, parts)), "sections": "".join(map(self.section_html, parts))}
         values["gaps"] = "".join(fill_template("gap", name=name, log=f"{name}{LOG_SUFFIX}") for name in self.unfinished)
-        values["errata"] = html_table(ERRATA_COLUMNS, map(self.erratum_row, self.paper["errata"]))
+        values["errata"] = html_table(ERRATA_COLUMNS, [*map(self.erratum_row, self.paper["errata"])])
         values["summary"] = self.summary
         return fill_template("page", **values, facts=html_pairs(facts), versions=html_pairs(package_versions()))
 
@@ -170,12 +162,10 @@ class Page:
             part: table of the section in paper.toml. In its text "telling", the computed values of the section's rows
                 replace the signs *, the first value the first sign.
         """
-        rows, telling = [row for row in self.rows if row["section"] == part["id"]], part["telling"]
-        for row in rows:
-            telling = telling.replace("*", row["computed"] or "?", 1)
-        n_held = sum(row["verdict"] == "holds" for row in rows)
-        values = {"id": part["id"], "short": part["short"], "state": "holds" if n_held == len(rows) else "fails"}
-        values |= {"count": f"{n_held} of {len(rows)}", "telling": line_html(telling)}
+        rows = [row for row in self.rows if row["section"] == part["id"]]
+        telling = fill_stars(part["telling"], [row["computed"] or "?" for row in rows])
+        values = {"id": part["id"], "short": part["short"], "count": count_text(rows), "telling": line_html(telling)}
+        values["state"] = max((row["verdict"] for row in rows), key=STATUS_OF_VERDICT.__getitem__)
         return fill_template("tile", **values, sketch=html_picture(DATA_FOLDER / part["sketch"], "", "image"))
 
     def section_html(self, part: Entries) -> str:
@@ -191,17 +181,11 @@ class Page:
         run_names = dict.fromkeys(row["run"] for row in part["rows"])
         values["details"] = "".join(self.details_html(name, part.get("tables", ())) for name in run_names)
         rows = [row for row in self.rows if row["section"] == part["id"]]
-        groups = {title: [row for row in rows if bool(row["printed"]) == printed] for title, printed in GROUPS.items()}
-        tables = [
-            fill_template("group", title=name, table=html_table(COLUMNS, rows)) for name, rows in groups.items() if rows
-        ]
-        reasons = [
-            text for bounds, text in self.paper["bounds"].items() if any(row["bounds"] == bounds for row in rows)
-        ]
+        groups = {title: [row for row in rows if bool(row["printed"]) == shown] for title, shown in GROUPS.items()}
+        values["numbers"] = "".join(html_table(COLUMNS, group, title) for title, group in groups.items() if group)
+        reasons = [self.paper["bounds"].get(bounds, "") for bounds in dict.fromkeys(row["bounds"] for row in rows)]
         values["laws"] = "".join(self.law_html(name, title) for name, title in part["laws"].items())
-        return fill_template(
-            "section", **values, numbers="".join(tables), reasons="".join(map(paragraphs_html, reasons))
-        )
+        return fill_template("section", **values, reasons=paragraphs_html("\n\n".join(reasons)))
 
     def law_html(self, name: str, title: str) -> str:
         """Return the HTML of a link to the page of a law; "" where there are no pages, as in an installed package.
@@ -210,7 +194,7 @@ class Page:
             name: name of the law's page, without its ending.
             title: name of the law's class.
         """
-        pages = [path for pattern in LAW_PAGES if (path := CLONE / pattern.format(name)).exists()]
+        pages = [path for pattern in LAW_PAGES if (path := DATA_FOLDER.parents[1] / pattern.format(name)).exists()]
         return fill_template("law", title=title, link=os.path.relpath(pages[0], self.out)) if pages else ""
 
     def details_html(self, run: str, tables: Iterable[str]) -> str:
@@ -223,10 +207,9 @@ class Page:
             tables: names of csv files, as RUN/FILE. Only those of this run are shown.
         """
         result, job = self.results[run], self.jobs[run]
-        table_paths = [self.out / name for name in tables if name.startswith(f"{run}/")]
-        texts = {path.name: str(Table.load(path)) for path in table_paths if path.exists()}
+        paths = [path for name in tables if name.startswith(f"{run}/") and (path := self.out / name).exists()]
         values = {"command": escape(shlex.join(job.command_words)), "seconds": f"{result.get('seconds', 0):.0f}"}
-        values["tables"] = "".join(fill_template("csv", name=name, text=escape(text)) for name, text in texts.items())
+        values["tables"] = "".join(fill_template("csv", name=p.name, text=escape(str(Table.load(p)))) for p in paths)
         values["numbers"] = html_table(COLUMNS, self.number_rows([{"run": run, "check": "*"}]))
         return fill_template("details", **values, parameters=html_pairs(result.get("parameters", {})))
 
@@ -263,6 +246,16 @@ def fill_template(piece: str, **values: str) -> str:
     return template_pieces()[piece].substitute(values)
 
 
+def fill_stars(text: str, values: Iterable[str]) -> str:
+    """Return a text whose signs * are replaced by values, the first sign by the first value."""
+    return reduce(lambda text, value: text.replace("*", value, 1), values, text)
+
+
+def count_text(rows: Sequence[Entries]) -> str:
+    """Return how many of some rows hold, as "2 of 3"."""
+    return f"{sum(row['verdict'] == 'holds' for row in rows)} of {len(rows)}"
+
+
 def number_text(value: float, form: str = "") -> str:
     """Return a number with 3 digits, in markup; whole numbers, and those of 100 or more, have all digits before the point.
 
@@ -285,24 +278,24 @@ def bounds_text(check: Entries) -> str:
     if low is None or high is None:
         return "".join(f"{sign} {number_text(end)}" for sign, end in (("≥", low), ("≤", high)) if end is not None)
     half_width = (high - low) / 2
-    narrow_text = number_text(low + half_width) + f" ± {number_text(half_width)}" * (half_width > 0)
-    is_narrow = half_width <= MAX_HALF_WIDTH_RATIO * abs(low)
-    return narrow_text if is_narrow else f"{number_text(low)} to {number_text(high)}"
+    text = number_text(low + half_width) + f" ± {number_text(half_width)}" * (half_width > 0)
+    return text if half_width <= MAX_HALF_WIDTH_RATIO * abs(low) else f"{number_text(low)} to {number_text(high)}"
 
 
-def html_table(headings: Mapping[str, str], rows: Iterable[Entries]) -> str:
+def html_table(headings: Mapping[str, str], rows: Sequence[Entries], title: str = "") -> str:
     """Return the HTML of a table, without the columns that are empty.
 
     Args:
         headings: name of a column that is shown -> its heading.
         rows: for each row, name of a column -> text.
+        title: text above the table.
     """
-    rows, body = [*rows], ""
+    body = ""
     shown = {name: heading for name, heading in headings.items() if any(row[name] for row in rows)}
     for row in rows:
         cells = [fill_template("cell", name=name, heading=shown[name], text=line_html(row[name])) for name in shown]
         body += fill_template("row", verdict=row.get("verdict", ""), cells="".join(cells))
-    return fill_template("table", head="".join(f"<th>{heading}</th>" for heading in shown.values()), body=body)
+    return fill_template("table", title=title, head="".join(map("<th>{}</th>".format, shown.values())), body=body)
 
 
 def html_pairs(values: Mapping[str, object]) -> str:
