@@ -78,6 +78,7 @@ def test_the_page_is_whole_in_itself(page):
     pages = {link for link in links if not link.startswith(("#", "https://doi.org/"))}
     assert {Path(link).stem for link in pages} == {name for part in page.paper["sections"] for name in part["laws"]}
     assert all((page.out / link).resolve().is_relative_to(CLONE) and (page.out / link).exists() for link in pages)
+    assert page.law_html("no_page", "NoPage") == ""  # an installed package has no pages
     assert len(pictures) == text.count(" src=") > 40
     for kind, content in pictures:
         assert base64.b64decode(content, validate=True).startswith(b"<svg" if kind == "svg+xml" else b"\x89PNG")
@@ -128,6 +129,8 @@ def test_tables_have_the_papers_column_where_it_prints_numbers(page):
         (85713.7, "85714"),
         (8.49895e-8, r"$8.50 \cdot 10^{-8}$"),
         (99.99, "100"),
+        (0.8575 - 1e-15, "0.858"),
+        (0.8575 + 1e-15, "0.858"),
     ],
 )
 def test_numbers_have_three_digits(value, text):

@@ -265,7 +265,8 @@ def number_text(value: float, form: str = "") -> str:
     """
     if value % 1 == 0 or abs(value) >= 100:
         return f"{value:.0f}"
-    digits, _, power = f"{value:{form}.3g}".partition("e")
+    # 0.8575 gives the same text as a value that differs by an error of rounding
+    digits, _, power = f"{value * (1 + 1e-9):{form}.3g}".partition("e")
     return f"${digits} \\cdot 10^{{{int(power)}}}$".replace("$1 \\cdot ", "$") if power else digits.rstrip(".")
 
 
