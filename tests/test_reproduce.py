@@ -120,6 +120,12 @@ def test_tables_have_the_papers_column_where_it_prints_numbers(page):
     assert {bounds_text({"low": low, "high": high}) for low, high in orders} == {*page.paper["bounds"]}
 
 
+def test_reasons_of_bounds_stand_below_orders_alone(page, monkeypatch):
+    monkeypatch.setitem(page.paper, "bounds", {"1 to 3": "because it is so"})  # the bounds of all checks
+    shown = {part["id"]: "because it is so" in page.section_html(part) for part in page.paper["sections"]}
+    assert {name for name, is_shown in shown.items() if not is_shown} == {"fig3", "fig4", "fig8", "relaxation"}
+
+
 @pytest.mark.parametrize(
     ("value", "text"),
     [

@@ -183,7 +183,8 @@ class Page:
         rows = [row for row in self.rows if row["section"] == part["id"]]
         groups = {title: [row for row in rows if bool(row["printed"]) == shown] for title, shown in GROUPS.items()}
         values["numbers"] = "".join(html_table(COLUMNS, group, title) for title, group in groups.items() if group)
-        reasons = [self.paper["bounds"].get(bounds, "") for bounds in dict.fromkeys(row["bounds"] for row in rows)]
+        order_bounds = dict.fromkeys(row["bounds"] for row in rows if "order" in row["label"])
+        reasons = [self.paper["bounds"].get(bounds, "") for bounds in order_bounds]
         values["laws"] = "".join(self.law_html(name, title) for name, title in part["laws"].items())
         return fill_template("section", **values, reasons=paragraphs_html("\n\n".join(reasons)))
 
