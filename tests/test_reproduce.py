@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 import subprocess
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -178,6 +179,21 @@ def test_a_batch_takes_up_what_is_done(tmp_path, monkeypatch, capsys):
     assert calls.read_text().split()[3:] in (["long", "--resume", "bad"], ["bad", "long", "--resume"])
     assert run_jobs([short, long], tmp_path / "out") == OK
     assert len(calls.read_text().split()) == 6
+
+
+def test_progress_of_a_batch_counts_running_studies(tmp_path, monkeypatch):
+    shares = []
+    monkeypatch.setattr(
+        "thinlayer.running.batch.report", lambda name: nullcontext(lambda share, text: shares.append(share))
+    )
+    script = tmp_path / "python"
+    script.write_text("#!/bin/sh\nsleep 0.5")
+    script.chmod(0o700)
+    monkeypatch.setattr("sys.executable", str(script))
+    run_jobs([Job("limits", {}, tmp_path / "out" / "limits", 0.2)], tmp_path / "out")
+    assert shares == sorted(shares)
+    assert shares[0] < 0.5
+    assert shares[-2:] == pytest.approx([0.9, 1.0])
 
 
 def test_formulas_without_scripts():

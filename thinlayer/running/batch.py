@@ -37,7 +37,7 @@ class Job:
         folder: folder for the files of the run. The printed output goes to the file FOLDER.log, which stands next to
             the folder.
         expected_seconds: approximate duration, s. The jobs with the longest durations start first. The progress of a
-            batch is the sum of the durations of its finished jobs over the sum of all.
+            batch is the time of its finished jobs, and the time that the others have run, over the sum of all.
     """
 
     study: str
@@ -146,6 +146,8 @@ def run_jobs(jobs: Sequence[Job], out: Path, at_a_time: int | None = None) -> in
                     print_safely(f"{len(codes) - 1} of {len(jobs)}  {job.folder.name}: {OUTCOMES[codes[-1]]} ({note})")
             state_text = ", ".join([f"{len(codes) - 1} of {len(jobs)} done", *(job.folder.name for job in running)])
             time_left, total = (sum(job.expected_seconds for job in group) for group in ([*waiting, *running], jobs))
-            set_share(1 - time_left / total, state_text)
+            # a run that takes longer than expected stays at nine tenths
+            spent = [min(time.monotonic() - start, 0.9 * job.expected_seconds) for job, (_, start) in running.items()]
+            set_share(1 - (time_left - sum(spent)) / total, state_text)
             time.sleep(POLL_SECONDS)
     return max(codes)
