@@ -137,7 +137,7 @@ def test_a_term_beside_those_of_a_model():
             forces = fem.assemble_vector(form).array
             assert forces[free] == pytest.approx(expected[free], abs=1e-12 * np.abs(expected).max() + 1e-13)
     everywhere = ufl.inner(ufl.jump(u), ufl.jump(u))
-    assert solve(model).integral(everywhere * ufl.dS) == pytest.approx(solve(model).integral(everywhere * model.dS))
+    assert solve(model).integral(everywhere * ufl.dS) == pytest.approx(solve(model).integral(everywhere * model.dS(1)))
     tags = meshtags(model.domain.mesh, 2, np.arange(3, dtype=np.int32), np.array([4, 5, 4], np.int32))
     term = ufl.inner(f, v) * ufl.dx(4, subdomain_data=tags)  # tags of another kind than the model's
     expected = fem.assemble_vector(fem.form(term)).array

@@ -29,6 +29,7 @@ WARNINGS = {  # key of a RangeWarning -> words of its message
     "overlap": "closes by",
     "plates": "joins plates",
     "softens": "there may be other",
+    "split": "are split into",
     "step error": "leave estimated relative errors",
     "strains": "strains of",
     "thick": "its law is for thin layers",

@@ -15,7 +15,7 @@ import pytest
 
 from forms.base import InputError
 from studies import rates
-from tests.documents import names_of_checks
+from tests.documents import CLONE, names_of_checks
 from tests.refused import refused
 from thinlayer.running.batch import Job, run_jobs
 from thinlayer.running.markup import DATA_FOLDER, formula_html

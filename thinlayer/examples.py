@@ -30,7 +30,7 @@ def arch() -> Path:
     Example:
         >>> from geometry import read
         >>> from thinlayer import examples
-        >>> stones = read(examples.arch(), S="JOINTS", lower="ODD STONES", upper="EVEN STONES")
+        >>> stones = read(examples.arch(), S="JOINTS", upper="EVEN STONES")
         >>> print(stones.regions)
         ('EVEN STONES', 'ODD STONES')
     """

@@ -28,10 +28,10 @@ def prepare(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[
     """Add types, link names of classes, and keep `|t_T|` and `a * b`, which are markup, as they are written."""
     types = getattr(obj, "__annotations__", {}) | getattr(obj.__init__, "__annotations__", {})
     for k, line in enumerate(lines):
-        found = re.match(r" +\w+(, \w+)*(?=: )", line)
-        hints = {types.get(argument) for argument in re.findall(r"\w+", found[0])} if found else {None}
-        if found and len(hints) == 1 and hints != {None}:
-            line = f"{found[0]} ({in_words(*hints)}){line[found.end() :]}"
+        label = re.match(r" +\w+(, \w+)*(?=: )", line)
+        hints = {types.get(argument) for argument in re.findall(r"\w+", label[0])} if label else {None}
+        if label and len(hints) == 1 and hints != {None}:
+            line = f"{label[0]} ({in_words(*hints)}){line[label.end() :]}"
         lines[k] = MARKUP.sub(lambda m: f":py:obj:`.{m[1]}`" if m[1] else "\\" * (m[0] in "|*") + m[0], line)
     if what in ("function", "method") and types.get("return", "None") != "None":
         end = lines.index("Example:") if "Example:" in lines else len(lines)
