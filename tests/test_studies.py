@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
-from studies import fig8_friction, friction_cost, performance, relaxation
+from studies import fig8_friction, friction_cost, performance, relaxation, worth_it
 from studies.by_hand import CHOLESKY, K_N, LOAD, TwoBlocks, by_hand
+from studies.dropped import ignore_range_warnings
 from studies.fig4_bar import fit_line, meet_x
 from studies.other_programs import ngsolve, scikit_fem
 from studies.problems import FOURIER_LAYER, layer_fn
 from studies.snap import polygon_distances
 from studies.sweeping import Sweep
+from tests.documents import PAGES
 from thinlayer.running.cli import main
 from thinlayer.running.record import Record
 
@@ -93,3 +97,18 @@ def test_straight_lines_meet():
     x = np.array([0.0, 1.0, 2.0, 3.0, 4.0])
     y = np.array([1.0, 3.0, 7.0, 6.0, 5.0])  # 1 + 2 x, then 9 - x
     assert meet_x(fit_line(x, y, x < 2), fit_line(x, y, x > 1)) == pytest.approx(8 / 3, rel=1e-12)
+
+
+def test_the_page_on_worth_has_the_numbers_of_the_study(tmp_path):
+    """Unknowns and errors of the lap joint, of two digits; its checks hold."""
+    text = PAGES["thinlayer/docs/theory/worth_it.md"]
+    printed = re.findall(r"^ {4}.{16}  (.{17}) +(\S+) +\S+ +(\S+) +(\S+) +(\S+)$", text, re.MULTILINE)
+    with Record("worth_it", tmp_path, {}) as record, ignore_range_warnings():
+        rows = worth_it.compare_models(record, "lap joint", 1)
+    for (label, row), words in zip(rows.items(), printed[1:], strict=False):
+        errors = [100 * row[f"error {name}"] for name in ("energy", "traction", "traction inside")]
+        assert words[0].strip() == label
+        assert [float(word) for word in words[1:]] == pytest.approx([row["unknowns"], *errors], rel=0.06), label
+    assert len(rows) == 6
+    assert len(printed) == 1 + 2 * 6 + 2 * 5
+    assert not record.failures
