@@ -31,8 +31,8 @@ plates = read((grid, bodies, sides), names=names, upper="UPPER")
 
 steel = LinearElastic.young(E=210e3, nu=0.3)  # MPa
 glue = ThinLayer(LinearElastic.young(E=2e3, nu=0.0), 0.2)  # mm
-supports = {"BOTTOM": {"y": 0}, (0, -4): 0}
-pulled = Structure(plates, body=steel, supports=supports, tractions={"TOP": (0, 50)})
+fixed = {"BOTTOM": {"y": 0}, (0, -4): 0}
+pulled = Structure(plates, body=steel, supports=fixed, tractions={"TOP": (0, 50)})
 limit = solve(pulled.interface(glue))
 difference = compare(solve(pulled.full(glue)), limit)
 
