@@ -31,7 +31,7 @@ def test_index_pages_have_a_row_for_each_page_in_the_order_of_the_site(page):
 
 def test_code_of_pages_fits_the_site():
     for page, text in PAGES.items():
-        code = "\n".join(match[2] for match in BLOCK.finditer(text))
+        code = "\n".join(match[3] for match in BLOCK.finditer(text))
         for file in re.findall(r"\{literalinclude\} (\S+)", text):
             code += "\n" + ((CLONE / page).parent / file).read_text()
         assert not [line for line in code.splitlines() if len(line) > COLUMNS], page
