@@ -23,7 +23,10 @@ OPTIONAL_PACKAGES = {
 
 
 class ThinlayerError(Exception):
-    """Base of all errors that these packages raise, for bad input and for failed solves."""
+    """Base of all errors that these packages raise, for bad input and for failed solves.
+
+    `except ThinlayerError` catches both.
+    """
 
 
 class InputError(ThinlayerError, ValueError):
