@@ -94,6 +94,8 @@ def test_a_table_of_columns(tmp_path):
 def test_tables_are_printed_as_they_are():
     table = Table([{"slip [mm]": 1.0, "a": "x"}, {"slip [mm]": 0.123456, "a": None}])
     assert str(table).splitlines() == ["slip [mm]  a", "        1  x", "   0.1235"]
+    whole = Table([{"unknowns": 56830, "E": 2.1e11, "eps": -2.5e-9}])
+    assert str(whole).splitlines()[1].split() == ["56830", "2.1e+11", "-2.5e-09"]
     refused(InputError, "must be texts, not 1", lambda: Table([{1: 2.0}]))
 
 

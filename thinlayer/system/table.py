@@ -24,6 +24,9 @@ Row = dict[str, Entry]
 ColumnValues = Mapping[str, Any]  # column -> entry, or entries, as a user gives them
 
 
+MAX_WHOLE_NUMBER = 1e7  # from which on whole numbers are printed with four digits
+
+
 class ColumnError(InputError, KeyError):
     """Error for a column that a table does not have, or that has texts where numbers are needed."""
 
@@ -232,7 +235,7 @@ class Table:
         return import_optional("pandas").DataFrame(self.rows, columns=self.columns)
 
     def _texts(self) -> list[list[str]]:
-        rows = ([_entry_text(value, "{:.4g}".format) for value in row.values()] for row in self.rows)
+        rows = ([_entry_text(value, _short_number) for value in row.values()] for row in self.rows)
         return [self.columns, *rows]
 
     def _repr_html_(self) -> str:
@@ -245,6 +248,10 @@ class Table:
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         padded_lines = (map(str.rjust, line, widths) for line in lines)
         return "\n".join("  ".join(entries).rstrip() for entries in padded_lines)
+
+
+def _short_number(value: float) -> str:
+    return f"{value:.0f}" if value.is_integer() and abs(value) < MAX_WHOLE_NUMBER else f"{value:.4g}"
 
 
 def _entry_text(value: Entry, format_number: Callable[[float], str]) -> str:
