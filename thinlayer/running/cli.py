@@ -45,15 +45,6 @@ REPRODUCE_HELP = (
 )
 RESUMING = "Started again, it keeps the runs that are done with the same options and code, and goes on with the others."
 PETSC_PREFIX = "-thinlayer_"
-# options of `estimate` that replace a key of the description: option, key, help
-ESTIMATE_OPTIONS = [
-    ("--eps", "layer.eps", "thickness of the layer, in the description's unit"),
-    (
-        "--tolerance",
-        "tolerance",
-        "largest relative change that is allowed, as 0.05: prints the thickness with this change",
-    ),
-]
 CommandParsers: TypeAlias = "argparse._SubParsersAction[Parser]"
 CommandFunction = Callable[["Parser", argparse.Namespace, Petsc], int]
 
@@ -160,11 +151,11 @@ def command_line_parser() -> argparse.ArgumentParser:
     set_help = "a key of the description anew, as layer.E=2e3 or 'tractions.RIGHT=[60, 0]'; may be repeated"
     question = estimate.add_argument_group("the question", "These options replace keys of the description.")
     question.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=set_help)
-    for option, key, what in ESTIMATE_OPTIONS:
-        replace_key = f"{key}={{}}".format
-        question.add_argument(
-            option, dest="set", action="append", type=replace_key, metavar=option[2:].upper(), help=what
-        )
+    replaces_key: dict[str, Any] = {"dest": "set", "action": "append"}
+    eps_help = "thickness of the layer, in the description's unit"
+    question.add_argument("--eps", type="layer.eps={}".format, metavar="EPS", help=eps_help, **replaces_key)
+    tolerance_help = "largest relative change that is allowed, as 0.05: prints the thickness with this change"
+    question.add_argument("--tolerance", type="tolerance={}".format, metavar="T", help=tolerance_help, **replaces_key)
     modes = estimate.add_mutually_exclusive_group()
     modes.add_argument("--check", action="store_true", help="print what is read, and the sum of loads; solve nothing")
     modes.add_argument("--new", action="store_true", help="print a description to fill in, with a mesh file's names")
