@@ -25,7 +25,7 @@ OPTIONAL_PACKAGES = {
 class ThinlayerError(Exception):
     """Base of all errors that these packages raise, for bad input and for failed solves.
 
-    `except ThinlayerError` catches both.
+    `except ThinlayerError` catches both kinds of them.
     """
 
 
