@@ -10,15 +10,13 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse
 from dolfinx import fem
-from mpi4py import MPI
-from petsc4py import PETSc
 from scipy.sparse.csgraph import connected_components
 
 from forms.base import Array
 from geometry.joint import Joint
 from geometry.seam import LOWER_FACE, UPPER_FACE, FacetName
 from geometry.topology import BoolArray, IntArray, sub_entities
-from thinlayer.discretisation.constraints import create_aij, local_csr
+from thinlayer.discretisation.constraints import local_csr
 from thinlayer.discretisation.full_model import LayerModel, why_not_alone
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
@@ -29,6 +27,7 @@ from thinlayer.discretisation.supports import Place
 from thinlayer.errors import SolveError
 from thinlayer.parts.part import TimeStep
 from thinlayer.solving.equations import Equations
+from thinlayer.solving.linear_solvers import SubmatrixFactor
 from thinlayer.solving.part_sum import FORCE_ROUNDING
 from thinlayer.system.compat import interpolation_points
 
@@ -126,8 +125,8 @@ class DirichletLayers:
         return State(**vars(end), model=self.model, report=Report("layers", 0, 0.0, 0.0))
 
     @cached_property
-    def _dirichlet_factor(self) -> _SubmatrixFactor:
-        return _SubmatrixFactor(self.K, self._inner, symmetric=self.model.symmetric)
+    def _dirichlet_factor(self) -> SubmatrixFactor:
+        return SubmatrixFactor(self.K, self._inner, symmetric=self.model.symmetric)
 
     def dirichlet_displacements(self, v: Array, load: Array, side_displacements: Array) -> Array:
         """Return the n unknowns of the linearised layers in equilibrium, for given displacements of their faces.
@@ -159,7 +158,7 @@ class DirichletLayers:
         w = self.dirichlet_displacements(v, self.load, self.side_u)
         return self._solve_newton(w, np.zeros(len(v)), lambda: self._dirichlet_factor)
 
-    def _solve_newton(self, w: Array, forces: Array, get_factor: Callable[[], _SubmatrixFactor]) -> Array:
+    def _solve_newton(self, w: Array, forces: Array, get_factor: Callable[[], SubmatrixFactor]) -> Array:
         """Solve by Newton's method for the unknowns (n,) at which the residual equals given forces.
 
         Args:
@@ -261,8 +260,8 @@ class LayerSubproblem(DirichletLayers):
         self.R, self._pins = self._free_motions(self.free_faces | self._inner)
 
     @cached_property
-    def _neumann_factor(self) -> _SubmatrixFactor:
-        return _SubmatrixFactor(self.K, (self.free_faces | self._inner) & ~self._pins, symmetric=self.model.symmetric)
+    def _neumann_factor(self) -> SubmatrixFactor:
+        return SubmatrixFactor(self.K, (self.free_faces | self._inner) & ~self._pins, symmetric=self.model.symmetric)
 
     def work_shares(self, w: Array, z: Array) -> Array:
         """Return the work of the stresses in virtual displacements, minus that of the loads, divided among all nodes.
@@ -398,39 +397,6 @@ class LayerSubproblem(DirichletLayers):
         if (np.diff(work) < -NEWTON_TOLERANCE * np.abs(work).max()).any():
             raise SolveError("the energy of the layer is not convex")
         return float(work[:-1].mean()), float(work[1:].mean())
-
-
-class _SubmatrixFactor:
-    """Factor of the submatrix of `K` in the rows and columns that the mask `mask` selects."""
-
-    def __init__(self, K: scipy.sparse.csr_matrix, mask: BoolArray, *, symmetric: bool) -> None:
-        self._mask, self._symmetric = mask, symmetric
-        A = create_aij(K[mask][:, mask].sorted_indices(), MPI.COMM_SELF)
-        A.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
-        self._ksp = PETSc.KSP().create(MPI.COMM_SELF)
-        self._ksp.setOperators(A)
-        self._ksp.setType("preonly")
-        self._ksp.getPC().setType("cholesky" if symmetric else "lu")
-        self._ksp.getPC().setFactorSolverType("mumps")
-        self._x, self._b = A.createVecs()
-
-    @property
-    def negative_pivots(self) -> int:
-        """Number of negative eigenvalues of the submatrix; 0 if it is not symmetric."""
-        return int(self._ksp.getPC().getFactorMatrix().getMumpsInfog(12)) if self._symmetric and self._mask.any() else 0
-
-    def solve(self, b: Array, out: Array) -> float:
-        """Solve for the selected rows of the right-hand side `b` (n,), and write the solution into those of `out` (n,).
-
-        Returns:
-            Product of the solution and the right-hand side: for forces `b`, their work.
-        """
-        if not self._mask.any():
-            return 0.0
-        self._b.array[:] = b[self._mask]
-        self._ksp.solve(self._b, self._x)
-        out[self._mask] = self._x.array_r
-        return float(self._b.dot(self._x))
 
 
 def line_search_fraction(decrease_rate: Callable[[float], float], initial: float) -> float:

@@ -13,10 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 
+import numpy as np
 from petsc4py import PETSc
+from scipy.sparse import csr_matrix
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.work import Term
+from geometry.topology import BoolArray
+from thinlayer.discretisation.constraints import create_aij
 from thinlayer.discretisation.model import Model
 from thinlayer.parts.part import DISPLACEMENT_KEY, FieldPart, Part
 from thinlayer.parts.pressure_part import PressurePart
@@ -208,6 +212,42 @@ class Factor:
         """Free the linear solver and its factor."""
         destroy(self.ksp, self._baij_copy)
         self.ksp = self.matrix_key = self._baij_copy = None
+
+
+class SubmatrixFactor:
+    """MUMPS's factor of the rows and columns of a matrix that a mask selects, by default of all, on one rank."""
+
+    def __init__(self, K: csr_matrix, mask: BoolArray | None = None, *, symmetric: bool = False) -> None:
+        self._mask, self._symmetric = np.ones(K.shape[0], bool) if mask is None else mask, symmetric
+        A = create_aij(K[self._mask][:, self._mask].sorted_indices(), PETSc.COMM_SELF)
+        A.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
+        self._ksp = PETSc.KSP().create(PETSc.COMM_SELF)
+        self._ksp.setOperators(A)
+        self._ksp.setType("preonly")
+        pc = self._ksp.getPC()
+        pc.setType("cholesky" if symmetric else "lu")
+        pc.setFactorSolverType("mumps")
+        pc.setFactorSetUpSolverType()
+        pc.getFactorMatrix().setMumpsIcntl(14, 100)  # as in `DIRECT_OPTIONS`: spare memory in per cent
+        self._x, self._b = A.createVecs()
+
+    @property
+    def negative_pivots(self) -> int:
+        """Number of negative eigenvalues of the submatrix; 0 if it is not symmetric."""
+        return int(self._ksp.getPC().getFactorMatrix().getMumpsInfog(12)) if self._symmetric and self._mask.any() else 0
+
+    def solve(self, b: Array, out: Array) -> float:
+        """Solve for the selected rows of the right-hand side `b` (n,), and write the solution into those of `out` (n,).
+
+        Returns:
+            Product of the solution and the right-hand side: for forces `b`, their work.
+        """
+        if not self._mask.any():
+            return 0.0
+        self._b.array[:] = b[self._mask]
+        self._ksp.solve(self._b, self._x)
+        out[self._mask] = self._x.array_r
+        return float(self._b.dot(self._x))
 
 
 class SharedMatrices:

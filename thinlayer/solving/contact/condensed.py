@@ -14,19 +14,17 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse
-from petsc4py import PETSc
 
 from forms.base import Array
 from geometry.topology import IntArray, curve_order
-from thinlayer.discretisation.constraints import create_aij
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.solving.contact.condensation import Condensation
 from thinlayer.solving.contact.contact_solver import ContactSolver
 from thinlayer.solving.contact.pairs import ContactPairs
 from thinlayer.solving.equations import Equations
+from thinlayer.solving.linear_solvers import SubmatrixFactor
 from thinlayer.solving.part_sum import ACCEPTED_RESIDUAL, MACHINE_EPSILON, MIN_DIVISOR
-from thinlayer.system.ranks import destroy
 
 NEWTON_TOLERANCE = 1e-11  # residual at which Newton's method stops, relative to the forces
 COARSE_TOLERANCE = 1e-3  # residual at which it stops in coarser systems
@@ -41,7 +39,7 @@ MAX_NEWTON_STEPS = 30
 LONG_STEP_RATIO = 1e5  # a long step over the initial displacements, as for a body without supports
 MAX_LONG_STEPS = 4  # largest number of successive long steps
 MAX_LENGTH_TRIALS = 12  # largest number of trials of a line search
-LINE_SEARCH_WORK_RATIO = 0.1  # work along a step at its end over that at its beginning, at which a search ends
+LINE_SEARCH_WORK_RATIO = 0.1  # work along a step at its end over that at its beginning, above which it is shortened
 
 
 class CondensedContact(ContactSolver):
@@ -106,7 +104,7 @@ class CondensedContact(ContactSolver):
             raise SolveError(text, residuals=residuals)
         return len(residuals) - 1, residual
 
-    def _relative_norm(self, r: Array, forces: Array, u: Array) -> float:
+    def _relative_norm(self, r: Array, forces: Array) -> float:
         """Return the largest ratio of a residual's norm to the reference force, over the blocks of unknowns.
 
         The reference forces and the blocks are those of `ForceScale`.
@@ -227,25 +225,12 @@ class CondensedSystem:
                 return np.linalg.solve(A + springs.toarray(), b)
             except np.linalg.LinAlgError:
                 return np.full(len(b), np.nan)
-        csr = (A + springs).tocsr()
-        csr.sort_indices()
-        matrix = create_aij(csr, PETSc.COMM_SELF)
-        pc = PETSc.PC().create(PETSc.COMM_SELF)
-        pc.setOperators(matrix)
-        pc.setType("lu")
-        pc.setFactorSolverType("mumps")  # unlike SuperLU it makes use of the dense blocks of bodies
-        pc.setFactorSetUpSolverType()
-        pc.getFactorMatrix().setMumpsIcntl(14, 100)  # as in `DIRECT_OPTIONS`: spare memory in per cent
-        x, rhs = matrix.createVecs()
-        rhs.array = b
-        pc.setUp()
-        pc.apply(rhs, x)
-        out = x.array_r.copy()
-        destroy(pc, matrix, x, rhs)
-        return np.asarray(out)
+        x = np.empty(len(b))
+        SubmatrixFactor((A + springs).tocsr()).solve(b, x)  # unlike SuperLU it makes use of the dense blocks of bodies
+        return x
 
     def newton(
-        self, u: Array, g: Array, norm_of: Callable[[Array, Array, Array], float], tolerance: float = NEWTON_TOLERANCE
+        self, u: Array, g: Array, norm_of: Callable[[Array, Array], float], tolerance: float = NEWTON_TOLERANCE
     ) -> tuple[Array, tuple[float, ...]]:
         """Solve the condensed contact problem by Newton's method, at n nodes in d dimensions.
 
@@ -265,7 +250,7 @@ class CondensedSystem:
         residuals, pairs, long_steps, limit = list[float](), self.pairs, 0, LONG_STEP_RATIO * np.abs(u).max(initial=0.0)
         while True:
             forces = pairs.forces(pairs.jumps_with_gaps(u))
-            residuals.append(norm_of(self._stiffness @ u + forces - g, forces, u))
+            residuals.append(norm_of(self._stiffness @ u + forces - g, forces))
             if residuals[-1] <= tolerance or self._stalls(residuals, u, forces):
                 return u, tuple(residuals)
             if len(residuals) > MAX_NEWTON_STEPS or long_steps > MAX_LONG_STEPS or not math.isfinite(residuals[-1]):
@@ -294,8 +279,8 @@ class CondensedSystem:
     def _step_length(self, u: Array, step: Array, g: Array) -> float:
         """Return the factor, at most 1, by which a Newton step is shortened.
 
-        The work of the residual along the step is negative at its start. If it is clearly positive at its end, regula
-        falsi seeks a factor at which this work almost vanishes. Otherwise the factor is 1.
+        The work of the residual along the step is negative at its start. If it is clearly positive at its end, the
+        factor is one at which this work almost vanishes. Otherwise the factor is 1.
 
         Args:
             u: (n d,) displacements of n nodes in d dimensions before the step.
@@ -303,27 +288,18 @@ class CondensedSystem:
             g: (n d,) condensed loads.
         """
 
+        from scipy.optimize import brentq  # most problems need no line search
+
         def work(length: float) -> float:
             return float(step @ self._residual(u + length * step, g))
 
         start_work, end_work = work(0.0), work(1.0)
         if not (start_work < 0 and end_work > LINE_SEARCH_WORK_RATIO * abs(start_work)):
             return 1.0
-        low, high, low_work, high_work = 0.0, 1.0, start_work, end_work
-        for _ in range(MAX_LENGTH_TRIALS):
-            length = low - low_work * (high - low) / (high_work - low_work)
-            length = min(max(length, low + 0.1 * (high - low)), high - 0.1 * (high - low))
-            work_now = work(length)
-            if abs(work_now) <= LINE_SEARCH_WORK_RATIO * abs(start_work):
-                break
-            if work_now < 0:
-                low, low_work = length, work_now
-            else:
-                high, high_work = length, work_now
-        return length
+        return float(brentq(work, 0.0, 1.0, maxiter=MAX_LENGTH_TRIALS, disp=False))
 
 
-def _force_ratio(r: Array, forces: Array, u: Array) -> float:
+def _force_ratio(r: Array, forces: Array) -> float:
     return float(np.linalg.norm(r)) / max(float(np.linalg.norm(forces)), MIN_DIVISOR)
 
 
