@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial, reduce
 from operator import add
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 import numpy as np
 import ufl
@@ -95,13 +95,6 @@ def copy_without_caches(source: T, keep: Collection[str] = ()) -> T:
     return new
 
 
-class Freeable(Protocol):
-    """Matrices and their factors that a solver leaves to the next solver of the same family of models."""
-
-    def free(self) -> None:
-        """Free the matrices and factors."""
-
-
 @dataclass
 class ModelFamily:
     """Models that share mesh, space and matrices, and differ in the laws of their layers or in their loads.
@@ -110,25 +103,11 @@ class ModelFamily:
 
     Attributes:
         is_shared: whether a model was made from another one; if not, no matrices are stored for later solvers.
+        idle_matrices: the `SharedMatrices` that no solver has at present; None: there are none.
     """
 
     is_shared: bool = False
-    _idle_matrices: Freeable | None = None  # matrices that no solver has at present; they end with the last model
-
-    def take_matrices(self) -> Freeable | None:
-        """Return the stored matrices of an earlier solver and give them up; None if no matrices are stored."""
-        matrices, self._idle_matrices = self._idle_matrices, None
-        return matrices
-
-    def store_matrices(self, matrices: Freeable) -> None:
-        """Store the matrices of a solver for the next solver of the family, and free those stored before.
-
-        If no other model was made from this one, no next solver can come: then free the matrices at once.
-        """
-        unused = self._idle_matrices if self.is_shared else matrices
-        if unused is not None:
-            unused.free()
-        self._idle_matrices = matrices if self.is_shared else None
+    idle_matrices: Any = None
 
 
 class Model(ABC):

@@ -272,8 +272,8 @@ class SharedMatrices:
 
         A tangent with a nonzero pattern that does not suit this model is freed before.
         """
-        idle_matrices = model.family.take_matrices()
-        shared = idle_matrices if isinstance(idle_matrices, cls) else cls()
+        shared: SharedMatrices = model.family.idle_matrices or cls()
+        model.family.idle_matrices = None
         layer_kinds = [(name, type(s.law), s.thin_layer and s.thin_layer.order) for name, s in model.layers.items()]
         pattern_key = layer_kinds, [(p.key, type(p.law), p.law.traits, len(p.law.sublayers)) for p in model.layer_terms]
         if pattern_key != shared._pattern_key:
@@ -284,10 +284,17 @@ class SharedMatrices:
         return shared
 
     def release(self, model: Model) -> None:
-        """Leave the matrices to the next solver of `model`, or of a similar model in its `ModelFamily`."""
+        """Leave the matrices to the next solver of `model`, or of a similar model in its `ModelFamily`.
+
+        If no other model was made from this one, no next solver can come: then free the matrices at once.
+        """
         for part in self.bodies:
             vars(part).pop("interval", None)  # its state refers to a model of the family
-        model.family.store_matrices(self)
+        family = model.family
+        unused = family.idle_matrices if family.is_shared else self
+        if unused is not None:
+            unused.free()
+        family.idle_matrices = self if family.is_shared else None
 
     def free(self) -> None:
         """Free the tangent and its factor."""
