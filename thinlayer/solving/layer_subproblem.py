@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 
 import numpy as np
@@ -31,7 +31,6 @@ from thinlayer.solving.linear_solvers import SubmatrixFactor
 from thinlayer.solving.part_sum import FORCE_ROUNDING
 from thinlayer.system.compat import interpolation_points
 
-VertexNumbers = tuple[int, ...]
 MAX_NEWTON_STEPS = 100  # largest number of Newton steps
 MESH_ADVICE = "mesh the layer (structure.full), in smaller steps of time if it slips or opens far"
 NEWTON_TOLERANCE = 1e-9  # relative change by a Newton step, in the energy norm, at which Newton's method stops
@@ -431,29 +430,22 @@ def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntAr
     """
     joint, band, d = layers.joint, layers.domain.joint, interface.joint.dim
     body_cells, layer_cells = _local_cells(interface, joint), _local_cells(layers, band)
-    face_nodes: dict[tuple[VertexNumbers, int, VertexNumbers], int] = {}
+    pairs = [np.empty((0, 2), np.int64)]
     for number, seam in enumerate(joint.seams):
-        facets = np.sort(joint.surface[joint.seam_numbers == number][:, : joint.table.vertices.shape[1]], axis=1)
+        in_seam = joint.seam_numbers == number
+        rows, cells_of_sides = joint.surface_rows[in_seam], joint.surface_cells[in_seam].T
         face_names = [str(FacetName(seam, face)) if len(joint.seams) > 1 else face for face in (LOWER_FACE, UPPER_FACE)]
-        for side, name in enumerate(face_names):
-            faces = band.facets.get(name, facets[:0])
-            for facet, face, row in zip(facets, faces, band.table.index(faces), strict=False):
-                vertex_of = dict(zip(face, facet, strict=True))
-                cell, local_facet = band.table.cells[row, 0], band.table.local[row, 0]
-                for node, vertices in _facet_nodes(layers, layer_cells, band, cell, local_facet):
-                    face_nodes[tuple(facet), side, tuple(sorted(vertex_of[v] for v in vertices))] = node
-    n_owned, face_node_of = interface.V.dofmap.index_map.size_local, {}
-    for row, cells in zip(joint.surface_rows, joint.surface_cells, strict=True):
-        facet = tuple(np.sort(joint.table.vertices[row]))
-        for side, cell in enumerate(cells):
-            if cell >= 0:
-                local_facet = joint.table.local[row][list(joint.table.cells[row]).index(cell)]
-                for node, vertices in _facet_nodes(interface, body_cells, joint, cell, local_facet):
-                    key = facet, side, tuple(sorted(vertices))
-                    if node < n_owned and key in face_nodes:
-                        face_node_of[node] = face_nodes[key]
-    node_pairs = np.array([*face_node_of.items()], np.int64).reshape(-1, 2)
-    body_dofs, face_dofs = (node_pairs.T[..., None] * d + np.arange(d)).reshape(2, -1)
+        for cells, name in zip(cells_of_sides, face_names, strict=True):
+            is_here = (cells >= 0) & (body_cells[cells] >= 0) & (name in band.facets)
+            faces = band.table.index(band.facets[name])[is_here] if is_here.any() else np.empty(0, np.int64)
+            body_nodes, body_x = _facet_nodes(interface, body_cells, joint, rows[is_here], cells[is_here], joint.points)
+            nodes, x = _facet_nodes(layers, layer_cells, band, faces, band.table.cells[faces, 0], band.reference)
+            nearest = np.linalg.norm(body_x[:, :, None] - x[:, None], axis=3).argmin(axis=2)
+            pairs.append(np.stack([body_nodes, np.take_along_axis(nodes, nearest, axis=1)], axis=2).reshape(-1, 2))
+    node_pairs = np.concatenate(pairs)
+    node_pairs = node_pairs[node_pairs[:, 0] < interface.V.dofmap.index_map.size_local]
+    _, first_rows = np.unique(node_pairs[:, 0], return_index=True)
+    body_dofs, face_dofs = (node_pairs[first_rows].T[..., None] * d + np.arange(d)).reshape(2, -1)
     return body_dofs, face_dofs
 
 
@@ -465,23 +457,33 @@ def _local_cells(model: Model, joint: Joint) -> IntArray:
     return out
 
 
-def _facet_nodes(model: Model, cells: IntArray, joint: Joint, cell: int, facet: int) -> Iterator[tuple[int, IntArray]]:
-    """Yield the nodes on a facet of a cell, as pairs (number of a node, numbers of vertices).
-
-    The vertices are those of the vertex, edge or face of the cell to which the node belongs, as numbered in the joint.
+def _facet_nodes(
+    model: Model, local_cells: IntArray, joint: Joint, facets: IntArray, cells: IntArray, points: Array
+) -> tuple[IntArray, Array]:
+    """Return the nodes (n, k) on n facets of cells, and the places (n, k, d) amid whose vertices they are.
 
     Args:
-        model: the model with the nodes.
-        cells: (n_cells,) local number in the model's mesh of each cell of the joint, see `_local_cells`.
-        joint: the joint.
-        cell: number of the cell in the joint. If it is not on this rank, nothing is yielded.
-        facet: number of the facet within the cell.
+        model: the model.
+        local_cells: (n_cells,) local number in the model's mesh of each cell of the joint, see `_local_cells`.
+        joint: the joint of the model.
+        facets: (n,) numbers of the facets in the joint's table.
+        cells: (n,) numbers of cells of the joint on this rank, one beside each facet.
+        points: (n_points, d) coordinates of the joint's points.
     """
-    if cells[cell] < 0:
-        return
-    cell_nodes, layout = model.V.dofmap.cell_dofs(cells[cell]), model.V.dofmap.dof_layout
-    sub_entity = sub_entities(joint.cell_type)
-    for dim in range(joint.dim):
-        for entity in sub_entity[joint.dim - 1][facet][dim]:
-            for node in layout.entity_dofs(dim, int(entity)):
-                yield int(cell_nodes[node]), joint.corners[cell][sub_entity[dim][entity][0]]
+    layout, is_cell = model.V.dofmap.dof_layout, joint.table.cells[facets] == cells[:, None]
+    local_facets = joint.table.local[facets, is_cell.argmax(axis=1)]
+    closures = [layout.entity_closure_dofs(joint.dim - 1, k) for k in range(len(sub_entities(joint.cell_type)[-2]))]
+    chosen = np.array(closures)[local_facets]
+    x = vertex_shares(model) @ points[joint.corners[cells]]
+    nodes = np.asarray(model.V.dofmap.list, np.int64)[local_cells[cells][:, None], chosen]
+    return nodes, np.take_along_axis(x, chosen[..., None], axis=1)
+
+
+def vertex_shares(model: Model) -> Array:
+    """Return the shares (k, m) of a cell's m corners in its k nodes: a node belongs to the vertices of its entity."""
+    layout, entities = model.V.dofmap.dof_layout, sub_entities(model.joint.cell_type)
+    shares = np.zeros((layout.num_dofs, len(entities[0])))
+    for dim, of_dim in enumerate(entities):
+        for entity, (vertices, *_) in enumerate(of_dim):
+            shares[np.ix_(layout.entity_dofs(dim, entity), vertices)] = 1 / len(vertices)
+    return shares
