@@ -112,6 +112,12 @@ class SurfaceMesh:
         seams: (n,) name of each facet's seam.
         points: (q, d - 1) quadrature points in the reference facet.
         shapes: (q, k) values at these points of the degree-1 shape functions of the corners.
+        node_numbers: (m,) numbers that identify the m nodes of S, those of `Joint.pairs`. A node is a vertex of S
+            together with a seam and the two bodies that the seam joins there. So a vertex where seams or bodies meet
+            has several nodes. In 2D nodes are ordered along S, piece after piece; in 3D by coordinates.
+        vertices: (m,) numbers in the joint of the vertices at which the nodes lie. Where periodic sides identify
+            several vertices, it is the number of the first of them.
+        nodes: (n, k) positions, in the array `node_numbers`, of the nodes at the k corners of each facet.
 
     Raises:
         InputError: `model` is no model, or the seam is unknown.
@@ -131,6 +137,7 @@ class SurfaceMesh:
         self.corners = joint.surface[self.rows, : joint.table.vertices.shape[1]]
         self.seams = np.array(list(joint.seams))[joint.seam_numbers[self.rows]]
         self.faces = joint.faces()[:, self.rows]
+        self.node_numbers, self.vertices, self.nodes = self._number_nodes()
         self._rules: dict[int, FacetPoints] = {}
         self.quadrature = self.rule(2 * (model.structure.degree + joint.degree - 1) + model.kinematics.factor_degree)
         self.x, self.n, self.weights = self.quadrature.x, self.quadrature.n, self.quadrature.weights
@@ -359,9 +366,8 @@ class SurfaceMesh:
         return np.einsum("fqij,jfq->ifq", axes, values)
 
     # ---------------------------------------------------------------- nodes
-    @cached_property
-    def _node_numbering(self) -> tuple[IntArray, IntArray, IntArray]:
-        """The arrays `node_numbers`, `vertices` and `nodes`, which the properties of these names return."""
+    def _number_nodes(self) -> tuple[IntArray, IntArray, IntArray]:
+        """Return the arrays `node_numbers`, `vertices` and `nodes`."""
         table_vertices = self.joint.table.vertices[self.joint.surface_rows[self.rows]]
         positions = (table_vertices[:, None] == self.corners[..., None]).argmax(axis=2)
         corner_numbers = np.take_along_axis(self.joint.pairs[self.rows], positions, axis=1)
@@ -372,32 +378,9 @@ class SurfaceMesh:
         return numbers[order], vertices[order], np.argsort(order)[nodes]
 
     @property
-    def node_numbers(self) -> IntArray:
-        """Numbers (m,) that identify the m nodes of S.
-
-        A node is a vertex of S together with a seam and the two bodies that the seam joins there. So a vertex where
-        seams or bodies meet has several nodes. The numbers are those of `Joint.pairs`. In 2D nodes are ordered along S,
-        piece after piece; in 3D by coordinates.
-        """
-        return self._node_numbering[0]
-
-    @property
     def places(self) -> Array:
         """Coordinates (m, d) of the m nodes of S in d dimensions."""
         return self.joint.points[self.vertices]
-
-    @property
-    def vertices(self) -> IntArray:
-        """Numbers (m,) in the joint of the vertices at which the m nodes lie.
-
-        Where periodic sides identify several vertices, it is the number of the first of them.
-        """
-        return self._node_numbering[1]
-
-    @property
-    def nodes(self) -> IntArray:
-        """Positions (n, k), in the array `node_numbers`, of the nodes at the k corners of each of n facets."""
-        return self._node_numbering[2]
 
     def positions_of(self, numbers: IntArray) -> IntArray:
         """Return the positions, in this mesh's array `node_numbers`, of the given node numbers.
