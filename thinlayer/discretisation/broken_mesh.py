@@ -27,7 +27,7 @@ from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.form_compilation import law_with_expressions
 from thinlayer.discretisation.layer import InitialTangents, ThinLayer, law_of_terms, law_with_numbers
 from thinlayer.discretisation.mesh_functions import Element, SharedDofs, broken_space
-from thinlayer.system.compat import interior_facet_entities, interpolate
+from thinlayer.system.compat import integration_entities, interpolate
 from thinlayer.system.ranks import communicator, errors_on_all
 
 UpperSideRule = int | set[int] | frozenset[int] | Sequence[float] | None
@@ -272,7 +272,8 @@ class BrokenMesh:
         if n_without_ghosts := self.comm.allreduce(np.count_nonzero(cell_counts[inner] < 2)):
             remedy = "create it, or a partitioner, with ghost_mode=dolfinx.mesh.GhostMode.shared_facet"
             raise InputError(f"the mesh has no ghost cells across {n_without_ghosts} facets between ranks; {remedy}")
-        entities, to_facets = interior_facet_entities(self.mesh, inner), topology.connectivity(self._dim, self._dim - 1)
+        entities = integration_entities("interior_facet", self.mesh, inner)
+        to_facets = topology.connectivity(self._dim, self._dim - 1)
         facets = to_facets.array[to_facets.offsets[entities[:, 0]] + entities[:, 1]]
         border = self._body_of[entities[:, 0]] != self._body_of[entities[:, 2]]
         cut = np.isin(facets, facets_of_S)
@@ -296,7 +297,7 @@ class BrokenMesh:
         Returns:
             Rows (n, 4): upper cell, number of the facet in this cell, lower cell, number of the facet in this cell.
         """
-        entities = interior_facet_entities(self.mesh, facets)
+        entities = integration_entities("interior_facet", self.mesh, facets)
         first_cells, second_cells = entities[:, 0], entities[:, 2]
         if upper is None:
             is_swapped = self._body_of[first_cells] < self._body_of[second_cells]

@@ -27,7 +27,7 @@ from thinlayer.discretisation.coefficient import Coordinates, LoadInput
 from thinlayer.discretisation.key import CONTACT_KIND, LAYER_KIND, Key
 from thinlayer.discretisation.prescribed_strains import EigenstrainContext, EigenstrainInput, prescribed_strain
 from thinlayer.errors import Violation
-from thinlayer.system.compat import exterior_facet_entities, interior_facet_entities
+from thinlayer.system.compat import integration_entities
 from thinlayer.system.fingerprint import describe
 
 if TYPE_CHECKING:
@@ -395,7 +395,7 @@ def seam_entities(domain: Domain, name: str) -> Indices:
     create_connectivity(mesh, joint.dim - 1)
     facets = domain.facets(name)
     facets = np.sort(facets[facets < mesh.topology.index_map(joint.dim - 1).size_local])
-    entities = interior_facet_entities(mesh, facets)
+    entities = integration_entities("interior_facet", mesh, facets)
     surface_indices = np.searchsorted(joint.surface_rows, domain.numbers(joint.dim - 1, facets))
     is_swapped = domain.original_cells[entities[:, 0]] != joint.surface_cells[surface_indices, 1]
     entities[is_swapped] = entities[is_swapped][:, [2, 3, 0, 1]]
@@ -413,7 +413,8 @@ def nodes_of_sides(model: Model, V: fem.FunctionSpace, name: str) -> tuple[IntAr
     """
     domain, mesh, d = model.domain, model.domain.mesh, model.joint.dim
     on_base, layout = name in model.joint.base_seams, V.dofmap.dof_layout
-    rows = exterior_facet_entities(mesh, np.sort(domain.facets(name))) if on_base else seam_entities(domain, name)
+    facets = np.sort(domain.facets(name))
+    rows = integration_entities("exterior_facet", mesh, facets) if on_base else seam_entities(domain, name)
     entities = rows.astype(np.int64)
     facet_nodes = np.array([layout.entity_closure_dofs(d - 1, k) for k in range(entities[:, 1::2].max(initial=0) + 1)])
     cell_vertices, nodes_by_side = mesh.topology.connectivity(d, 0).array.reshape(len(V.dofmap.list), -1), []

@@ -45,51 +45,26 @@ def space_with_dofmap(V: fem.FunctionSpace, dofs: IntArray, imap: IndexMap) -> f
     return fem.FunctionSpace(V.mesh, V.ufl_element(), cpp_space)
 
 
-def interior_facet_entities(mesh: Mesh, facets: IntArray) -> IntArray:
-    """Return what DOLFINx needs to integrate over interior facets: the cells of each facet, and its number in them.
+def integration_entities(integral_type: str, mesh: Mesh, entities: IntArray) -> IntArray:
+    """Return what DOLFINx needs to integrate over cells or facets.
 
-    Facets with only one cell on this rank are left out.
-
-    Args:
-        mesh: the mesh.
-        facets: numbers of the facets on this rank.
-
-    Returns:
-        (n, 4) for each facet a cell, the number of the facet among the facets of this cell, and both for the other
-        cell.
-    """
-    return _entities("interior_facet", mesh, facets).reshape(-1, 4)
-
-
-def exterior_facet_entities(mesh: Mesh, facets: IntArray) -> IntArray:
-    """Return what DOLFINx needs to integrate over facets on the boundary: the cell of each facet, and its number in it.
-
-    Args:
-        mesh: the mesh.
-        facets: numbers of the facets on this rank.
-
-    Returns:
-        (n, 2) for each facet its cell, and the number of the facet among the facets of this cell.
-    """
-    return _entities("exterior_facet", mesh, facets).reshape(-1, 2)
-
-
-def _entities(integral_type: str, mesh: Mesh, entities: IntArray) -> IntArray:
-    """Return integration entities of cells or facets in one flat array, as `compute_integration_domains` of DOLFINx.
-
-    Cells and facets of other ranks are left out. A cell gives its number. A facet gives, for each of its cells, the
-    cell and the facet's number in it.
+    Cells and facets of other ranks are left out, and interior facets with only one cell on this rank.
 
     Args:
         integral_type: type of integral, "cell", "exterior_facet" or "interior_facet".
         mesh: the mesh.
         entities: numbers of the cells or facets on this rank.
+
+    Returns:
+        (n, 1) numbers of n cells; (n, 2) for each of n facets on the boundary its cell, and the number of the facet
+        among the facets of this cell; (n, 4) for each of n interior facets both for one and then for the other cell.
     """
     dim = mesh.topology.dim - (integral_type != "cell")
     create_connectivity(mesh, dim)
     arguments = getattr(fem.IntegralType, integral_type), getattr(mesh.topology, "_cpp_object", mesh.topology), entities
     compute = cpp.fem.compute_integration_domains
-    return np.array(call_first_accepted(lambda: compute(*arguments), lambda: compute(*arguments, dim)), dtype=np.int32)
+    flat = call_first_accepted(lambda: compute(*arguments), lambda: compute(*arguments, dim))
+    return np.array(flat, np.int32).reshape(-1, {"cell": 1, "exterior_facet": 2, "interior_facet": 4}[integral_type])
 
 
 def integrals_by_domain(form: ufl.Form) -> dict[tuple[str, int, Tags], list[ufl.Integral]]:
@@ -135,7 +110,8 @@ def compiled(form: ufl.Form, maps: EntityMaps | None = None) -> fem.Form:
         if not isinstance(ids, str):
             tags = np.atleast_1d(ids)
             if hasattr(data, "indices"):
-                flat = _entities(integral_type, form.ufl_domain().ufl_cargo(), data.indices[np.isin(data.values, tags)])
+                tagged = data.indices[np.isin(data.values, tags)]
+                flat: IntArray = integration_entities(integral_type, form.ufl_domain().ufl_cargo(), tagged).ravel()
             else:
                 entity_arrays = [np.asarray(rows, np.int32).ravel() for tag, rows in data if tag in tags]
                 flat = np.concatenate([np.empty(0, np.int32), *entity_arrays])
