@@ -124,16 +124,10 @@ class NodePairs:
 
     def shared(self) -> IntArray:
         """Return the local numbers of this rank's nodes that are lower nodes in pairs of other ranks. Collective."""
-        if self.lower_matrix is None:
-            return np.empty(0, np.int64)
-        ones, counts = self.lower_matrix.createVecLeft(), self.new_vector()
-        ones.set(1.0)
-        self.lower_matrix.multTranspose(ones, counts)
-        local = self.lower_nodes - self._first_node
-        local_count = np.bincount(local[(local >= 0) & (local < self._n_owned_nodes)], minlength=self._n_owned_nodes)
-        nodes = np.flatnonzero(counts.array_r[:: self.dim] > local_count + 0.5)
-        destroy(ones, counts)
-        return nodes
+        lower = self.lower_nodes[self.lower_nodes >= 0]
+        owners = np.searchsorted(self.comm.allgather(self._first_node), lower, "right") - 1
+        foreign = owners != self.comm.rank
+        return np.unique(send(self.comm, owners[foreign], lower[foreign])) - self._first_node
 
     # ---------------------------------------------------------------- displacements, jumps and forces
     def new_vector(self) -> PETSc.Vec:

@@ -16,7 +16,7 @@ from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place_text as at_place
 from geometry.refusals import require_known
-from geometry.topology import Indices, IntArray, sum_by_number
+from geometry.topology import Indices, IntArray, lagrange, sum_by_number
 from thinlayer.discretisation.boundary import refuse_periodic
 from thinlayer.discretisation.coefficient import Coordinates, LoadInput
 from thinlayer.discretisation.mesh_functions import cellwise_function
@@ -48,15 +48,11 @@ class LoadPlaces:
             joint: the joint, with the type and degree of the cells.
             cell_points: (n_cells, m, d) coordinates of the m nodes of each cell of the joint.
         """
-        cell_type = basix.CellType[joint.cell_type]
-        element = basix.create_element(basix.ElementFamily.P, cell_type, joint.degree, basix.LagrangeVariant.equispaced)
-        places, vectors = np.zeros_like(self.reference_points), np.zeros_like(self.reference_points)
-        for row, cell in enumerate(self.cells):
-            basis_values = element.tabulate(1, self.reference_points[row])[..., 0]
-            places[row] = basis_values[0] @ cell_points[cell]
-            if self.length_vectors is not None:
-                vectors[row] = np.einsum("jkn,ni,kj->ki", basis_values[1:], cell_points[cell], self.length_vectors[row])
-        return places, vectors
+        n, k, d = self.reference_points.shape
+        table = lagrange(joint.cell_type, joint.degree).tabulate(1, self.reference_points.reshape(-1, d))
+        table, nodes = table.reshape(d + 1, n, k, -1), cell_points[self.cells]
+        vectors = np.zeros((n, k, d)) if self.length_vectors is None else self.length_vectors
+        return table[0] @ nodes, np.einsum("jnkm,nmi,nkj->nki", table[1:], nodes, vectors)
 
 
 @dataclass(frozen=True)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import ufl
 from dolfinx import fem
 
 from geometry.seam import S
-from thinlayer.discretisation.form_compilation import unit_values
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.running.case import DescribedCase
 from thinlayer.running.materials import Materials
+from thinlayer.surface.surface_mesh import surface_of
+from thinlayer.system.compat import compiled
 
 
 def summarise(case: DescribedCase) -> str:
@@ -63,12 +63,10 @@ def _measures(model: InterfaceModel) -> dict[str, float]:
 
     In plane models these are areas and lengths, in models of bodies of revolution those of the whole revolution.
     """
-    domains = {name: (model.kinematics.factor, model.dx(model.domain.region_tags(name))) for name in model.joint.bodies}
-    interfaces = {name: model.sides_of(name) for name in model.joint.seams}
-    domains |= {name: (interface.factor, interface.measure) for name, interface in interfaces.items()}
-    selector = fem.Constant(model.domain.mesh, np.zeros(len(domains)))
-    terms = (selector[k] * factor * measure for k, (factor, measure) in enumerate(domains.values()))
-    return dict(zip(domains, map(float, unit_values(model.comm, sum(terms, ufl.Form([])), selector)), strict=True))
+    density = fem.Constant(model.domain.mesh, 1.0) * model.kinematics.factor
+    forms = {name: compiled(density * model.dx(model.domain.region_tags(name))) for name in model.joint.bodies}
+    volumes = {name: float(model.comm.allreduce(fem.assemble_scalar(form))) for name, form in forms.items()}
+    return volumes | {name: surface_of(model, name).integral(1.0) for name in model.joint.seams}
 
 
 def _entries_text(table: Mapping[str, object]) -> str:
