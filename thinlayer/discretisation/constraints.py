@@ -133,7 +133,7 @@ class Constraints:
         self.Q = self._basis_matrix()
         T, Q = self._T0, self.Q
         self.T = Q or T if T is None or Q is None else T.matMult(Q)
-        if not self.comm.allreduce(int(prescribed.varies_mask.any()) + len(self._motions)):
+        if not (prescribed.varies or self.comm.allreduce(len(self._motions))):
             self._require_agreement(self._condition_values(0.0))
 
     # ---------------------------------------------------------------- slaves and masters

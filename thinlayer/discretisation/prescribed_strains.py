@@ -45,6 +45,7 @@ class MeanStrain:
 
     Attributes:
         size: largest extent of the periodic cell along an axis, a length.
+        expression: the prescribed tensor in UFL, (3, 3), a function of the time; components out of the plane are zero.
 
     Raises:
         InputError: the joint is not periodic; the value is not (d, d) finite numbers, not symmetric, or depends on the
@@ -58,6 +59,7 @@ class MeanStrain:
             raise InputError(f"{self.what} needs a periodic joint; see geometry.periodic")
         self._dim = d = joint.dim
         self._coefficient, self.size = at.coefficient(value, self.what, (d, d)).once("the whole cell"), joint.size
+        self.expression = three_dimensional(self._coefficient.expression)
         if not self._coefficient.varies:
             self.tensor_at(0.0)
 
@@ -70,11 +72,6 @@ class MeanStrain:
         strain = self._coefficient.at_time(t)
         require_symmetric(strain, f"{self.what} at t = {t:g}")
         return strain
-
-    @property
-    def expression(self) -> Expr:
-        """Prescribed tensor in UFL, (3, 3), a function of the time; components out of the plane are zero."""
-        return three_dimensional(self._coefficient.expression)
 
 
 class MeanStress(MeanStrain):
@@ -95,17 +92,13 @@ class MeanStress(MeanStrain):
 
     def __init__(self, value: MeanTensorInput, at: Coordinates, joint: Joint, bodies: Sequence[Term]) -> None:
         super().__init__(value, at, joint)
+        self.n_voigt = len(VOIGT_PAIRS_OF_DIM[joint.dim])
         assert joint.periods is not None  # as the base class requires
         if np.linalg.matrix_rank(joint.periods.vectors(joint.points)) < (d := joint.dim):
             raise InputError(f"a mean stress needs a joint periodic in {d} directions; load free sides by tractions")
         for p in bodies:
             if not p.is_proportional:
                 raise InputError(f"mean stress needs linear bodies without stress at rest, not {p.law!r}; give strain")
-
-    @property
-    def n_voigt(self) -> int:
-        """Number of independent components of the stress: 3 in two dimensions, 6 in three."""
-        return self._dim * (self._dim + 1) // 2
 
     def voigt_components(self, t: float) -> Array:
         """Return the components (k,) of the stress at the time t in Voigt's order.

@@ -17,7 +17,7 @@ from forms.kinematics import Kinematics
 from geometry.domain import Domain
 from geometry.refusals import require_known
 from geometry.seam import FacetName
-from geometry.topology import BoolArray, Indices
+from geometry.topology import Indices
 from thinlayer.discretisation.boundary import AXIS_NAMES, boundary_tags, group_facets, node_normals, nodes_on_axis
 from thinlayer.discretisation.coefficient import Coefficient, Coordinates, Value
 from thinlayer.system.compat import interpolate, interpolation_points
@@ -234,6 +234,7 @@ class SupportConditions:
         condition_nodes: (k,) local numbers of the nodes of the conditions.
         directions: (k, d) unit directions of the conditions.
         condition_rows: (k, size) sparse matrix of the conditions on the displacements of this rank.
+        varies: whether the value of a condition, on any rank, is a function of place or time.
     """
 
     def __init__(self, supports: Supports, V: fem.FunctionSpace) -> None:
@@ -243,6 +244,8 @@ class SupportConditions:
         self.extent = supports.domain.joint.size
         entries = ((k, place, axis) for k, (place, components) in enumerate(supports.entries) for axis in components)
         self._sources = [self._make_source(*entry) for entry in entries]
+        self.varies = any(source.expression is not None for source in self._sources)
+        self._has_nodal_dofs = bool(V.ufl_element().basix_element.interpolation_is_identity)
         if any(source.axis == NORMAL_COMPONENT for source in self._sources) and not self._has_nodal_dofs:
             raise InputError("supports along normals need nodal displacements, not elements S2; use Q2 or P2")
         self._find_conditions()
@@ -308,11 +311,6 @@ class SupportConditions:
         return conditions[:, 0].astype(int), conditions[:, 1].astype(int), conditions[:, 2:]
 
     # ---------------------------------------------------------------- values
-    @property
-    def varies_mask(self) -> BoolArray:
-        """Mask (k,) of those conditions whose value is a function of place or time."""
-        return np.array([*(source.expression is not None for source in self._sources), False])[self._source_indices]
-
     def values_at(self, t: float) -> Array:
         """Return the values (k,) of the k conditions at the time t, which may not be finite. Collective."""
         values = np.zeros(len(self.entry))
@@ -340,7 +338,3 @@ class SupportConditions:
             return None
         x = self.V.tabulate_dof_coordinates()[self.condition_nodes[row], : self.d]
         return np.where(np.abs(x) > RELATIVE_LENGTH_TOLERANCE * self.extent, x, 0.0)
-
-    @property
-    def _has_nodal_dofs(self) -> bool:
-        return bool(self.V.ufl_element().basix_element.interpolation_is_identity)

@@ -162,9 +162,9 @@ class Probe:
             (m, k) values of the polynomials; zero for cells that other ranks own or where other laws act.
         """
         fitted_values = np.zeros((len(located.entity), values.shape[1]))
-        row_of_cell = {int(entity): row for row, entity in enumerate(points.joint_entities)}
+        row_of_cell = {int(entity): row for row, entity in enumerate(points.quadrature.entity_numbers)}
         degree = self.state.model.structure.degree - (not is_tensor(self._joint.cell_type))
-        for pair in np.flatnonzero(np.isin(located.entity, points.joint_entities)):
+        for pair in np.flatnonzero(np.isin(located.entity, points.quadrature.entity_numbers)):
             cell = int(located.entity[pair])
             cell_points = points.quadrature.cells[row_of_cell[cell]]
             x = points.quadrature.x[cell_points]
@@ -210,7 +210,7 @@ class Probe:
         points, values = self._variables[key][name]
         quadrature = points.quadrature
         entity = np.empty(quadrature.count, np.int64)
-        entity[quadrature.cells] = points.joint_entities[:, None]
+        entity[quadrature.cells] = points.quadrature.entity_numbers[:, None]
         owned = (entity, quadrature.x, quadrature.weights, values)
         entity, x, weights, values = (np.concatenate(parts) for parts in zip(*self._comm.allgather(owned), strict=True))
         permutation = np.lexsort([np.argsort(place_order(x, self._joint.size)), entity])

@@ -66,9 +66,9 @@ def layer_points(surface: SurfaceMesh, state: State) -> Iterator[tuple[LawPoints
     facet_of_cell = _facets_of_cells(surface, state) if not state.model.broken else None
     for points in law_points(state):
         if points.quadrature.region.dim < joint.dim:
-            yield points, facet_of_row[points.joint_entities]
+            yield points, facet_of_row[points.quadrature.entity_numbers]
         elif points.term.n is not None and facet_of_cell is not None:
-            yield points, facet_of_cell[points.joint_entities]
+            yield points, facet_of_cell[points.quadrature.entity_numbers]
 
 
 def _add_interface_forces(corner_forces: Array, surface: SurfaceMesh, facets: IntArray, points: LawPoints) -> None:

@@ -32,10 +32,12 @@ class CompiledLaw:
             the point: 3 out of the plane for each sublayer in plane stress, and 3 across each sublayer of a stack.
         parameters: (n,) parameters of the first sublayer, then of the next ones; (points, n) if they vary in place or
             time.
+        varies: whether parameters vary in place or time, so that `set_parameters_at` must set them.
     """
 
     def __init__(self, comm: MPI.Intracomm, law: BulkLaw) -> None:
         self.law, self._current_law, self._kernels = law, law, compile_kernels(comm, law)
+        self.varies = law.traits.varies
         self._library = compile_library(C_SOURCE, comm)
         self._n_params = np.array([len(k.parameters) for k in self._kernels], np.int32)
         addresses, fractions = (np.array([getattr(k, name) for k in self._kernels]) for name in ("address", "fraction"))
@@ -61,11 +63,6 @@ class CompiledLaw:
         self._current_law = law
         if not law.traits.varies:
             self.parameters = np.concatenate(_parameters(law))
-
-    @property
-    def varies(self) -> bool:
-        """Whether parameters vary in place or time, so that `set_parameters_at` must set them."""
-        return self.law.traits.varies
 
     @property
     def sublayer_parameters(self) -> list[Array]:

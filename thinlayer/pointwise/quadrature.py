@@ -158,6 +158,7 @@ class Quadrature:
     Attributes:
         term: virtual work of the law, with its strain, weight and measure.
         region: submesh of the cells or facets of the measure.
+        dim: number d of dimensions.
         origin: relation of the mesh to the joint, the undistributed mesh from which it was made; None: there is no
             joint.
         comm: communicator of the ranks.
@@ -176,7 +177,7 @@ class Quadrature:
         metadata = dict(term.measure.metadata())
         degree = quadrature_degree(V, term.measure) + term.kinematics.factor_degree
         self.degree = metadata.setdefault("quadrature_degree", degree)
-        self.region = MeasureRegion(V.mesh, term.measure)
+        self.region, self.dim = MeasureRegion(V.mesh, term.measure), int(V.mesh.geometry.dim)
         self.comm = origin.comm if origin else communicator(V.mesh)
         self.measure = term.measure.reconstruct(metadata=metadata)
         self._spaces: dict[int, fem.FunctionSpace] = {}
@@ -191,11 +192,6 @@ class Quadrature:
         self.n, self.x = (integrals[:, components] / integrals[:, 3:4] for components in (slice(0, 3), slice(5, None)))
         if term.n is None:
             self.n[:] = np.nan
-
-    @property
-    def dim(self) -> int:
-        """Number d of dimensions."""
-        return int(self.region.parent_mesh.geometry.dim)
 
     @cached_property
     def mandel(self) -> list[int]:
@@ -270,7 +266,7 @@ class Quadrature:
         """
         return set_owned_values(fem.Function(self._space(())), values)
 
-    @property
+    @cached_property
     def entity_numbers(self) -> IntArray:
         """Numbers (cells,), in the joint, of the cells or facets of `region` that this rank owns."""
         assert self.origin is not None, "a mesh without a joint"

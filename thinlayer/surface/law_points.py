@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -16,7 +15,6 @@ from forms.law import BulkLaw, Law
 from forms.tensors import MANDEL_PAIRS, mandel_tensors, mandel_vector
 from forms.traits import VARIABLE_SIZES
 from forms.work import Term, stress
-from geometry.topology import IntArray
 from thinlayer.discretisation.key import Key
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
@@ -42,14 +40,6 @@ class LawPoints:
     term: Term
     quadrature: Quadrature
     key: str
-
-    @cached_property
-    def joint_entities(self) -> IntArray:
-        """Numbers of this rank's cells or facets that contain the points, in the joint (the undistributed mesh).
-
-        The number of a facet is its row in `Joint.table`.
-        """
-        return self.quadrature.entity_numbers
 
     def stress(self) -> Array:
         """Return the stresses (points, 3, 3), with the pressure of an incompressible law. Collective."""

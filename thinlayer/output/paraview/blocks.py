@@ -103,7 +103,7 @@ def _add_means(arrays: dict[str, Array], entity_ids: IntArray, points: LawPoints
     """
     for name, values in fields.items():
         means = points.quadrature.cell_means(values[:, *VTK_TENSOR_PAIRS] if values.ndim == 3 else values)
-        if pieces := points.state.model.comm.gather((points.joint_entities, means), root=0):
+        if pieces := points.state.model.comm.gather((points.quadrature.entity_numbers, means), root=0):
             entities, means = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
             rows = np.searchsorted(entity_ids, entities)
             sums = arrays.setdefault(name, np.full((len(entity_ids), *means.shape[1:]), np.nan))
