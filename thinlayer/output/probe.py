@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from forms.base import Array, InputError
+from forms.base import Array, InputError, require
 from geometry.refusals import place_text, refuse
 from geometry.seam import S
 from geometry.topology import IntArray, is_tensor, place_order
@@ -80,8 +80,7 @@ class Probe:
     """
 
     def __init__(self, state: State) -> None:
-        if not isinstance(state, State):
-            raise InputError(f"state is {state!r:.80}; give a state, as solve returns it, or history.at(t)")
+        require(isinstance(state, State), "state", state, "give a state, as solve returns it, or history.at(t)")
         self.state, self._joint, self._comm = state, state.model.domain.joint, state.model.comm
 
     # ---------------------------------------------------------------- at points in bodies and meshed layers

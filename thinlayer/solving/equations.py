@@ -418,22 +418,14 @@ class Equations(PartSum):
                     raise SolveError(f"what the solver returned is not an equilibrium: {text}", advice=advice)
 
     # ---------------------------------------------------------------- time
-    def check_data_at(self, times: list[float]) -> None:
-        """Raise InputError if data that vary in time are out of range at one of `times`.
-
-        These are loads, prescribed displacements and parameters of laws.
-        """
-        for t in times:
-            self._data_at(t)
-
     def is_linear_in_time(self, start: float, end: float) -> bool:
         """Whether loads, prescribed values and parameters of laws vary linearly in time from `start` to `end`.
 
         This is tested at a few times in between.
         """
-        start_data, end_data = self._data_at(start), self._data_at(end)
+        start_data, end_data = self.data_at(start), self.data_at(end)
         for fraction in SAMPLED_STEP_FRACTIONS:
-            mid_data = self._data_at(start + fraction * (end - start))
+            mid_data = self.data_at(start + fraction * (end - start))
             for a, b, c in zip(start_data, end_data, mid_data, strict=True):
                 error = self._max_abs((1 - fraction) * a + fraction * b - c)
                 if error > TIME_LINEARITY_TOLERANCE * self._max_abs(np.array([a, b, c])):
@@ -444,8 +436,8 @@ class Equations(PartSum):
         """Return the largest absolute value of all ranks' `values`; 0 if there are none."""
         return float(self.comm.allreduce(float(np.abs(values).max(initial=0.0)), max))
 
-    def _data_at(self, t: float) -> list[Array]:
-        """Return arrays of this rank with all data that vary in time, at time `t`.
+    def data_at(self, t: float) -> list[Array]:
+        """Return arrays of this rank with all data that vary in time, at time `t`; InputError if one is out of range.
 
         They are the loads, the prescribed displacements, integrals of prescribed strains, and parameters of laws.
         """

@@ -144,7 +144,8 @@ def march(
         targets = plan.targets(start, model.break_times if ends_at_breaks else ())
         on_path, first = plan.is_path or traits.softens, targets[0] - start if plan.first is None else plan.first
         plan.check_model(equations, theta, solver.get("method"))
-        equations.check_data_at([start, *targets])
+        for t in (start, *targets):
+            equations.data_at(t)  # raises errors of data that are out of range
         if not on_path:
             require_theta_suits(equations, theta, [start, *targets])
         identity = {"start": start, "theta": theta, "tolerance": plan.tolerance} | ({"first": first} if on_path else {})
@@ -203,8 +204,7 @@ def _check(model: Model, theta: float, keep: str, out: object, resume: Resume, o
         require(isinstance(name, str) and callable(function), f"observe[{name!r}]", function, OBSERVER_HINT)
         if name in {"dt", *column_getters(model)}:
             raise InputError(f"observe: column {name!r} exists already; give it another name")
-    if not 0.5 <= theta <= 1:
-        raise InputError(f"theta is {theta}; allowed: 1/2 (midpoint rule) to 1 (backward Euler)")
+    require(0.5 <= theta <= 1, "theta", theta, "allowed: 1/2 (midpoint rule) to 1 (backward Euler)")
     require(keep in ("all", "last"), "keep", keep, "allowed: 'all', 'last'")
     require_resume(resume)
     named = isinstance(out, (str, Path)) and str(out)

@@ -6,11 +6,10 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from numbers import Integral
 
 import numpy as np
 
-from forms.base import InputError, is_finite, is_number, require
+from forms.base import InputError, is_finite, is_integer, is_number, require
 from forms.temperature import real_values
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.equations import Equations
@@ -273,8 +272,7 @@ class ArcLength(Plan):
 
     def __post_init__(self) -> None:
         _require_numbers(self, "first", "smallest", "largest", signed=("end", "back"))
-        if not isinstance(self.steps, Integral) or isinstance(self.steps, bool) or self.steps < 1:
-            raise InputError(f"ArcLength: steps is {self.steps!r}; allowed: a whole number > 0")
+        require(is_integer(self.steps, 1), "ArcLength: steps", self.steps, "allowed: a whole number > 0")
         object.__setattr__(self, "steps", int(self.steps))
         if self.largest < self.smallest:
             raise InputError(f"ArcLength: largest is {self.largest:g}; allowed: >= smallest = {self.smallest:g}")
@@ -373,8 +371,7 @@ def _require_path_suits(equations: Equations, theta: float, method: str | None) 
     Raises:
         InputError: the path cannot be followed.
     """
-    if theta != 1:
-        raise InputError(f"theta is {theta}; forces on a path balance at t itself: theta = 1")
+    require(theta == 1, "theta", theta, "forces on a path balance at t itself: theta = 1")
     require(method in (None, "newton"), "method", method, "a path is followed by Newton's method")
     for part in equations.of_kind(PressurePart):
         for name in part.law_traits():
