@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,9 +14,6 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh, MeshTags, exterior_facet_indices
 from mpi4py import MPI
 from petsc4py import PETSc
-from ufl.algorithms import estimate_total_polynomial_degree
-from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
-from ufl.algorithms.apply_derivatives import apply_derivatives
 
 from forms.base import Array, InputError, require
 from forms.law import BulkLaw
@@ -31,7 +29,7 @@ from thinlayer.discretisation.layer import law_with_constants
 from thinlayer.discretisation.mesh_functions import cellwise_function
 from thinlayer.discretisation.time_functions import time_constants
 from thinlayer.pointwise.quadrature import MEASURE_NAMES, MeshOrigin, Quadrature, assemble_matrix
-from thinlayer.system.compat import compiled, integrals_by_domain, without_cycles
+from thinlayer.system.compat import compiled, integrals_by_domain
 from thinlayer.system.ranks import errors_on_all
 
 if TYPE_CHECKING:
@@ -65,9 +63,8 @@ def checked_user_form(form: ufl.Form, model: Model, what: str = "a form") -> ufl
         name, ids = MEASURE_NAMES.get(kind, kind), [*np.atleast_1d(np.array(integral.subdomain_id(), object))]
         if any(isinstance(tag, bool) for tag in ids):
             raise InputError(f"{what} integrates over {name}{(*ids,)}; tags are whole numbers")
-        if (
-            name == "dS" and ids == ["everywhere"] and integral.subdomain_data() is not None
-        ):  # whose sides are arbitrary
+        # the sides of such facets are arbitrary
+        if name == "dS" and ids == ["everywhere"] and integral.subdomain_data() is not None:
             raise InputError(f"{what} integrates over all inner facets; seams: {TAGS_TEXT_OF_MEASURE[name]}")
         data = form.subdomain_data()[integral.ufl_domain()][kind]
         present = model.comm.allgather({"everywhere", "otherwise"}.union(*(_tags(item, kind, model) for item in data)))
@@ -124,18 +121,12 @@ def zero_matrix(V: fem.FunctionSpace, form: Expr) -> PETSc.Mat:
 
 
 def compiled_functionals(form: Expr) -> list[fem.Form]:
-    """Return compiled forms that add up to a form without arguments, each with a single quadrature rule.
+    """Return compiled forms that add up to a form without arguments, one for each of its integrals.
 
     FFCx confuses the points of two quadrature rules if both are in the integrand of a form without arguments.
     """
-    if len(form.integrals()) == 1:  # estimating a degree takes as long as a signature
-        return [compiled(form)]
-    by_rule: dict[tuple[object, str], list[ufl.Integral]] = {}
-    for domain, integrals in integrals_by_domain(form).items():
-        for integral in integrals:
-            rule_key = f"{sorted(integral.metadata().items())} {_estimated_degree(integral)}"
-            by_rule.setdefault((domain, rule_key), []).append(integral)
-    return [compiled(ufl.Form(integrals)) for integrals in by_rule.values()]
+    integrals = chain.from_iterable(integrals_by_domain(form).values())
+    return [compiled(ufl.Form([integral])) for integral in integrals]
 
 
 def unit_values(comm: MPI.Intracomm, form: Expr, constant: fem.Constant) -> Array:
@@ -153,20 +144,6 @@ def unit_values(comm: MPI.Intracomm, form: Expr, constant: fem.Constant) -> Arra
         constant.value[:] = np.eye(len(values))[k]
         values[k] = comm.allreduce(sum(map(fem.assemble_scalar, forms)))
     return values
-
-
-@without_cycles()
-def _estimated_degree(integral: ufl.Integral) -> object:
-    """Return the quadrature degree that UFL estimates for an integral, or "" if its metadata have a degree.
-
-    If UFL cannot estimate it, return the integrand, so that the integral is compiled alone.
-    """
-    if "quadrature_degree" in integral.metadata():
-        return ""
-    try:
-        return estimate_total_polynomial_degree(apply_algebra_lowering(apply_derivatives(integral.integrand())))
-    except Exception:  # UFL may fail on a user's form: then each integrand is compiled alone
-        return integral.integrand()
 
 
 def mesh_origin(domain: Domain) -> MeshOrigin:

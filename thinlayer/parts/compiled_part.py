@@ -22,7 +22,7 @@ from thinlayer.discretisation.time_functions import TimeLevel
 from thinlayer.parts.part import Block, FileOrder, Part, PartTraits, Softening, StepOutcome, TimeStep
 from thinlayer.pointwise.column_term import ColumnTerm
 from thinlayer.pointwise.compiled_term import CompiledTerm, Response
-from thinlayer.pointwise.quadrature import MeshOrigin
+from thinlayer.pointwise.quadrature import MeshOrigin, add_integral_to_nodes
 from thinlayer.system.ranks import destroy
 
 ASYMMETRY_TOLERANCE = 1e-8  # skew part of a tangent, relative to its size, that still counts as rounding error
@@ -148,7 +148,10 @@ class CompiledPart(Part):
         return float(forces.norm()) if self._in_body else 0.0
 
     def add_work_in(self, z: fem.Function, out: PETSc.Vec) -> None:
-        self.points.add_to_nodes(np.einsum("pm,pm->p", self._response.stress, self.points.strain(z.x.petsc_vec)), out)
+        points = self.points
+        density = points.region_function((self._response.stress * points.strain(z.x.petsc_vec)).sum(axis=1))
+        weighted = points.region.plus_side(density) * points.term.weight
+        add_integral_to_nodes(weighted, z.function_space, points.measure, out, points.region.entity_maps)
 
     def tangents(self, relative_residual: float) -> list[Block]:
         """Return the tangent matrices at the displacements of the last call of `evaluate`.

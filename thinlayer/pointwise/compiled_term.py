@@ -17,7 +17,7 @@ from forms.tensors import MANDEL_BASIS, MANDEL_PAIRS, Expr, mandel_vector
 from forms.work import Term
 from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.compiled_law import CompiledLaw
-from thinlayer.pointwise.quadrature import MeshOrigin, Quadrature, add_integral_to_nodes, assemble_matrix
+from thinlayer.pointwise.quadrature import MeshOrigin, Quadrature, assemble_matrix
 from thinlayer.system.ranks import destroy, errors_on_all
 
 # size of a tangent below which underflow may have lost digits
@@ -248,14 +248,6 @@ class CompiledTerm(Quadrature):
         self.B.multTranspose(weighted, self._forces)
         weighted.destroy()
         return self._forces
-
-    def add_to_nodes(self, density: Array, out: PETSc.Vec) -> None:
-        """Add the integral of `density` (points,), given at the points, to the nodes of the vector `out`. Collective.
-
-        Shape functions distribute the integral. Each node gets its contribution in its first component.
-        """
-        weighted = self.region.plus_side(self.region_function(density)) * self.term.weight
-        add_integral_to_nodes(weighted, self._V, self.measure, out, self.region.entity_maps)
 
     def stiffness(self, tangent: Array, relative_residual: float = 0.0, into: PETSc.Mat | None = None) -> PETSc.Mat:
         """Return the tangent matrix int e(v) : tangent : e(du) for Newton's method. Collective.

@@ -151,8 +151,7 @@ class StepProblem(PartSum):
         Args:
             dt: length of the step, >= 0; 0: the loads change suddenly.
         """
-        if not dt >= 0:
-            raise InputError(f"the length of a step is {dt}; allowed: >= 0")
+        require(dt >= 0, "the length of a step", dt, "allowed: >= 0")
         self._interval = TimeStep(self.state, self.t + float(dt), float(dt), 1.0)
         self.begin_parts(self._interval)
 
@@ -208,7 +207,10 @@ class StepProblem(PartSum):
         self.scale.begin(0.0, self.comm.allreduce(float(np.abs(self._bc_values()).max(initial=0.0)), max), max_u)
         self.scale.update_stresses(max(self._force_norms))
         if self.residual_norms(self._forces) > self.scale.allowed_residual:
-            self.scale.update_stresses(max(*self._force_norms, self._form_force_norm()))
+            # forces of the form may be larger than their sum, as thermal stresses are that balance each other
+            tangent = TangentMatrix(self.comm, self._matrix.sizes).fill(self.parts[0].tangents(0.0))
+            form_force_norm = float((tangent * x).norm())
+            self.scale.update_stresses(max(*self._force_norms, form_force_norm))
         self.require_equilibrium(self._forces)
         if self.max_phase_gain > EXCESS_TOLERANCE:
             raise SolveError("columns of the layer must change phase: call switch() and solve until it returns False")
@@ -217,14 +219,6 @@ class StepProblem(PartSum):
             outcome = outcomes[key]
             self.energies[key] = np.array([outcome.after, old[1] + outcome.dissipated, old[2] + outcome.remainder])
         self._interval = None
-
-    def _form_force_norm(self) -> float:
-        """Return the norm of the form's tangent times the displacements u, as a measure of the forces in the form.
-
-        Their sum may be much smaller, as for nodal forces of thermal stresses, which balance each other.
-        """
-        tangent = TangentMatrix(self.comm, self._matrix.sizes).fill(self.parts[0].tangents(0.0))
-        return float((tangent * self._u.x.petsc_vec).norm())
 
     def switch(self) -> bool:
         """Change the phases of layers to those of lowest energy, facet by facet of S; return whether any changes.
