@@ -23,14 +23,7 @@ from thinlayer.parts.build_parts import body_parts, layer_parts, sum_diagonals_a
 from thinlayer.parts.compiled_part import SAMPLED_STEP_FRACTIONS
 from thinlayer.parts.part import DISPLACEMENT_KEY, Block, MeasuresError, TimeStep
 from thinlayer.solving.linear_solvers import MULTIGRID_PC_TYPES, SharedMatrices, orthonormalise, set_field_split
-from thinlayer.solving.part_sum import (
-    ForceScale,
-    PartSum,
-    PetscIndices,
-    TangentMatrix,
-    UnknownLayout,
-    augmented_in_place,
-)
+from thinlayer.solving.part_sum import ForceScale, PartSum, TangentMatrix, UnknownLayout, augmented_in_place
 from thinlayer.solving.reactions import RigidMotions, SupportReactions
 from thinlayer.system.ranks import destroy
 
@@ -55,7 +48,7 @@ class Equations(PartSum):
         loads: nodal forces of the loads in the balance of the step. With the fraction theta of `TimeStep`, they are
             theta times those at its end plus 1 - theta times those at its start.
         external: `loads` minus those forces of parts that do not depend on the unknowns.
-        bc_dofs: local numbers of the constrained unknowns of this rank.
+        bc_dofs, bc_rows: local numbers of the constrained unknowns of this rank, and their global numbers.
         prescribed: values of the unknowns `bc_dofs` at the end of the step.
         constraints: the constraints u = T y of the displacements.
         mean_stiffness: mean diagonal entry of the stiffness at rest: of K, and of those bodies that are not in K.
@@ -84,6 +77,7 @@ class Equations(PartSum):
         self._T = self._layout.extended_to_all_fields(self.constraints.T)
         self._reduced_tangent: PETSc.Mat | None = None
         self.bc_dofs = self._bc_dofs_and_values(None)[0].astype(np.int32)
+        self.bc_rows = self._layout.global_rows(self.bc_dofs)
         diag = sum_diagonals_at_rest(self.parts, self.u.x.petsc_vec.duplicate())
         self._rigid_motions = RigidMotions(model, float(diag.norm()))
         (self.block_of, self.nesting), self.last_body = self._rigid_motions.nested_blocks, [None, *matrices.bodies][-1]
@@ -127,11 +121,6 @@ class Equations(PartSum):
             bc_dofs, values = np.append(bc_dofs, offset + part_dofs), np.append(values, own_values)
             offset += self._layout.sizes[part.key]
         return bc_dofs, values
-
-    @property
-    def bc_rows(self) -> PetscIndices:
-        """Global numbers of this rank's constrained unknowns."""
-        return self._layout.global_rows(self.bc_dofs)
 
     @cached_property
     def K(self) -> PETSc.Mat:

@@ -21,17 +21,7 @@ from geometry.topology import Indices, IntArray
 from thinlayer.discretisation.constraints import local_csr
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import SolveError
-from thinlayer.parts.part import (
-    DISPLACEMENT_KEY,
-    Block,
-    FieldPart,
-    Memory,
-    Part,
-    PartTraits,
-    StepOutcome,
-    SwitchesPhases,
-    TimeStep,
-)
+from thinlayer.parts.part import Block, FieldPart, Memory, Part, PartTraits, StepOutcome, SwitchesPhases, TimeStep
 from thinlayer.pointwise.quadrature import set_owned_values
 from thinlayer.system.ranks import destroy, send
 
@@ -42,7 +32,6 @@ FORCE_ROUNDING = 1e-14  # rounding of summed forces, relative to stiffness times
 MIN_DIVISOR = 1e-300  # divisor instead of zero if there are no forces
 PartType = TypeVar("PartType", bound=Part)
 PetscIndices = npt.NDArray[PETSc.IntType]  # global numbers of unknowns
-SAME_PATTERN = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
 SUBSET_PATTERN = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
 DIFFERENT_PATTERN = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 
@@ -387,7 +376,7 @@ class UnknownLayout:
 
     Args:
         comm: communicator.
-        fields: key of a field -> function whose values are unknowns, in the order of the vector.
+        fields: key of a field -> function whose values are unknowns, in the order of the vector, displacements first.
     """
 
     def __init__(self, comm: MPI.Intracomm, fields: Mapping[str, fem.Function]) -> None:
@@ -419,7 +408,7 @@ class UnknownLayout:
         """
         if T is None or len(self.sizes) == 1:
             return T
-        identity = _diagonal_matrix(self.comm, int(self._ends[-1]) - self.sizes[DISPLACEMENT_KEY], 1.0)
+        identity = _diagonal_matrix(self.comm, int(self._ends[-1] - self._ends[0]), 1.0)
         return block_matrix([[T, None], [None, identity]], self.comm)
 
     def global_rows(self, local_dofs: Indices) -> PetscIndices:
@@ -480,13 +469,8 @@ class TangentMatrix:
         block_rows = [[self._block_sums.get((row, column)) for column in self.sizes] for row in self.sizes]
         for k, n in enumerate(self.sizes.values()):
             block_rows[k][k] = block_rows[k][k] or _diagonal_matrix(self.comm, n, 0.0)
-        matrix = block_matrix(block_rows, self.comm)
-        if self._block_matrix is None:
-            matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-            self._block_matrix = matrix
-        else:
-            matrix.copy(self._block_matrix, SAME_PATTERN)
-            matrix.destroy()
+        self._block_matrix = block_matrix(block_rows, self.comm, self._block_matrix)
+        self._block_matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         return self._block_matrix
 
     def destroy(self) -> None:
@@ -547,17 +531,20 @@ def _fits_pattern(comm: MPI.Intracomm, matrix: PETSc.Mat, rows: PETSc.Mat, row_n
     return bool(comm.allreduce(pattern.multiply(allowed).nnz == pattern.nnz, MPI.LAND))
 
 
-def block_matrix(blocks: Sequence[Sequence[PETSc.Mat | None]], comm: MPI.Intracomm) -> PETSc.Mat:
+def block_matrix(
+    blocks: Sequence[Sequence[PETSc.Mat | None]], comm: MPI.Intracomm, into: PETSc.Mat | None = None
+) -> PETSc.Mat:
     """Join blocks to one matrix.
 
     Args:
         blocks: rows of blocks; None stands for a block of zeros.
         comm: communicator.
+        into: earlier result with the same nonzero pattern, which is overwritten and returned; None: a new matrix.
 
     Returns:
         The matrix. Each rank owns its rows and columns of all blocks, in the order of the blocks.
     """
-    return PETSc.Mat().createNest(blocks, comm=comm).convert("aij", PETSc.Mat())
+    return PETSc.Mat().createNest(blocks, comm=comm).convert("aij", into or PETSc.Mat())
 
 
 def _diagonal_matrix(comm: MPI.Intracomm, n: int, value: float) -> PETSc.Mat:

@@ -19,15 +19,7 @@ from thinlayer.solving.contact.pairs import C_SOURCE, ContactPairs
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import HIERARCHY_OPTIONS
 from thinlayer.solving.part_sum import MIN_DIVISOR, SOLVER_RESIDUAL
-from thinlayer.solving.petsc import (
-    PREFIX,
-    OptionDict,
-    db_options,
-    reason_name,
-    set_defaults,
-    solve_nonlinear,
-    user_has_set,
-)
+from thinlayer.solving.petsc import PREFIX, OptionDict, db_options, reason_name, set_defaults, solve_nonlinear
 from thinlayer.system.compilation import compile_library
 from thinlayer.system.ranks import destroy
 
@@ -169,7 +161,7 @@ class _NewtonRun:
         self._target = reductions[0]
         self._is_repeated = False  # whether the next call of `_residual` repeats the last one
         self._state: StatusAndSlip | None = None  # sliding state at the last tangents
-        self._chooses_rtol = not user_has_set("ksp_rtol", {})
+        self._chooses_rtol = "ksp_rtol" not in db_options()
 
     def run(self, u: PETSc.Vec, start_jumps: Array | None) -> int:
         """Run Newton's method from displacements `u`, which become the solution.
