@@ -25,8 +25,7 @@ from geometry.inflating.inflation import offset_to_middle, points_on_middle
 from geometry.partition import column_numbers
 from thinlayer.discretisation.coefficient import Coordinates, has_finite_numbers
 from thinlayer.discretisation.key import BODY_KIND, LAYER_KIND, Key
-from thinlayer.discretisation.layer import law_with_constants
-from thinlayer.discretisation.mesh_functions import cellwise_function
+from thinlayer.discretisation.mesh_functions import cellwise_function, law_with_constants
 from thinlayer.discretisation.time_functions import time_constants
 from thinlayer.pointwise.quadrature import MEASURE_NAMES, MeshOrigin, Quadrature, assemble_matrix
 from thinlayer.system.compat import compiled, integrals_by_domain

@@ -23,8 +23,8 @@ from geometry.refusals import require_known
 from thinlayer.discretisation.boundary import require_normal_shifts, require_revolution
 from thinlayer.discretisation.forces import LoadRegion
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.layer import Layers, SeamLayer, ThinLayer, law_with_constants, law_with_numbers
-from thinlayer.discretisation.mesh_functions import band_of, director
+from thinlayer.discretisation.layer import Layers, SeamLayer, ThinLayer, law_with_numbers
+from thinlayer.discretisation.mesh_functions import band_of, director, law_with_constants
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import Violation
@@ -119,8 +119,7 @@ class FullModel(Model):
                 else:  # UFL would take degree 100 for the square root of the director
                     rule = self._metadata(self.dx, always=depends_on_normal(law))
                 measure = self.dx(self.domain.region_tags(region, *self._junction_regions(name)), **rule)
-                law = law if law.traits.compiled else law_with_constants(law, mesh)
-                term = forms.layer_term(law, measure, n, self.kinematics)
+                term = forms.layer_term(law_with_constants(law, mesh), measure, n, self.kinematics)
                 terms.append(replace(term, key=seam_layer.key, prescribed_strain=self.layer_strains[name]))
         return terms
 

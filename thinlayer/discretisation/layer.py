@@ -25,7 +25,8 @@ from geometry.sheet import Sheet
 from geometry.topology import Indices, IntArray
 from thinlayer.discretisation.coefficient import Coordinates, LoadInput
 from thinlayer.discretisation.key import CONTACT_KIND, LAYER_KIND, Key
-from thinlayer.discretisation.prescribed_strains import EigenstrainContext, EigenstrainInput, prescribed_strain
+from thinlayer.discretisation.mesh_functions import law_with_constants
+from thinlayer.discretisation.prescribed_strains import EigenstrainContext, EigenstrainInput
 from thinlayer.errors import Violation
 from thinlayer.system.compat import integration_entities
 from thinlayer.system.fingerprint import describe
@@ -189,21 +190,13 @@ def law_with_numbers(layer: Layer, kinematics: Kinematics) -> BulkLaw:
     return kinematics.law(layer.material) if isinstance(layer, ThinLayer) else layer.as_bulk_law()
 
 
-def law_with_constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:
-    """Return a law whose parameters are DOLFINx Constants, so that forms are compiled once for all their values.
-
-    A law with parameters that are functions is returned unchanged, because `checked_term` evaluates them.
-    """
-    return law if law.fields else law.mapped(lambda value, _: fem.Constant(mesh, np.asarray(value, float)))
-
-
 def law_of_terms(law: BulkLaw, mesh: Mesh) -> BulkLaw:
     """Return a law in the form that integrals over S need.
 
     In a law in UFL forms the parameters become DOLFINx Constants. A compiled law is unchanged. A law with functions of
     the place as parameters becomes a compiled law.
     """
-    return law.compiled_copy() if law.fields else law if law.traits.compiled else law_with_constants(law, mesh)
+    return law.compiled_copy() if law.fields else law_with_constants(law, mesh)
 
 
 class InitialTangents:
@@ -345,7 +338,7 @@ class SeamLayer:
             return None
         kinematics, n = self.structure.kinematics, self.sheet.mean_normal
         context = EigenstrainContext(str(self), law_with_numbers(self.layer, kinematics), n, kinematics, at)
-        return prescribed_strain(self.thin_layer.eigenstrain, context)
+        return context.prescribed_strain(self.thin_layer.eigenstrain)
 
     @property
     def described_profile(self) -> object:

@@ -14,6 +14,7 @@ from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
 from forms.base import Array, InputError
+from forms.law import BulkLaw
 from forms.tensors import Expr
 from forms.work import Interface
 from geometry.domain import Domain, index_map
@@ -42,6 +43,17 @@ def cellwise_function(domain: Domain, element: Element, values: Array) -> fem.Fu
     dofs = f.function_space.dofmap.list
     f.x.array.reshape(-1, values.shape[2])[dofs.ravel()] = domain.to_local(values).reshape(-1, values.shape[2])
     return f
+
+
+def law_with_constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:
+    """Return a law whose parameters are DOLFINx Constants, so that forms are compiled once for all their values.
+
+    A compiled law is returned unchanged. So is a law with parameters that are functions, as `checked_term` evaluates
+    them.
+    """
+    if law.fields or law.traits.compiled:
+        return law
+    return law.mapped(lambda value, _: fem.Constant(mesh, np.asarray(value, float)))
 
 
 def relative_thickness(domain: Domain, profile: Profile, name: str = S) -> fem.Function:

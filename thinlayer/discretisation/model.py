@@ -28,49 +28,19 @@ from thinlayer.discretisation.applicability import Applicability
 from thinlayer.discretisation.coefficient import Coordinates, LoadInput, Pressure
 from thinlayer.discretisation.constraints import Constraints
 from thinlayer.discretisation.forces import BodyForce, Forces, LoadRegion
-from thinlayer.discretisation.form_compilation import (
-    checked_term,
-    compiled,
-    compiled_functionals,
-    compiled_terms,
-    mesh_origin,
-)
+from thinlayer.discretisation.form_compilation import checked_term, compiled_functionals, compiled_terms, mesh_origin
 from thinlayer.discretisation.key import BODY_KIND, Key
-from thinlayer.discretisation.layer import (
-    BODIES,
-    Bond,
-    Gap,
-    Layers,
-    SeamContent,
-    SeamLayer,
-    ThinLayer,
-    law_with_constants,
-    loads_of_layers,
-)
-from thinlayer.discretisation.mesh_functions import mesh_cut_at_faces, vector_space
+from thinlayer.discretisation.layer import BODIES, Bond, Gap, Layers, SeamContent, SeamLayer, ThinLayer, loads_of_layers
+from thinlayer.discretisation.mesh_functions import law_with_constants, mesh_cut_at_faces, vector_space
 from thinlayer.discretisation.part_definition import check_part_definitions
 from thinlayer.discretisation.point_loads import ConcentratedForms, ConcentratedLoad, check_loads
-from thinlayer.discretisation.prescribed_strains import (
-    EigenstrainContext,
-    MeanStrain,
-    MeanStress,
-    MeanTensorInput,
-    prescribed_strain,
-)
-from thinlayer.discretisation.rigid_motions import (
-    Resultant,
-    free_axes,
-    moment_centre,
-    motion_factors,
-    require_support,
-    resistance_matrix,
-    resultants_of_loads,
-)
+from thinlayer.discretisation.prescribed_strains import EigenstrainContext, MeanStrain, MeanStress, MeanTensorInput
+from thinlayer.discretisation.rigid_motions import Resultant, free_axes, load_resultants, moment_centre, require_support
 from thinlayer.discretisation.supports import Place, SupportConditions, Supports, SupportsByPlace, is_same_or_part
 from thinlayer.discretisation.time_functions import TimeLevel
 from thinlayer.errors import warn
 from thinlayer.pointwise.quadrature import Quadrature, quadrature_degree
-from thinlayer.system.compat import interpolate
+from thinlayer.system.compat import compiled, interpolate
 from thinlayer.system.fingerprint import describe, digest
 from thinlayer.system.ranks import errors_on_all, free_petsc_objects, require_same
 
@@ -218,9 +188,9 @@ class Model(ABC):
         if not (self.broken and any(name in self.layers for name in self.joint.base_seams)):
             resistances = [partial(part.rigid_stiffness, self) for part in self.parts if not part.has_constraint]
             if self.joint.periods:
-                self.supports.anchor_axes = free_axes(self.joint, self.kinematics, resistance_matrix(self, resistances))
+                self.supports.anchor_axes = free_axes(self, resistances)
                 self.constraints = self._make_constraints()
-            require_support([*motion_factors(self.domain.joint, self.kinematics)], resistance_matrix(self, resistances))
+            require_support(self, resistances)
 
     def _set_layers(self, data: Layers, check: Callable[[], T]) -> T:
         """Set the layers of the seams from a user's data, and return the result of a check of them. Collective.
@@ -251,7 +221,7 @@ class Model(ABC):
         """
         law, n = self.kinematics.law(self.body_laws[name]), self.structure.sheet.mean_normal
         context = EigenstrainContext(f"the body {name!r}", law, n, self.structure.kinematics, self.coordinates)
-        return prescribed_strain(self.structure.eigenstrains.get(name), context)
+        return context.prescribed_strain(self.structure.eigenstrains.get(name))
 
     def _layer_strain(self, layer: SeamLayer) -> Expr | None:
         """Return minus the eigenstrain of a layer, (3, 3) in UFL, which is added to the strain of displacements.
@@ -271,8 +241,7 @@ class Model(ABC):
             groups.setdefault((id(law), id(self.structure.eigenstrains.get(name))), []).append(name)
         terms = []
         for names in groups.values():
-            law = self.kinematics.law(self.body_laws[names[0]])
-            law = law if law.traits.compiled else law_with_constants(law, self.domain.mesh)
+            law = law_with_constants(self.kinematics.law(self.body_laws[names[0]]), self.domain.mesh)
             by_key = {str(Key(BODY_KIND, name)): [name] for name in names} if law.traits.compiled else {"": names}
             for key, bodies in by_key.items():
                 measure = self.dx(self.domain.region_tags(*bodies), **self._metadata(self.dx))
@@ -633,7 +602,7 @@ class Model(ABC):
 
     def applied(self, t: float) -> Resultant:
         """Return the resultant force of all loads at the time t, with its moment about `centre`. Collective."""
-        loads = resultants_of_loads(self, t, lambda v: {"": self.forces.work(v), **self.forces.work_on_bases(v)})
+        loads = load_resultants(self, t, lambda v: {"": self.forces.work(v), **self.forces.work_on_bases(v)})
         return reduce(add, loads.values())
 
     @staticmethod

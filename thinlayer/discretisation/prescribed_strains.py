@@ -166,6 +166,33 @@ class EigenstrainContext:
         """
         return self.at.coefficient(value, f"{what} of {self.name}", ()).components[()]
 
+    def prescribed_strain(self, eigenstrain: EigenstrainInput | None) -> Expr | None:
+        """Return minus the eigenstrain of the body or layer, (3, 3) in UFL, which is added to the displacements' strain.
+
+        Return None if it is zero.
+
+        Args:
+            eigenstrain: the eigenstrain as the user wrote it; None: there is none.
+
+        Raises:
+            InputError: a value that is not an eigenstrain, or that does not suit this body or layer.
+        """
+        if eigenstrain is None:
+            return None
+        summands = (self._negative_tensor(summand.components(self)) for summand in eigenstrain_list(eigenstrain))
+        total = self.kinematics.admissible_part(sum_strains(*summands))
+        return None if all(isinstance(total[i, j], ufl.classes.Zero) for i in range(3) for j in range(3)) else total
+
+    def _negative_tensor(self, rows: TensorRows) -> Expr:
+        """Return a table (3, 3) of numbers and UFL scalars, times -1, as a UFL tensor.
+
+        Numbers become Constants, so that forms are compiled once for all numbers; zeros are left as they are.
+        """
+        numbers = np.array([[-c if isinstance(c, float) else 0.0 for c in row] for row in rows])
+        constant = fem.Constant(self.at.mesh, numbers)
+        entries = [[constant[i, j] if numbers[i, j] else -c for j, c in enumerate(row)] for i, row in enumerate(rows)]
+        return ufl.as_tensor(entries)
+
 
 def require_symmetric(rows: TensorRows | Array, what: str) -> None:
     """Raise InputError if a table is not symmetric; `what` names it in the message.
@@ -382,25 +409,6 @@ def _is_table(rows: Sequence[object]) -> bool:
     return bool(rows) and all(isinstance(row, (list, tuple, np.ndarray)) and np.ndim(row[0]) == 0 for row in rows)
 
 
-def prescribed_strain(eigenstrain: EigenstrainInput | None, context: EigenstrainContext) -> Expr | None:
-    """Return minus the eigenstrain of a body or layer, (3, 3) in UFL, which is added to the strain of displacements.
-
-    Return None if it is zero.
-
-    Args:
-        eigenstrain: the eigenstrain as the user wrote it; None: there is none.
-        context: data of the body or layer.
-
-    Raises:
-        InputError: a value that is not an eigenstrain, or that does not suit this body or layer.
-    """
-    if eigenstrain is None:
-        return None
-    summands = (_negative_tensor(summand.components(context), context) for summand in eigenstrain_list(eigenstrain))
-    total = context.kinematics.admissible_part(sum_strains(*summands))
-    return None if all(isinstance(total[i, j], ufl.classes.Zero) for i in range(3) for j in range(3)) else total
-
-
 class VaryingStrainIntegrals:
     """Integrals of prescribed strains over single cells or facets, for strains that vary in time or place. Collective.
 
@@ -435,14 +443,3 @@ class VaryingStrainIntegrals:
                 text = "layer" if p.n is not None else "bodies"
                 raise InputError(f"the eigenstrain of the {p.key or text} is not finite at t = {t:g}")
         return integrals
-
-
-def _negative_tensor(rows: TensorRows, context: EigenstrainContext) -> Expr:
-    """Return a table (3, 3) of numbers and UFL scalars, times -1, as a UFL tensor.
-
-    Numbers become Constants, so that forms are compiled once for all numbers; zeros are left as they are.
-    """
-    numbers = np.array([[-c if isinstance(c, float) else 0.0 for c in row] for row in rows])
-    constant = fem.Constant(context.at.mesh, numbers)
-    entries = [[constant[i, j] if numbers[i, j] else -c for j, c in enumerate(row)] for i, row in enumerate(rows)]
-    return ufl.as_tensor(entries)

@@ -172,30 +172,29 @@ def resistance_matrix(model: Model, resistances: Sequence[ResistanceFunction]) -
     return np.asarray(matrix, float)
 
 
-def free_axes(joint: Joint, kinematics: Kinematics, resistance: Array) -> tuple[str, ...]:
-    """Return the names of the axes along which nothing prevents a translation.
+def free_axes(model: Model, resistances: Sequence[ResistanceFunction]) -> tuple[str, ...]:
+    """Return the names of the axes along which nothing prevents a translation. Collective.
+
+    Neither supports nor other parts resist a translation whose diagonal entry in `resistance_matrix` is about 0.
 
     Args:
-        joint: the joint.
-        kinematics: kinematics that decide which translations there are.
-        resistance: (m, m) matrix from `resistance_matrix`. Its first diagonal entries belong to the translations. An
-            entry of about 0 means that neither supports nor other parts resist this translation.
+        model, resistances: arguments of `resistance_matrix`.
     """
     # translations are the first motions of `motion_factors`
-    axes = [*kinematics.translation_axes(joint.dim)]
-    diagonal = np.diag(resistance)[: len(axes)]
+    axes = [*model.kinematics.translation_axes(model.joint.dim)]
+    diagonal = np.diag(resistance_matrix(model, resistances))[: len(axes)]
     limit = MIN_RELATIVE_EIGENVALUE * max(*diagonal, 1.0)
     return tuple(AXIS_NAMES[k] for k, r in zip(axes, diagonal, strict=True) if r <= limit)
 
 
-def require_support(names: Sequence[str], resistance: Array) -> None:
-    """Raise InputError if nothing prevents one of m rigid motions, or a combination of them.
+def require_support(model: Model, resistances: Sequence[ResistanceFunction]) -> None:
+    """Raise InputError if nothing prevents one of the rigid motions, or a combination of them. Collective.
 
     Args:
-        names: names of the m motions.
-        resistance: (m, m) matrix from `resistance_matrix` for these motions.
+        model, resistances: arguments of `resistance_matrix`.
     """
-    eigenvalues, eigenvectors = np.linalg.eigh(resistance)
+    names = [*motion_factors(model.domain.joint, model.kinematics)]
+    eigenvalues, eigenvectors = np.linalg.eigh(resistance_matrix(model, resistances))
     if eigenvalues[0] <= MIN_RELATIVE_EIGENVALUE * max(eigenvalues[-1], 1.0):
         motion = names[int(np.argmax(np.abs(eigenvectors[:, 0])))]
         raise InputError(f"no support against rigid motion of the structure ({motion}); add supports")
@@ -255,7 +254,7 @@ def centroid(domain: Domain, name: str) -> Array:
     return np.asarray(np.where(np.abs(centre) > ZERO_TOLERANCE * domain.joint.size, centre, 0.0))
 
 
-def resultants_of_loads(model: Model, t: float, work: Callable[[Expr], Mapping[str, Expr]]) -> dict[str, Resultant]:
+def load_resultants(model: Model, t: float, work: Callable[[Expr], Mapping[str, Expr]]) -> dict[str, Resultant]:
     """Return the resultants of loads at the time t, by name, with moments about the model's centre. Collective.
 
     Args:
@@ -287,19 +286,22 @@ def resultant(model: Model, motion_works: Array) -> Resultant:
 def default_moment_point(model: Model, place: Place, places: Sequence[Place]) -> Array:
     """Return the default point (d,) of moments: the centroid of a facet set, or the vertex itself.
 
+    In axisymmetry it is the projection of this place onto the axis.
+
     Args:
         model: the model.
         place: name of the facet set, or coordinates of the vertex.
         places: places whose reactions are summed for `place`. If `place` has no facets of its own, the result is the
             mean of their centroids.
     """
-    domain = model.domain
+    domain, joint = model.domain, model.domain.joint
     if isinstance(place, str) and place in domain.set_tags and domain.values(place, layer_sides=True):
-        return centroid(domain, place)
-    if names := [name for name in places if isinstance(name, str) and domain.set_tags.get(name)]:
-        return np.asarray(np.mean([centroid(domain, name) for name in names], axis=0))
-    if isinstance(place, str):  # the side of a layer that is not meshed
-        return centroid(domain, FacetName.parse(place).set_name)
-    joint = domain.joint
-    is_copy = np.all(joint.reference == joint.reference[joint.nearest_point(place)], axis=1)
-    return np.asarray(joint.points[is_copy].mean(axis=0))
+        point = centroid(domain, place)
+    elif names := [name for name in places if isinstance(name, str) and domain.set_tags.get(name)]:
+        point = np.mean([centroid(domain, name) for name in names], axis=0)
+    elif isinstance(place, str):  # the side of a layer that is not meshed
+        point = centroid(domain, FacetName.parse(place).set_name)
+    else:
+        is_copy = np.all(joint.reference == joint.reference[joint.nearest_point(place)], axis=1)
+        point = joint.points[is_copy].mean(axis=0)
+    return moment_centre(model.kinematics, point)

@@ -22,19 +22,8 @@ from thinlayer.discretisation.form_compilation import checked_user_form, compile
 from thinlayer.discretisation.key import BODY_KIND, LAYER_KIND, PRESSURE_KIND, Key
 from thinlayer.discretisation.layer import BODIES
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.prescribed_strains import (
-    MEAN_STRAIN,
-    VOIGT_PAIRS_OF_DIM,
-    VOIGT_POSITIONS_OF_DIM,
-    from_voigt,
-)
-from thinlayer.discretisation.rigid_motions import (
-    Resultant,
-    default_moment_point,
-    moment_centre,
-    resultant,
-    resultants_of_loads,
-)
+from thinlayer.discretisation.prescribed_strains import MEAN_STRAIN, VOIGT_POSITIONS_OF_DIM, from_voigt
+from thinlayer.discretisation.rigid_motions import Resultant, default_moment_point, load_resultants, resultant
 from thinlayer.discretisation.supports import Place, is_same_or_part
 from thinlayer.discretisation.time_functions import TimeLevel
 from thinlayer.errors import FormerNames
@@ -256,7 +245,7 @@ class State(Configuration):
         if not places:
             held_places = ", ".join(map(repr, reactions)) or "nothing"
             raise InputError(f"nothing holds {place!r}: it is free of supports and springs; held are: {held_places}")
-        point = moment_centre(model.kinematics, default_moment_point(model, place, places)) if about is None else about
+        point = default_moment_point(model, place, places) if about is None else about
         return reduce(add, (reactions[name] for name in places)).at(point)
 
     def reactions_by_place(self, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
@@ -273,7 +262,7 @@ class State(Configuration):
         part_reactions = [row for part in model.parts for row in part.reaction(model, self.u)]
         all_reactions = [*zip(model.held_places, self.reactions, strict=True), *part_reactions]
         reactions = [(place, resultant(model, values)) for place, values in all_reactions]
-        base_loads = resultants_of_loads(model, self.t, model.forces.work_on_bases)
+        base_loads = load_resultants(model, self.t, model.forces.work_on_bases)
         reactions += [(name, -load) for name, load in base_loads.items()]
         total: dict[Place, Resultant] = {}
         for place, reaction in reactions:
@@ -386,7 +375,7 @@ class State(Configuration):
         In a periodic cell it is the stress of the cell as a whole, with layers on S included, see `Model.volume`.
         """
         model, d = self.model, self.model.joint.dim
-        voigt_factors = fem.Constant(model.domain.mesh, np.zeros(len(VOIGT_PAIRS_OF_DIM[d])))
+        voigt_factors = fem.Constant(model.domain.mesh, np.zeros(d * (d + 1) // 2))
         terms = self.bodies if model.broken else [*self.bodies, *self.layers]
         unit = three_dimensional(from_voigt(voigt_factors))
         work_form = sum(ufl.inner(s, unit) * p.weight * measure for p, s, measure in self._terms_with_stress(terms))
