@@ -262,11 +262,9 @@ def load_resultants(model: Model, t: float, work: Callable[[Expr], Mapping[str, 
         t: the time.
         work: function from a motion v, in UFL, to the virtual work of the loads in v: name of a load -> UFL form.
     """
-    level = TimeLevel(t)
     factors, v = motion_expression(model.domain.mesh, model.centre)
-    return {
-        name: resultant(model, unit_values(model.comm, level.at_level(form), factors)) for name, form in work(v).items()
-    }
+    works = {name: TimeLevel(t).at_level(form) for name, form in work(v).items()}
+    return {name: resultant(model, unit_values(model.comm, form, factors)) for name, form in works.items()}
 
 
 def resultant(model: Model, motion_works: Array) -> Resultant:

@@ -49,11 +49,10 @@ def nodal_forces(V: fem.FunctionSpace, form: Expr) -> fem.Function:
         A function in V. Each of its degrees of freedom is the value of the form for the shape function of this degree
         of freedom. Ghost values are up to date.
     """
-    vector = fem.assemble_vector(compiled(form))
-    vector.scatter_reverse(dolfinx.la.InsertMode.add)
-    vector.scatter_forward()
     forces = fem.Function(V)
-    forces.x.array[:] = vector.array
+    fem.assemble_vector(forces.x.array, compiled(form))
+    forces.x.scatter_reverse(dolfinx.la.InsertMode.add)
+    forces.x.scatter_forward()
     return forces
 
 

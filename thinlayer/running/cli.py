@@ -40,9 +40,7 @@ EXIT_STATUS_HELP = (
     "Exit status: 0 all checks of the study hold; 1 a check failed; 2 wrong input, nothing is written; 3 not finished, "
     "results so far are kept: a solve failed, a file could not be written, an interrupt, or a defect, with its traceback."
 )
-REPRODUCE_HELP = (
-    "Exit status: 0 all numbers hold; 1 one does not; 2 wrong input; 3 a study is not finished, as the page shows."
-)
+PAGE_STATUSES = "0 all numbers hold; 1 one does not; 2 wrong input; 3 a study is not finished, as the page shows."
 RESUMING = "Started again, it keeps the runs that are done with the same options and code, and goes on with the others."
 PETSC_PREFIX = "-thinlayer_"
 CommandParsers: TypeAlias = "argparse._SubParsersAction[Parser]"
@@ -169,7 +167,7 @@ def command_line_parser() -> argparse.ArgumentParser:
         script.add_argument("--resume", action="store_true", help="go on with the sweeps of a killed run, same options")
     description = "Run the studies of the paper, and write a page with its numbers beside those that are computed."
     page_parser = _add_command(commands, "reproduce", _run_batch, "--quick", f"{description} {RESUMING}")
-    page_parser.epilog = f"{REPRODUCE_HELP} {page_parser.epilog}"
+    page_parser.epilog = f"Exit status: {PAGE_STATUSES} {page_parser.epilog}"
     _add_batch_options(page_parser, Path("out", "reproduce"))
     draw = _add_run_options(_add_command(commands, "draw", _draw_study, "fig6_stratified"))
     drawn = [study.name for study in studies().values() if study.drawn]

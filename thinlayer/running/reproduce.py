@@ -103,9 +103,8 @@ class Page:
         self.unfinished = [name for name, result in self.results.items() if result.get("error", "no run") is not None]
         self.rows = [row for part in self.paper["sections"] for row in self.number_rows(part["rows"], part["id"])]
         n_drawn, n_wrong = sum(part.get("figures", 0) for part in self.paper["sections"]), len(self.paper["errata"])
-        self.summary = (
-            f"{count_text(self.rows)} numbers hold; {n_drawn} figures; {n_wrong} places of the paper corrected"
-        )
+        checked = f"{count_text(self.rows)} numbers hold"
+        self.summary = f"{checked}; {n_drawn} figures; {n_wrong} places of the paper corrected"
         content = {**facts, "versions": package_versions(), "unfinished": self.unfinished, "rows": self.rows}
         for name, text in {"reproduce.json": json.dumps(content, indent=1), "index.html": self.html(facts)}.items():
             with replace_file(self.out / name) as file:

@@ -59,9 +59,8 @@ def read_input_file(path: Path, settings: Sequence[str] = ()) -> TomlTable:
     except (ValueError, RecursionError) as error:
         remedy = "numbers have digits before and after the point, texts stand in quotes, yes and no are true and false"
         if path.suffix != ".toml":
-            remedy = (
-                f"for a mesh file, print a description to fill in: thinlayer estimate {path} --new > {path.stem}.toml"
-            )
+            command = f"thinlayer estimate {path} --new > {path.stem}.toml"
+            remedy = f"for a mesh file, print a description to fill in: {command}"
         raise DescriptionError(f"{path} is not TOML: {error}; {remedy}") from None
     mesh = values.get("mesh")
     mesh = {"path": mesh} if isinstance(mesh, str) else mesh

@@ -274,8 +274,8 @@ class ArcLength(Plan):
         _require_numbers(self, "first", "smallest", "largest", signed=("end", "back"))
         require(is_integer(self.steps, 1), "ArcLength: steps", self.steps, "allowed: a whole number > 0")
         object.__setattr__(self, "steps", int(self.steps))
-        if self.largest < self.smallest:
-            raise InputError(f"ArcLength: largest is {self.largest:g}; allowed: >= smallest = {self.smallest:g}")
+        allowed = f"allowed: >= smallest = {self.smallest:g}"
+        require(self.largest >= self.smallest, "ArcLength: largest", self.largest, allowed)
 
     def lowest(self, start: float) -> float:
         """Return the value of t below which the march ends: `back`, or 2 start - end if `back` is None.
@@ -290,8 +290,7 @@ class ArcLength(Plan):
             raise InputError(f"ArcLength: end is {self.end:g}; it must come after start = {start:g}")
         if not is_divisible(start, start + self.first) or self.first**2 < np.finfo(float).tiny:
             raise InputError(f"ArcLength: first is {self.first:g}: a step from t = {start:g} that is lost in rounding")
-        if not self.lowest(start) < start:
-            raise InputError(f"ArcLength: back is {self.back:g}; it must be less than start = {start:g}")
+        require(self.lowest(start) < start, "ArcLength: back", self.back, f"it must be less than start = {start:g}")
         return [self.end]
 
     def check_model(self, equations: Equations, theta: float, method: str | None) -> None:

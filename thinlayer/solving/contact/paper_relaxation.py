@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse
 from petsc4py import PETSc
 
-from forms.base import Array, InputError
+from forms.base import Array, InputError, require
 from forms.contact import ContactLaw
 from geometry.topology import BoolArray, Indices
 from thinlayer.discretisation.constraints import local_csr
@@ -268,8 +268,7 @@ def _option(name: str) -> float:
     """
     options, (default, bound) = PETSc.Options(PREFIX + "relaxation_"), RELAXATION_OPTIONS[name]
     value: float = (options.getInt if isinstance(default, int) else options.getReal)(name, default)
-    if not 0 < value < bound:
-        raise InputError(f"-{PREFIX}relaxation_{name} is {value:g}; allowed: > 0 and < {bound:g}")
+    require(0 < value < bound, f"-{PREFIX}relaxation_{name}", value, f"allowed: > 0 and < {bound:g}")
     return value
 
 
