@@ -37,7 +37,7 @@ from thinlayer.discretisation.point_loads import ConcentratedForms, Concentrated
 from thinlayer.discretisation.prescribed_strains import EigenstrainContext, MeanStrain, MeanStress, MeanTensorInput
 from thinlayer.discretisation.rigid_motions import Resultant, free_axes, load_resultants, moment_centre, require_support
 from thinlayer.discretisation.supports import Place, SupportConditions, Supports, SupportsByPlace, is_same_or_part
-from thinlayer.discretisation.time_functions import TimeLevel
+from thinlayer.discretisation.time_functions import TimeLevel, with_strains
 from thinlayer.errors import warn
 from thinlayer.pointwise.quadrature import Quadrature, quadrature_degree
 from thinlayer.system.compat import compiled, interpolate
@@ -517,7 +517,7 @@ class Model(ABC):
 
     def terms_at(self, t: float) -> list[forms.Term]:
         """Return the terms of the laws of all bodies and layers, with their prescribed strains at the time t."""
-        return TimeLevel(t).terms_at_level(self.terms)
+        return with_strains(self.terms, TimeLevel(t).at_level)
 
     @cached_property
     def surface_mesh_cache(self) -> dict[str, object]:

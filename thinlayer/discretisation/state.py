@@ -25,7 +25,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.prescribed_strains import MEAN_STRAIN, VOIGT_POSITIONS_OF_DIM, from_voigt
 from thinlayer.discretisation.rigid_motions import Resultant, default_moment_point, load_resultants, resultant
 from thinlayer.discretisation.supports import Place, is_same_or_part
-from thinlayer.discretisation.time_functions import TimeLevel
+from thinlayer.discretisation.time_functions import TimeLevel, with_strains
 from thinlayer.errors import FormerNames
 from thinlayer.system.ranks import carry_cell_values
 
@@ -332,7 +332,7 @@ class State(Configuration):
 
         Terms on S, for which `on_s` is true, are without this strain.
         """
-        terms = TimeLevel(self.t).terms_at_level(terms)
+        terms = with_strains(terms, TimeLevel(self.t).at_level)
         if on_s or not self.model.stress:
             return terms
         return with_added_strain(terms, three_dimensional(fem.Constant(self.model.domain.mesh, self.mean_strain())))

@@ -141,10 +141,11 @@ class TimeLevel:
                 self._constants[constant] = fem.Constant(constant.mesh, np.array(constant.at(self._t), float))
         return ufl_replace(expression, {c: self._constants[c] for c in constants}) if constants else expression
 
-    def terms_at_level(self, terms: Iterable[Term]) -> list[Term]:
-        """Return terms whose prescribed strains are those at this time level."""
-        strains = ((p, p.prescribed_strain) for p in terms)
-        return [p if e is None else replace(p, prescribed_strain=self.at_level(e)) for p, e in strains]
+
+def with_strains(terms: Iterable[Term], new_strain: Callable[[Expr], Expr]) -> list[Term]:
+    """Return copies of `terms` in which each prescribed strain e, if there is one, is replaced by `new_strain(e)`."""
+    pairs = ((p, p.prescribed_strain) for p in terms)
+    return [p if e is None else replace(p, prescribed_strain=new_strain(e)) for p, e in pairs]
 
 
 class StepStrains:

@@ -22,7 +22,7 @@ from forms.tensors import Expr
 from forms.work import Term, energy, stress, work
 from thinlayer.discretisation.form_compilation import compiled, compiled_summands, zero_matrix
 from thinlayer.discretisation.state import Configuration
-from thinlayer.discretisation.time_functions import StepStrains
+from thinlayer.discretisation.time_functions import StepStrains, with_strains
 from thinlayer.errors import make_module_getattr
 from thinlayer.parts.compiled_part import find_softening, prescribed_strain_function
 from thinlayer.parts.part import Block, Part, PartTraits, Softening, StepOutcome, TimeStep
@@ -208,15 +208,15 @@ class LawFormPart(FormPart):
         u, v = fem.Function(V), ufl.TestFunction(V)
         if (nonlinear or prestrained) and all(p.law.traits.has_energy for p in nonlinear + prestrained):
             # prescribed strains of linear laws add energy to u.K u/2
-            strain_energies = [_strain_energy(p, u) for p in _with_strains(prestrained, step_strains.now)]
-            stored_energy = energy(_with_strains(nonlinear, step_strains.now), u) + sum(strain_energies)
+            strain_energies = [_strain_energy(p, u) for p in with_strains(prestrained, step_strains.now)]
+            stored_energy = energy(with_strains(nonlinear, step_strains.now), u) + sum(strain_energies)
         K = _linear_stiffness(V, linear, body_terms, other_terms) if linear or body_terms else None
-        F = work(_with_strains(nonlinear, step_strains.at_balance_time), u, v) if nonlinear else None
-        strained_terms = _with_strains(prestrained, step_strains.at_balance_time)
-        g = sum(_strain_work(p, v) for p in strained_terms) if prestrained else None
+        F = work(with_strains(nonlinear, step_strains.at_balance_time), u, v) if nonlinear else None
+        strained_terms = with_strains(prestrained, step_strains.at_balance_time)
+        g = sum(strain_work(p, p.prescribed_strain, p.strain(v)) for p in strained_terms) if prestrained else None
         super().__init__(key, u, K, F, stored_energy, g=g)
         strained_bodies = [p for p in nonlinear if p.n is None and p.prescribed_strain is not None]
-        self._scale_forms = _strain_force_integrals(_with_strains(strained_bodies, step_strains.at_balance_time), u)
+        self._scale_forms = _strain_force_integrals(with_strains(strained_bodies, step_strains.at_balance_time), u)
         traits = reduce(or_, map(_form_traits, terms), PartTraits())
         self.traits = replace(traits, within_bodies=all(p.n is None for p in terms))
 
@@ -235,7 +235,7 @@ class LawFormPart(FormPart):
         the step.
         """
         strains, terms = self._step_strain, [p for p in self._terms if p.prescribed_strain is not None]
-        pairs = zip([stress(p, self._u) for p in _with_strains(terms, strains.at_balance_time)], terms, strict=True)
+        pairs = zip([stress(p, self._u) for p in with_strains(terms, strains.at_balance_time)], terms, strict=True)
         return compiled(sum(ufl.inner(s, strains.growth(p.prescribed_strain)) * p.weight * p.measure for s, p in pairs))
 
     def begin(self, interval: TimeStep) -> None:
@@ -266,7 +266,7 @@ class LawFormPart(FormPart):
         copy_of_z = fem.Function(self._u.function_space)
         for u, target in ((z, copy_of_z), (self._u_mid, self._u)):
             self._copy_u(u.x.petsc_vec, target)
-        for p in _with_strains(self._terms, self._step_strain.at_balance_time):
+        for p in with_strains(self._terms, self._step_strain.at_balance_time):
             density = ufl.inner(stress(p, self._u), p.strain(copy_of_z)) * p.weight
             add_integral_to_nodes(density, copy_of_z.function_space, p.measure, out)
 
@@ -335,18 +335,12 @@ def _form_traits(term: Term) -> PartTraits:
     return replace(traits, singular=False, has_homotopy=False, weakens=weakens, unchecked_stresses=unchecked_stresses)
 
 
-def _with_strains(terms: Iterable[Term], new_strain: Callable[[Expr], Expr]) -> list[Term]:
-    """Return copies of `terms` in which each prescribed strain e, if there is one, is replaced by `new_strain(e)`."""
-    pairs = [(p, p.prescribed_strain) for p in terms]
-    return [p if strain is None else replace(p, prescribed_strain=new_strain(strain)) for p, strain in pairs]
+def strain_work(p: Term, strain: Expr, virtual_strain: Expr) -> Expr:
+    """Return the virtual work, a UFL form, of the stress that the strain `strain` (3, 3) of the linear law `p` causes.
 
-
-def _strain_work(p: Term, v: Expr) -> Expr:
-    """Return the virtual work, a UFL form, of the stress that the prescribed strain of the linear law `p` causes alone.
-
-    The work is done in the strains of the virtual displacements `v`.
+    The work is done in the strain `virtual_strain` (3, 3).
     """
-    return ufl.inner(p.law.stress(Step(p.prescribed_strain, p.n)), p.strain(v)) * p.weight * p.measure
+    return ufl.inner(p.law.stress(Step(strain, p.n)), virtual_strain) * p.weight * p.measure
 
 
 def _strain_energy(p: Term, u: fem.Function) -> Expr:
@@ -354,7 +348,8 @@ def _strain_energy(p: Term, u: fem.Function) -> Expr:
 
     The energy of the displacements `u` alone is u.K u/2.
     """
-    return _strain_work(p, u) + p.law.energy(Step(p.prescribed_strain, p.n)) * p.weight * p.measure
+    energy_of_strain = p.law.energy(Step(p.prescribed_strain, p.n)) * p.weight * p.measure
+    return strain_work(p, p.prescribed_strain, p.strain(u)) + energy_of_strain
 
 
 def _strain_force_integrals(strained: Sequence[Term], u: fem.Function) -> list[fem.Form]:

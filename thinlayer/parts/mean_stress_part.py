@@ -12,12 +12,12 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.base import Array
-from forms.law import Step
 from forms.tensors import three_dimensional
 from forms.work import Term
 from thinlayer.discretisation.mesh_functions import SharedDofs, broken_space
 from thinlayer.discretisation.prescribed_strains import MEAN_STRAIN, MeanStress, from_voigt
-from thinlayer.discretisation.time_functions import StepStrains
+from thinlayer.discretisation.time_functions import StepStrains, with_strains
+from thinlayer.parts.form_part import strain_work
 from thinlayer.parts.part import DISPLACEMENT_KEY, Block, FieldPart, FileOrder, PartTraits, StepOutcome, TimeStep
 from thinlayer.pointwise.quadrature import assemble_matrix
 from thinlayer.system.ranks import destroy
@@ -50,16 +50,15 @@ class MeanStressPart(FieldPart):
         W = broken_space(comm, SharedDofs(space, zeros[:1, 0], zeros[:1, 0], zeros))
         self.field = fem.Function(W)
         v, E, F = ufl.TestFunction(V), ufl.TrialFunction(W), ufl.TestFunction(W)
-        E_stress = [(p, p.law.stress(Step(three_dimensional(from_voigt(E)) / mean_stress.size, p.n))) for p in bodies]
-        coupling = sum(ufl.inner(s, p.strain(v)) * p.weight * p.measure for p, s in E_stress)
-        test_strain = three_dimensional(from_voigt(F)) / mean_stress.size
-        virtual_work = sum(ufl.inner(s, test_strain) * p.weight * p.measure for p, s in E_stress)
+        strain, test_strain = (three_dimensional(from_voigt(voigt)) / mean_stress.size for voigt in (E, F))
+        coupling = sum(strain_work(p, strain, p.strain(v)) for p in bodies)
+        virtual_work = sum(strain_work(p, strain, test_strain) for p in bodies)
         self.B, self.D = assemble_matrix(fem.form(coupling)), assemble_matrix(fem.form(virtual_work))
         self._B_trans = self.B.transpose(PETSc.Mat())
         strained_terms = [p for p in bodies if p.prescribed_strain is not None]
         self._step_strain = StepStrains(mesh, strained_terms)
-        prestress = [(p, p.law.stress(Step(self._step_strain.now(p.prescribed_strain), p.n))) for p in strained_terms]
-        virtual_work = sum(ufl.inner(s, test_strain) * p.weight * p.measure for p, s in prestress)
+        prestrained = with_strains(strained_terms, self._step_strain.now)
+        virtual_work = sum(strain_work(p, p.prescribed_strain, test_strain) for p in prestrained)
         self._strain_work = fem.form(virtual_work) if strained_terms else None
         self._forces, self._own_r, self._D_E = self.B.createVecLeft(), self.D.createVecLeft(), self.D.createVecLeft()
         self._mid, self._old, self._change = (self.D.createVecRight() for _ in range(3))
