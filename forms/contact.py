@@ -37,7 +37,7 @@ class ContactLaw(Law):
         p = K_N max(u_N, 0),   t_T = K_T (w_T - slip), shortened to the length threshold(p) where it is longer.
 
     A user-defined contact law defines `threshold` and `threshold_rate`, functions of an array of pressures. Its
-    equilibria are computed by Newton's method.
+    equilibria are computed by Newton's method. A law with `numbers` has both already.
 
     Attributes:
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.
@@ -46,6 +46,8 @@ class ContactLaw(Law):
             undisplaced sides together.
         memory: whether the slip, d - 1 components at a node, is stored from step to step; otherwise the slip is always
             zero.
+        numbers: K_N, K_T, friction coefficient and cohesion, for a compiled Gauss-Seidel solver of contact. None: four
+            numbers do not describe the law, and only Newton's method can solve it.
     """
 
     K_N: float
@@ -55,6 +57,7 @@ class ContactLaw(Law):
     bounded = True
     functions = ("gap",)
     memory: ClassVar[bool] = False
+    numbers: ClassVar[tuple[float, float, float, float] | None] = None
 
     def check(self) -> None:
         require_positive(self, "K_N", "K_T")
@@ -79,11 +82,16 @@ class ContactLaw(Law):
 
     def threshold(self, p: Array) -> Array:
         """Return the largest magnitude (n,) of the tangential traction, stress, at contact pressures `p` (n,)."""
-        raise InputError(f"{type(self).__name__} has no threshold; a contact law needs a method threshold(p)")
+        if self.numbers is None:
+            raise InputError(f"{type(self).__name__} has no threshold; a contact law needs a method threshold(p)")
+        friction, cohesion = self.numbers[2:]
+        return cohesion + friction * p
 
     def threshold_rate(self, p: Array) -> Array:
         """Return the derivative (n,) of the threshold by the pressure, dimensionless, at contact pressures `p` (n,)."""
-        raise InputError(f"{type(self).__name__} has no method threshold_rate(p)")
+        if self.numbers is None:
+            raise InputError(f"{type(self).__name__} has no method threshold_rate(p)")
+        return np.full_like(p, self.numbers[2])
 
     def check_threshold(self) -> None:
         """Raise InputError unless `threshold` and `threshold_rate` return finite arrays (n,) for pressures (n,).
@@ -214,14 +222,6 @@ class ContactLaw(Law):
         """
         return ContactHomotopy(self, spring_weight)
 
-    @property
-    def numbers(self) -> tuple[float, float, float, float] | None:
-        """K_N, K_T, friction coefficient and cohesion, for a compiled Gauss-Seidel solver of contact.
-
-        None: four numbers do not describe the law, and only Newton's method can solve it.
-        """
-        return None
-
     @classmethod
     def of_layer(cls, lmbda: float, mu: float, **others: Parameter) -> Self:
         """Return the law with the stiffness of an isotropic layer in plane strain or 3D: K_N = lmbda + 2 mu, K_T = mu.
@@ -286,14 +286,8 @@ class _Coulomb(ContactLaw):
         super().check()
         require_nonnegative(self, "friction", "cohesion")
 
-    def threshold(self, p: Array) -> Array:
-        return self.cohesion + self.friction * p
-
-    def threshold_rate(self, p: Array) -> Array:
-        return np.full_like(p, self.friction)
-
     @property
-    def numbers(self) -> tuple[float, float, float, float]:
+    def numbers(self) -> tuple[float, float, float, float]:  # type: ignore[override]
         return self.K_N, self.K_T, self.friction, self.cohesion
 
 
@@ -386,12 +380,6 @@ class Tresca(ContactLaw):
         super().check()
         require_nonnegative(self, "bound")
 
-    def threshold(self, p: Array) -> Array:
-        return np.full_like(p, self.bound)
-
-    def threshold_rate(self, p: Array) -> Array:
-        return np.zeros_like(p)
-
     @property
-    def numbers(self) -> tuple[float, float, float, float]:
+    def numbers(self) -> tuple[float, float, float, float]:  # type: ignore[override]
         return self.K_N, self.K_T, 0.0, self.bound

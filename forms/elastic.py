@@ -23,7 +23,7 @@ from forms.parameter_fields import (
     parameter_numbers,
 )
 from forms.stations import AnyStation, Faces, Station, gauss_stations
-from forms.tensors import MANDEL_PAIRS, SQRT2, Expr, condensed_tangent, isotropic_tensor, layer_frame
+from forms.tensors import MANDEL_BASIS, Expr, condensed_tangent, isotropic_tensor, layer_frame
 from forms.traits import warn_caller
 
 VOIGT_PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
@@ -281,9 +281,7 @@ class Anisotropic(LinearLaw):
         if self.frame == "layer":
             rotation = Rotation.align_vectors([np.pad(n, (0, 3 - len(n)))], [[0.0, 1.0, 0.0]])[0].as_matrix()
             C = np.einsum("ia,jb,kc,ld,abcd->ijkl", rotation, rotation, rotation, rotation, C, optimize=True)
-        first, second = np.array(MANDEL_PAIRS).T
-        mandel_factor = np.where(first == second, 1.0, SQRT2)
-        return np.asarray(C[first[:, None], second[:, None], first, second] * np.outer(mandel_factor, mandel_factor))
+        return np.einsum("aij,ijkl,bkl->ab", MANDEL_BASIS, C, MANDEL_BASIS)
 
     def plane_stress(self) -> Anisotropic:
         C = np.zeros((6, 6))

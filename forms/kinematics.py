@@ -24,12 +24,14 @@ class Kinematics:
         x: coordinates on the mesh, UFL (d,); None if no mesh is set (`on_mesh` returns a copy with a mesh).
         name: value of `plane` in `Structure(plane=...)` that selects these kinematics.
         has_rigid_rotations: whether rigid rotations cause no strain.
+        factor: factor, UFL, of all integrals over the mesh; with 1, integrals in 2D are per unit depth.
         factor_degree: polynomial degree of `factor` in the coordinates.
     """
 
     x: Expr | None = None
     name: ClassVar[str] = "strain"
     has_rigid_rotations: ClassVar[bool] = True
+    factor: ClassVar[Expr] = 1
     factor_degree: ClassVar[int] = 0
 
     def on_mesh(self, mesh: ufl.Mesh) -> Self:
@@ -64,11 +66,6 @@ class Kinematics:
         The other components are set to zero, whatever the law returns. `d` is the number of dimensions of the mesh.
         """
         return tuple(range(len(MANDEL_PAIRS)))
-
-    @property
-    def factor(self) -> Expr:
-        """Factor, UFL, of all integrals over the mesh; here 1, so that integrals in 2D are per unit depth."""
-        return 1
 
     def factors_at(self, x: Array) -> Array:
         """Return the factor (...) of integrals at places `x` (..., d): 2 pi r in axisymmetry, otherwise 1."""

@@ -10,12 +10,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 import ufl
 
 from forms.base import Array, InputError, require
+from forms.ends.weights import EndStrips, EndWeights
 from forms.layer_results import LayerResults
 from forms.parameter_fields import (
     MAX_CHECKED_PLACES,
@@ -31,10 +32,6 @@ from forms.parameter_fields import (
 from forms.stations import AnyStation, gauss_stations
 from forms.tensors import Expr, average_lame, condensed_tangent, isotropic_tensor
 from forms.traits import VARIABLE_SIZES, Traits, accept_renamed, require_valid_declarations, reset_inherited_attributes
-
-if TYPE_CHECKING:
-    from forms.ends.weights import EndStrips, EndWeights
-
 
 MISSING_VALUE = object()
 NUMBER_ANNOTATION = re.compile(r"\b(float|int)\b")

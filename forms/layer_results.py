@@ -9,9 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.base import Array
-
-if TYPE_CHECKING:
-    from forms.traits import Traits
+from forms.traits import Traits
 
 ELASTIC, SLIDING, CRUSHED, TORN, OPEN = "elastic", "sliding", "crushed", "torn", "open"
 YIELD_STATUSES = (ELASTIC, SLIDING, CRUSHED, TORN, OPEN)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from forms.base import Array
 from forms.elastic import IsotropicLaw, LinearElastic, LinearLaw, lame_stress, poisson_ratio
 from forms.ends.constants import free_end
-from forms.ends.weights import EndStrips, EndWeights, pressure_stations_at_ends
+from forms.ends.weights import EndStrips, EndWeights
 from forms.law import Step, require_positive
-from forms.stations import AnyStation, pressure_stations
+from forms.stations import AnyStation, Faces, Station
 from forms.tensors import Expr, isotropic_tensor
 
 
@@ -27,17 +27,36 @@ class PressureLaw(LinearLaw):
         return lame_stress(0, self.mu, step.mid)
 
     def stations(self) -> list[AnyStation]:
-        """Return the stations of the interface law of order 1, which has a pressure field on S.
+        """Return the two stations of the interface law of order 1, which has a pressure field on S.
 
-        The gradient of the pressure drives a flow of the layer along S.
+        The first one has the mean strain through the thickness; there a gradient of the pressure lets the layer flow
+        along S. The second one has the in-plane strain at the upper face minus that at the lower face. The stress of
+        this change has no traction on planes parallel to S. Its law is therefore that of plane stress.
         """
-        return pressure_stations(self)
+        mean = Station(
+            self, 1, lambda _, faces: faces.strain_across() + faces.mean_strain_s, lambda law: 1 / (12 * law.mu)
+        )
+        return [mean, Station(self.plane_stress(), 1 / 12, lambda _, faces: faces.in_plane(faces.strain_change))]
 
     def end_strips(self) -> EndStrips | None:
         return None if self.fields else EndStrips.with_pressure(free_end(self._nu))
 
     def stations_at_ends(self, weights: EndWeights) -> list[AnyStation]:
-        return pressure_stations_at_ends(self, weights)
+        """Return three stations near free ends.
+
+        Two are those of `stations`; of these the first has the changed shear strain and flow. The third one has the
+        second strain of `EndWeights.shear_strains`.
+
+        Args:
+            weights: changes of the interface law near free ends, UFL on S.
+        """
+        mean, in_plane = self.stations()
+
+        def end_strain(law: PressureLaw, faces: Faces) -> Expr:
+            return mean.strain(law, faces) + weights.shear_strains(faces)[0]
+
+        end_station = replace(mean, strain=end_strain, mobility=lambda law: weights.flow_factor * mean.mobility(law))
+        return [end_station, Station(in_plane.law, 1, lambda _, faces: weights.shear_strains(faces)[1]), in_plane]
 
 
 @dataclass(frozen=True)

@@ -5,14 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import ufl
 
 from forms.tensors import Expr, jump_strain, three_dimensional
-
-if TYPE_CHECKING:
-    from forms.rubber import PressureLaw
 
 LawType = TypeVar("LawType")  # a law of strains, `forms.law.BulkLaw`
 GAUSS_HEIGHTS = (-(12**-0.5), 12**-0.5)  # Gauss points of the interval from -1/2 to 1/2, through the thickness
@@ -133,16 +130,3 @@ def gauss_stations(law: LawType, difference: Callable[[LawType, Faces], Expr] | 
         return lambda law, faces: faces.strain_across() + faces.mean_strain_s + z * strain_change(law, faces)
 
     return [Station(law, 1 / 2, at(z), max_lame_ratio=math.inf if difference else LOCKING_RATIO) for z in GAUSS_HEIGHTS]
-
-
-def pressure_stations(law: PressureLaw) -> list[AnyStation]:
-    """Return two stations for a law with a shear modulus mu and a pressure field on S.
-
-    The first one has the mean strain through the thickness; there a gradient of the pressure lets the layer flow along
-    S. The second one has the in-plane strain at the upper face minus that at the lower face. The stress of this change
-    has no traction on planes parallel to S. Its law is therefore that of plane stress.
-    """
-    return [
-        Station(law, 1, lambda law, faces: faces.strain_across() + faces.mean_strain_s, lambda law: 1 / (12 * law.mu)),
-        Station(law.plane_stress(), 1 / 12, lambda law, faces: faces.in_plane(faces.strain_change)),
-    ]

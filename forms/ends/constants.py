@@ -99,22 +99,14 @@ def chebyshev_poisson_ratios(n: int) -> Array:
 
 
 @cache
-def free_end_table() -> dict[str, Array]:
-    """Return the table of constants in the file `TABLE_FILE`: column name -> values, one for each Poisson's ratio.
+def _chebyshev_coefficients() -> Array:
+    """Return Chebyshev coefficients (n, 5), from n rows of `TABLE_FILE`, for the functions that `free_end` interpolates.
 
     The rows have the order of `chebyshev_poisson_ratios`.
-    """
-    return dict(zip(TABLE_COLUMNS, np.loadtxt(TABLE_FILE, delimiter=",", skiprows=1).T, strict=True))
-
-
-@cache
-def _chebyshev_coefficients() -> Array:
-    """Return Chebyshev coefficients (n, 5), from the table's n rows, for the functions that `free_end` interpolates.
-
     The columns belong to the five functions in `free_end`; in place of the first, y, the column has (y^2 - 1/12)/s. The
     variable of the polynomials is 2 s - 1 with s = sqrt(1 - 2 nu).
     """
-    table = free_end_table()
+    table = dict(zip(TABLE_COLUMNS, np.loadtxt(TABLE_FILE, delimiter=",", skiprows=1).T, strict=True))
     nu = table["nu"]
     lmbda, s = 2 * nu / (1 - 2 * nu), np.sqrt(1 - 2 * nu)
     M = lmbda + 2

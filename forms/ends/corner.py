@@ -94,10 +94,6 @@ class CornerField:
         coefficients = self._mode_coefficients(self.exponent)
         return coefficients / self._power_field(self.exponent, coefficients, np.array(1.0), np.array(0.0))[1][1]
 
-    @cached_property
-    def _dual_coefficients(self) -> Array:
-        return self._mode_coefficients(-self.exponent)
-
     def unit_field(self, r: Array, angle: Array) -> tuple[Array, Array]:
         """Return displacements and stresses of the singular field whose normal traction on the face is r^(lambda - 1).
 
@@ -160,8 +156,8 @@ class CornerField:
             u: displacements (n, 2) at the points of `arc_points`, times mu.
             stress: stresses s_11, s_22, s_12, (n, 3), at the points of `arc_points`.
         """
-        angles, weights = self._arc_rule
-        dual_u, dual_stress = self._power_field(-self.exponent, self._dual_coefficients, np.array(r), angles)
+        (angles, weights), dual = self._arc_rule, self._mode_coefficients(-self.exponent)
+        dual_u, dual_stress = self._power_field(-self.exponent, dual, np.array(r), angles)
         return float(weights @ (_work_density(stress, angles, dual_u) - _work_density(dual_stress, angles, u))) * r
 
 

@@ -39,17 +39,13 @@ to the flow add up. The factor on the flow is then 1/(1 + (1/kappa - 1) s).
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import ufl
 
 from forms.ends.constants import FreeEnd
-from forms.stations import AnyStation, Faces, Station, pressure_stations
+from forms.stations import Faces
 from forms.tensors import Expr, three_dimensional
-
-if TYPE_CHECKING:
-    from forms.rubber import PressureLaw
 
 MAX_OPENING_STRIP = 3.0  # largest length, over the thickness, of the strip that is weaker against openings
 MIN_SPREAD_LENGTH = 10.0  # spreading length, over the thickness, from which a pressure grows linearly near an end
@@ -179,22 +175,3 @@ class EndWeights(NamedTuple):
         e_1 += across + mean + (1 / root - 1) * e_S
         e_1 += ((root - 1) * e_N - (1 - self.f_N) * thinning) * faces.n_dyad
         return e_1, e_2 + ufl.sqrt(1 - self.f_N**2) * thinning * faces.n_dyad
-
-
-def pressure_stations_at_ends(law: PressureLaw, weights: EndWeights) -> list[AnyStation]:
-    """Return three stations, near free ends, of the interface law of order 1 of a law with a pressure field on S.
-
-    Two are those of `forms.stations.pressure_stations`; of these the first has the changed shear strain and flow. The
-    third one has the second strain of `EndWeights.shear_strains`.
-
-    Args:
-        law: the law.
-        weights: changes of the interface law near free ends, UFL on S.
-    """
-    mean_station, in_plane = pressure_stations(law)
-    end_station = replace(
-        mean_station,
-        strain=lambda law, faces: mean_station.strain(law, faces) + weights.shear_strains(faces)[0],
-        mobility=lambda law: weights.flow_factor * mean_station.mobility(law),
-    )
-    return [end_station, Station(in_plane.law, 1, lambda law, faces: weights.shear_strains(faces)[1]), in_plane]
