@@ -306,9 +306,8 @@ class Domain:
             drawn_vertex: number in `joint.points` of one of these vertices.
         """
         joint, topology = self.joint, self.mesh.topology
-        copies = np.flatnonzero(np.all(joint.reference == joint.reference[drawn_vertex], axis=1))
-        if joint.periods:
-            copies = np.flatnonzero(np.isin(joint.masters, joint.masters[copies]))
+        is_copy = np.all(joint.reference == joint.reference[drawn_vertex], axis=1)
+        copies = np.flatnonzero(np.isin(joint.masters, joint.masters[is_copy]))
         topology.create_connectivity(0, joint.dim)
         local_vertices = np.arange(topology.index_map(0).size_local + topology.index_map(0).num_ghosts, dtype=np.int32)
         nodes = dolfinx.mesh.entities_to_geometry(self.mesh, 0, local_vertices).ravel()

@@ -132,10 +132,9 @@ class Joint:
             refuse(self.table.index(facets) < 0, self.points[facets], complaint)
         if self.band is None:
             self._check_seams()
-            rows = {name: self.table.index(facets) for name, facets in self.facets.items()}
-            is_kept = {name: np.isin(of, self.surface_rows, invert=name not in self.seams) for name, of in rows.items()}
-            kept_facets = {name: facets[is_kept[name]] for name, facets in self.facets.items() if is_kept[name].any()}
-            object.__setattr__(self, "facets", kept_facets)
+            on_s = {name: np.isin(self.table.index(facets), self.surface_rows) for name, facets in self.facets.items()}
+            kept = {name: facets if name in self.seams else facets[~on_s[name]] for name, facets in self.facets.items()}
+            object.__setattr__(self, "facets", {name: facets for name, facets in kept.items() if len(facets)})
         if self.periods:
             base_rows = self.surface_rows[self.surface_cells[:, 0] < 0] if self.band is None else np.empty(0, np.int64)
             self.periods.check(self.points, self.corners, self.cell_type, self.table.vertices[base_rows])

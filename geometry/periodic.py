@@ -39,23 +39,16 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
     require(isinstance(joint, Joint), "joint", joint, "it must be a Joint")
     if joint.band is not None:
         raise InputError("the joint's layer is meshed; in a periodic joint it is a surface with an interface model")
-    old_periods = joint.periods or Periods((), ())
-    names = [*old_periods.side_names, *chain(*sides)]
+    all_sides = (joint.periods.sides if joint.periods else ()) + sides
+    names = [*chain(*all_sides)]
     for name in (name for name in names if names.count(name) > 1):
         raise InputError(f"{name!r} is in two pairs of periodic sides; a side belongs to one pair")
-    pairs = tuple(_match_nodes(joint, *pair) for pair in sides)
-    return replace(joint, periods=Periods(old_periods.sides + sides, old_periods.node_pairs + pairs))
+    return with_sides(joint, all_sides)
 
 
-def with_periods_of(inflated: Joint, periods: Periods) -> Joint:
-    """Return a joint with meshed layers as a periodic cell, with the same identified sides as the joint as drawn.
-
-    Args:
-        inflated: the joint with meshed layers; its periodic sides must not have moved.
-        periods: pairs of identified sides of the joint as drawn.
-    """
-    pairs = tuple(_match_nodes(inflated, *names) for names in periods.sides)
-    return replace(inflated, periods=Periods(periods.sides, pairs))
+def with_sides(joint: Joint, sides: tuple[tuple[str, str], ...]) -> Joint:
+    """Return a joint, which may have meshed layers, as a periodic cell with these pairs of identified sides."""
+    return replace(joint, periods=Periods(sides, tuple(_match_nodes(joint, *pair) for pair in sides)))
 
 
 def _match_nodes(joint: Joint, first: str, second: str) -> IntArray:

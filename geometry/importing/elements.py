@@ -63,9 +63,8 @@ def mesh_of(points: FloatArray, elements: Elements, sets: Sets, node_sets: Sets)
         sets: name -> numbers of the elements in this set.
         node_sets: name -> row numbers in `points` of the nodes in this set.
     """
-    numbers: dict[str, list[int]] = {}
-    for number, (kind, _) in enumerate(elements):
-        numbers.setdefault(kind, []).append(number)
+    kinds = np.array([kind for kind, _ in elements])
+    numbers = {kind: np.flatnonzero(kinds == kind) for kind in dict.fromkeys(kinds.tolist())}
     cells = [(kind, np.array([elements[k][1] for k in of_kind], np.int64)) for kind, of_kind in numbers.items()]
     cell_sets = {name: [np.flatnonzero(np.isin(k, [*its])) for k in numbers.values()] for name, its in sets.items()}
     point_sets = {name: np.array([*its], np.int64) for name, its in node_sets.items()}

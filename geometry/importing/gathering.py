@@ -17,9 +17,10 @@ from geometry.importing.elements import joined
 from geometry.importing.naming import FileCells, GroupMasks, NamedGroups, SeamSides
 from geometry.joint import Joint
 from geometry.parallel import Comm, default_comm, on_root
-from geometry.topology import CELL_TYPES, BoolArray, FloatArray, Indices, IntArray, corner_count, geometry_degree
+from geometry.topology import CELL_TYPES, FloatArray, Indices, IntArray, corner_count, geometry_degree
 
 BODY = "BODY"  # region of all cells if there are no cell tags
+UNTAGGED = np.iinfo(np.int64).min  # in place of the tag of a cell that has none although others have
 TagNames = Mapping[str, Sequence[int]]  # name -> dimension of the tagged entities, then their tags
 Tags = dict[str, list[int]]  # name -> tags
 
@@ -53,9 +54,7 @@ class _OwnMesh(NamedTuple):
         type: type of the cells, such as "triangle".
         points: (n, 2 or 3) coordinates of the nodes that the rank owns.
         nodes: (n_cells, k) numbers of the k nodes of each cell that the rank owns.
-        region_tags: (n_cells,) tag of each of these cells; 0 for cells without a tag.
-        is_tagged: (n_cells,) whether each of these cells has a tag. Without cell tags all count as tagged, with the tag
-            0.
+        region_tags: (n_cells,) tag of each of these cells, or `UNTAGGED`. Without cell tags all have the tag 0.
         facets: (n_facets, m) numbers of the m vertices of each tagged facet on this rank, ghosts included.
         tags_of_facets: (n_facets,) tags of these facets.
     """
@@ -64,7 +63,6 @@ class _OwnMesh(NamedTuple):
     points: FloatArray
     nodes: IntArray
     region_tags: IntArray
-    is_tagged: BoolArray
     facets: IntArray
     tags_of_facets: IntArray
 
@@ -88,15 +86,14 @@ class _OwnMesh(NamedTuple):
             raise InputError(f"cells are of type {', '.join(type_names)}; allowed: one of {', '.join(CELL_TYPES)}")
         geometry_degree(cell_type, cells.shape[1])
         n_owned = topology.index_map(dim).size_local
-        region_tags, is_tagged = np.zeros(n_owned, np.int64), np.full(n_owned, cell_tags is None)
+        region_tags = np.full(len(cells), 0 if cell_tags is None else UNTAGGED)
         tagged_cells, cell_values = _tags(mesh, cell_tags, dim, "cell_tags")
-        is_owned = tagged_cells < n_owned
-        region_tags[tagged_cells[is_owned]], is_tagged[tagged_cells[is_owned]] = cell_values[is_owned], True
+        region_tags[tagged_cells] = cell_values
         facets, tags = _tags(mesh, facet_tags, dim - 1, "facet_tags")
         global_nodes = np.reshape(geometry.index_map().local_to_global(cells.ravel()), cells.shape)
         points = np.asarray(geometry.x[: geometry.index_map().size_local, : geometry.dim], float)
         vertices = vertices_of_facets(mesh, cell_type, facets, global_nodes[:, : corner_count(cell_type)])
-        return cls(cell_type, points, global_nodes[:n_owned], region_tags, is_tagged, vertices, tags)
+        return cls(cell_type, points, global_nodes[:n_owned], region_tags[:n_owned], vertices, tags)
 
 
 def _tags(mesh: dolfinx.mesh.Mesh, tags: dolfinx.mesh.MeshTags | None, dim: int, what: str) -> tuple[Indices, IntArray]:
@@ -142,7 +139,7 @@ def _assemble(
         if isinstance(part, Exception):
             raise part
     (cell_type, *_), *arrays = zip(*parts, strict=True)
-    points, nodes, region, is_tagged, rows, tags = map(np.concatenate, arrays)
+    points, nodes, region, rows, tags = map(np.concatenate, arrays)
     if not len(nodes):
         raise InputError("the mesh has no cells")
     node_order = np.lexsort(points.T[::-1])
@@ -152,10 +149,10 @@ def _assemble(
     cell_order = np.lexsort(np.sort(nodes[:, : corner_count(cell_type)], axis=1).T[::-1])
     cells = FileCells.of(scale * points[node_order], nodes[cell_order], cell_type)
     dim, tags_by_dim = cells.points.shape[1], _tags_by_dimension(names or {})
-    region_masks = _group_masks(tags_by_dim.get(dim, default_tags), region[cell_order], is_tagged[cell_order], "cell")
+    region_masks = _group_masks(tags_by_dim.get(dim, default_tags), region[cell_order], "cell")
     if not region_masks:
         raise InputError("no cell has a tag")
-    masks = _group_masks(tags_by_dim.get(dim - 1), tags, np.ones(len(tags), bool), "facet")
+    masks = _group_masks(tags_by_dim.get(dim - 1), tags, "facet")
     facets = {name: np.unique(np.searchsorted(cells.point_numbers, rows[mask]), axis=0) for name, mask in masks.items()}
     return NamedGroups(cells, region_masks, facets, "tags", sides).make_joint()
 
@@ -180,21 +177,20 @@ def _tags_by_dimension(names: TagNames) -> dict[int, Tags]:
     return tags_by_dim
 
 
-def _group_masks(names: Tags | None, values: IntArray, is_tagged: BoolArray, entity: str) -> GroupMasks:
+def _group_masks(names: Tags | None, values: IntArray, entity: str) -> GroupMasks:
     """Return the groups of entities as name -> (n,) whether each of the n entities is in the group.
 
     Args:
         names: name of a group -> tags of its entities; None: each tag is a group, named by the tag as text.
-        values: (n,) tags of the entities.
-        is_tagged: (n,) whether each entity has a tag.
+        values: (n,) tags of the entities, `UNTAGGED` for those without a tag.
         entity: noun for the entities, for messages.
 
     Raises:
         InputError: no entity has a tag in `names`.
     """
-    tags = [*map(int, np.unique(values[is_tagged]))]
+    tags = [*map(int, np.unique(values[values != UNTAGGED]))]
     names = {str(tag): [tag] for tag in tags} if names is None else names
     for name, tag in ((name, tag) for name, of in names.items() for tag in of if tag not in tags):
         tags_text = ", ".join(map(str, tags)) or "none"
         raise InputError(f"names: no {entity} has the tag {tag}, named {name!r}; tags: {tags_text}")
-    return {name: is_tagged & np.isin(values, of) for name, of in names.items()}
+    return {name: np.isin(values, of) for name, of in names.items()}

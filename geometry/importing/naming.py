@@ -203,10 +203,8 @@ def _seam(name: str, rule: object) -> Seam:
         rule: the upper side: a vector that points there; (lower regions, upper regions), each a name or names; a
             `Seam`, which is returned; or None for a seam whose sides follow the order of the regions.
     """
-    if rule is None:
-        return Seam()
-    if isinstance(rule, Seam):
-        return rule
+    if rule is None or isinstance(rule, Seam):
+        return rule or Seam()
     if (vector := finite_values(rule, (-1,))) is not None and vector.ndim:
         return Seam(direction=tuple(map(float, vector)))
     if not isinstance(rule, tuple | list) or len(rule) != 2:

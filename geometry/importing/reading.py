@@ -143,9 +143,8 @@ def read_groups(
             example = f'Physical {"Surface" if dim == 2 else "Volume"}("BODY") = {{...}}'
             raise InputError(f"no named groups of cells ({source}); in gmsh: {example}; saved with Mesh.SaveAll = 0")
         facets = _group_facets(mesh, cells, _group_masks(mesh, dim - 1, array_name))
-        node_sets: GroupMasks = {
-            name: np.isin(cells.point_numbers, masters[of]) for name, of in mesh.point_sets.items()
-        }
+        numbers_of_sets = {name: masters[of] for name, of in mesh.point_sets.items()}
+        node_sets = {name: np.isin(cells.point_numbers, of) for name, of in numbers_of_sets.items()}
         return function(NamedGroups(cells, regions, facets, source, sides, node_sets))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None

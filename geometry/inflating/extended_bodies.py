@@ -112,6 +112,9 @@ def extended_motion(
         face_nodes: (n,) numbers of the nodes between bodies and layers.
         motions: (n, d) prescribed motion of these nodes, lengths.
         fixed_nodes: numbers of nodes that do not move, such as nodes of periodic sides.
+
+    Raises:
+        InputError: the conjugate gradients for the other nodes do not converge.
     """
     d, k = joint.dim, joint.corners.shape[1]
     corners = body_cells[:, :k]
@@ -128,8 +131,12 @@ def extended_motion(
     if len(node):
         laplacian = _laplacian(joint.points[joint.corners], corners, joint.cell_type, n_nodes)
         load = -(laplacian[free_nodes] @ motion).ravel()
-        matrix = basis.T @ scipy.sparse.kron(laplacian[free_nodes][:, free_nodes], np.eye(d), format="csr") @ basis
-        motion[free_nodes] = (basis @ _solve_cg(matrix.tocsr(), basis.T @ load)).reshape(-1, d)
+        K = (basis.T @ scipy.sparse.kron(laplacian[free_nodes][:, free_nodes], np.eye(d), format="csr") @ basis).tocsr()
+        jacobi = scipy.sparse.diags(1 / K.diagonal())
+        q, status = scipy.sparse.linalg.cg(K, basis.T @ load, rtol=CG_TOLERANCE, atol=0.0, maxiter=50_000, M=jacobi)
+        if status:
+            raise InputError("the harmonic motion of the bodies' nodes was not found: the mesh has nearly flat cells")
+        motion[free_nodes] = (basis @ q).reshape(-1, d)
     if body_cells.shape[1] > k:
         motion[body_cells[:, k:]] = np.einsum("qn,cnd->cqd", mid_node_weights(joint.cell_type), motion[corners])
         motion[face_nodes] = motions
@@ -154,16 +161,3 @@ def _laplacian(x: FloatArray, corners: IntArray, cell_type: str, n: int) -> scip
     k = corners.shape[1]
     rows, columns = np.repeat(corners, k, axis=1).ravel(), np.tile(corners, (1, k)).ravel()
     return scipy.sparse.coo_matrix((matrices.ravel(), (rows, columns)), shape=(n, n)).tocsr()
-
-
-def _solve_cg(matrix: scipy.sparse.csr_matrix, b: FloatArray) -> FloatArray:
-    """Return the solution x of `matrix` x = `b`, with a symmetric positive definite matrix, by conjugate gradients.
-
-    Raises:
-        InputError: the iteration does not converge.
-    """
-    jacobi = scipy.sparse.diags(1 / matrix.diagonal())
-    solution, status = scipy.sparse.linalg.cg(matrix, b, rtol=CG_TOLERANCE, atol=0.0, maxiter=50_000, M=jacobi)
-    if status:
-        raise InputError("the harmonic motion of the bodies' nodes was not found: the mesh has nearly flat cells")
-    return np.asarray(solution)

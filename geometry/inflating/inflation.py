@@ -16,7 +16,7 @@ from geometry.inflating.filling import JunctionCells, junction_cells
 from geometry.inflating.kept_bodies import NOT_KEPT_MESSAGE, THICKNESS_TOLERANCE, body_translations, require_room
 from geometry.inflating.layering import Layering, Names, Profiles, Sizes, check_junctions, check_layering, moved_facets
 from geometry.joint import InflatedBand, Joint
-from geometry.periodic import with_periods_of
+from geometry.periodic import with_sides
 from geometry.refusals import refuse
 from geometry.seam import JUNCTIONS, LAYER, FacetName
 from geometry.topology import FacetTable, FloatArray, IntArray, node_jacobians, positions
@@ -127,7 +127,7 @@ def inflate(
     )
     region = np.concatenate([joint.region, bands.region, first_fill_region + np.searchsorted(owner_seams, fill.region)])
     inflated = Joint(points, cells, joint.cell_type, region, joint.regions + layer_regions, facets, joint.seams, band)
-    return with_periods_of(inflated, periods) if periods else inflated
+    return with_sides(inflated, periods.sides) if periods else inflated
 
 
 def without_bodies(inflated: Joint) -> Joint:

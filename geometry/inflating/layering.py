@@ -56,9 +56,8 @@ def check_layering(cells_through: int, bodies: str) -> None:
         bodies: "kept" or "extended".
     """
     require_known("way to make room for the layer (bodies=...)", bodies, BODY_CHOICES)
-    require(
-        is_integer(cells_through, 1), "cells_through", cells_through, "the layer needs a whole number >= 1 of cells"
-    )
+    wanted = "the layer needs a whole number >= 1 of cells"
+    require(is_integer(cells_through, 1), "cells_through", cells_through, wanted)
 
 
 class Layering(NamedTuple):
@@ -150,11 +149,8 @@ def check_junctions(joint: Joint, lines: NodeLines, layering: Layering) -> None:
         ("junctions are meshed between straight-sided cells only", [*joint.seams] if joint.degree == 2 else []),
     ):
         refuse(np.isin(names, bad_seams), x, f"S branches at {{at}}: {reason}; use the interface model")
-    refuse(
-        lines.last_level[junction_lines] % 2 > 0,
-        x,
-        "layers meet at {at} and need an even number of cells (cells_through) there",
-    )
+    is_odd = lines.last_level[junction_lines] % 2 > 0
+    refuse(is_odd, x, "layers meet at {at} and need an even number of cells (cells_through) there")
 
 
 def moved_facets(

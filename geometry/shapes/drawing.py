@@ -79,19 +79,16 @@ class Shape(ABC):
 
     Attributes:
         meshing: requested cell sizes and types.
+        dim: space dimension.
         angle_fields: names of the fields that are angles, in radians.
     """
 
     meshing: MeshOptions
+    dim: ClassVar[int] = 2
     angle_fields: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         self.meshing.check(self.lengths, self.dim)
-
-    @property
-    def dim(self) -> int:
-        """Space dimension."""
-        return 2
 
     @property
     @abstractmethod
@@ -280,7 +277,7 @@ class Prism(Shape):
     depth: float | None
 
     @property
-    def dim(self) -> int:
+    def dim(self) -> int:  # type: ignore[override]
         """Space dimension."""
         return 2 if self.depth is None else 3
 

@@ -143,6 +143,7 @@ class Discs(Shape):
     lower: float
     upper: float
     hole: float
+    dim: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -150,11 +151,6 @@ class Discs(Shape):
             raise InputError(f"hole is {self.hole!r}; it must be 0 (no hole) or a radius less than {self.radius}")
         if self.hole:
             require_width("hole", self.hole, self.radius)
-
-    @property
-    def dim(self) -> int:
-        """Space dimension."""
-        return 3
 
     @property
     def lengths(self) -> dict[str, float]:

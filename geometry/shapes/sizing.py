@@ -87,9 +87,8 @@ def require_width(part_name: str, width: float, largest: float) -> None:
         largest: largest length of the shape.
     """
     if width < (least := MIN_LENGTH_RATIO * largest):
-        raise InputError(
-            f"{part_name} is {width:g}; allowed: at least {least:g} ({MIN_LENGTH_RATIO:g} of the largest length)"
-        )
+        allowed = f"at least {least:g} ({MIN_LENGTH_RATIO:g} of the largest length)"
+        raise InputError(f"{part_name} is {width:g}; allowed: {allowed}")
 
 
 class MeshOptions(NamedTuple):
