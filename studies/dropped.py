@@ -33,6 +33,7 @@ from forms import (
 from forms.elastic import lame_stress
 from forms.law import Step
 from forms.tensors import Expr
+from forms.viscous import isotropic_energy
 from geometry import block, faults, ring, sandwich
 from studies.problems import (
     FOURIER_BODY,
@@ -274,8 +275,7 @@ class CubicHardening(BulkLaw):
 
     def energy(self, step: Step) -> Expr:
         """Return the elastic energy per volume at the strain `step.e` of a time step."""
-        strain_square = ufl.inner(step.e, step.e)
-        return self.lmbda / 2 * ufl.tr(step.e) ** 2 + self.mu * strain_square + self.c / 4 * strain_square**2
+        return isotropic_energy(self.lmbda, self.mu, step.e) + self.c / 4 * ufl.inner(step.e, step.e) ** 2
 
 
 def soft_layer_fn(mu: float, nu: float) -> LayerOfThickness:

@@ -16,7 +16,6 @@ from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed, formulas
 from forms.base import Array
 from forms.non_monotone import PhaseLaw
 from geometry import block
-from geometry.topology import BoolArray
 from studies.sweeping import Curves
 from thinlayer import Structure, Surface, Table, ThinLayer, march, piecewise, plotting
 from thinlayer.discretisation.model import Model
@@ -143,10 +142,12 @@ class Strip:
             "up" and "down", where pure phases snap; and "loop_area", the energy lost.
         """
         delta, sigma = delta_at(relaxed.t), relaxed.table["sigma"]
-        line_0, mixed, line_1 = (fit_line(delta, sigma, (delta >= low) & (delta <= high)) for low, high in FIT_RANGES)
+        masks = [(delta >= low) & (delta <= high) for low, high in FIT_RANGES]
+        line_0, mixed, line_1 = (np.polyfit(delta[mask], sigma[mask], 1) for mask in masks)
+        meetings = [float(np.roots(line - mixed)[0]) for line in (line_0, line_1)]
         up, down = delta_at(np.array([snap.t for snap in unrelaxed.snaps]))
         lost = [snap.lost for snap in unrelaxed.snaps]
-        row = dict(zip(THRESHOLDS, (meet_x(line_0, mixed), meet_x(mixed, line_1), up, down, sum(lost)), strict=True))
+        row = dict(zip(THRESHOLDS, (*meetings, up, down, sum(lost)), strict=True))
         error = max(abs(value / getattr(self.bar, ATTRIBUTES.get(name, name)) - 1) for name, value in row.items())
         self.record.check(f"{self}: relative error of {', '.join(row)}", error, high=RTOL)
         area = float(np.trapezoid(unrelaxed.table["sigma"], delta_at(unrelaxed.t)))
@@ -205,19 +206,6 @@ def check_known_values(record: Record, table: Table, thresholds: Table) -> None:
 def delta_at(t: Array) -> Array:
     """Return the prescribed displacement delta (n,) of the bar's end at the times `t` (n,): up to 2 and back to 0."""
     return END_DELTA - np.abs(t - END_DELTA)
-
-
-def fit_line(x: Array, y: Array, mask: BoolArray) -> Array:
-    """Fit a line to those points (x, y) at which `mask` is true.
-
-    All arguments are arrays (n,). The result (2,) is the slope of the line and its value at x = 0.
-    """
-    return np.polyfit(x[mask], y[mask], 1)
-
-
-def meet_x(a: Array, b: Array) -> float:
-    """Return the abscissa at which the lines `a` and `b` meet, each given as (slope, value at 0)."""
-    return float((b[1] - a[1]) / (a[0] - b[0]))
 
 
 # ---------------------------------------------------------------- pictures

@@ -8,12 +8,12 @@ from functools import partial
 from math import cos, radians, sin
 
 import numpy as np
-import ufl
 from scipy.spatial import cKDTree
 
 from forms import LinearElastic
 from forms.base import Array
-from forms.tensors import Expr
+from forms.tensors import Expr, strain
+from forms.viscous import isotropic_energy
 from geometry import faults, grains, wall
 from geometry.joint import Joint
 from geometry.seam import JUNCTIONS, LAYER
@@ -241,18 +241,13 @@ def far_weights(surface: Surface, distance: float) -> Array:
     return np.asarray(is_far[surface.rows, None] * np.ones_like(surface.weights))
 
 
-def energy_density(law: LinearElastic, u: Expr) -> Expr:
-    """Return the stored energy per volume of a material of the law `law` at the displacements `u`, a UFL scalar."""
-    e = ufl.sym(ufl.grad(u))
-    return law.lmbda / 2 * ufl.tr(e) ** 2 + law.mu * ufl.inner(e, e)
-
-
 def stiffening_energy(u: Expr, model: Model) -> Expr:
     """Return the energy, a UFL form, that is added to the full model `model` so that its junctions are stiff.
 
     It is the energy of the bodies' material in the junctions at the displacements `u`.
     """
-    return energy_density(BODY, u) * model.dx(model.domain.region_tags(f"{LAYER}/{JUNCTIONS}"))
+    in_junctions = model.dx(model.domain.region_tags(f"{LAYER}/{JUNCTIONS}"))
+    return isotropic_energy(BODY.lmbda, BODY.mu, strain(u)) * in_junctions
 
 
 def draw(record: Record) -> None:

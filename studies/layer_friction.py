@@ -17,6 +17,7 @@ from thinlayer.running.record import Record
 LMBDA, MU = 60.0, 40.0
 NU = LMBDA / (2 * (LMBDA + MU))
 OMEGA = 30.0
+SIN_OMEGA, TAN_OMEGA = np.sin(np.radians(OMEGA)), np.tan(np.radians(OMEGA))  # friction coefficients; Coulomb's is tan
 DILATANCY_ANGLES = (10.0, 20.0, 30.0)
 PSI_LABELS = {psi: f"psi = {psi:g}" for psi in DILATANCY_ANGLES}
 CLOSING_JUMP = -0.01  # constant normal jump; the constant normal stress is the elastic stress at this jump, -1.4
@@ -61,13 +62,13 @@ def run(record: Record, *, quick: bool = False) -> None:
     exact = formulas.mohr_coulomb_fixed_opening(LMBDA, MU, 0.0, OMEGA, CLOSING_JUMP, sheared.jumps[:, 0])
     error, max_friction = np.abs(sheared.tractions - exact).max(), float(np.nanmax(apparent_friction(curves[UNLOADED])))
     record.check("largest error against the closed form, opening held", error, high=6 / steps)
-    record.check_near("largest friction while the normal stress is taken away", max_friction, tan_omega(), 1e-5)
+    record.check_near("largest friction while the normal stress is taken away", max_friction, TAN_OMEGA, 1e-5)
     for name in HELD_VALUES:
-        record.check_near(f"lasting friction, {name}", lasting_friction(law, name), np.sin(np.radians(OMEGA)), 1e-6)
+        record.check_near(f"lasting friction, {name}", lasting_friction(law, name), SIN_OMEGA, 1e-6)
     for psi in DILATANCY_ANGLES[:2]:
         lasting = lasting_friction(replace(law, dilatancy_angle=psi), FIXED_STRESS)
         record.check_near(f"lasting friction, psi = {psi:g}", lasting, formulas.apparent_friction(OMEGA, psi), 5e-7)
-    record.check_near(f"lasting friction, {PLANES}", apparent_friction(curves[PLANES])[-1], tan_omega(), 1e-12)
+    record.check_near(f"lasting friction, {PLANES}", apparent_friction(curves[PLANES])[-1], TAN_OMEGA, 1e-12)
 
 
 def apparent_friction(history: PointHistory) -> Array:
@@ -79,11 +80,6 @@ def apparent_friction(history: PointHistory) -> Array:
 def lasting_friction(law: MohrCoulomb, name: str) -> float:
     """Return the apparent friction after a large shear, at the constant stress or jump `name` of `HELD_VALUES`."""
     return float(apparent_friction(drive(law, held_path(name, 60, LASTING_SHEAR)))[-1])
-
-
-def tan_omega() -> float:
-    """Return the friction coefficient tan(Omega) of Coulomb's law, for the layer's friction angle Omega."""
-    return float(np.tan(np.radians(OMEGA)))
 
 
 # ---------------------------------------------------------------- paths
@@ -135,8 +131,8 @@ def draw(record: Record) -> None:
     """Draw the apparent friction over the shear, for several paths and for several laws, from table.csv of `record`."""
     curves = record.load("table.csv").split("path")
     shown = {PATHS: (UNLOADED, FIXED_STRESS, FIXED_JUMP, RADIAL), FLOW: (FIXED_STRESS, *PSI_LABELS.values(), PLANES)}
-    values = {"tan(Omega)": tan_omega(), "sin(Omega)": float(np.sin(np.radians(OMEGA)))}
-    values["first yield"] = formulas.first_yield_ratio(NU, OMEGA)
+    first_yield = formulas.first_yield_ratio(NU, OMEGA)
+    values = {"tan(Omega)": TAN_OMEGA, "sin(Omega)": SIN_OMEGA, "first yield": first_yield}
     lines: Curves = {name: (np.array([0.0, END_SHEAR]), np.full(2, value)) for name, value in values.items()}
     panels = {}
     for title, paths in shown.items():

@@ -299,6 +299,12 @@ def is_inside_joints(x: Array) -> BoolArray:
     return np.asarray(abs(np.sqrt(x[0] ** 2 + x[1] ** 2) - ARCH_RADIUS) < MIDDLE)
 
 
+def mean_on_side(state: State, name: str, f: Expr) -> float:
+    """Return the mean in `state` of `f`, a UFL scalar on the mesh, over the facet set `name` of the outer boundary."""
+    ds_side = state.model.ds(state.model.domain.values(name))
+    return state.integral(f * ds_side) / state.integral(1.0 * ds_side)
+
+
 def phases_on_s(state: State) -> tuple[Array, Array]:
     """Return the x (n,) of the midpoints of the n facets of S, in ascending order, and the layer's phases (n,) there.
 

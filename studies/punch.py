@@ -8,13 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 import ufl
-from dolfinx import fem
 
 from forms import LinearElastic, VonMises, formulas
 from forms.tensors import Expr
 from geometry import block, ring, sandwich
 from geometry.joint import Joint
-from studies.problems import StructureArguments
+from studies.problems import StructureArguments, mean_on_side
 from studies.sweeping import Curves
 from thinlayer import Structure, Surface, Table, ThinLayer, march, plotting
 from thinlayer.discretisation.state import State
@@ -144,10 +143,8 @@ def mean_outward_displacement(state: State, name: str, r: float) -> float:
 
     `name` is the facet set of the side, `r` its radius.
     """
-    mesh, ds_side = state.model.domain.mesh, state.model.ds(state.model.domain.values(name))
-    is_axisymmetric = state.model.plane == "axisymmetric"
-    outward = state.u[0] if is_axisymmetric else ufl.dot(state.u, ufl.SpatialCoordinate(mesh)) / r
-    return state.integral(outward * ds_side) / state.integral(fem.Constant(mesh, 1.0) * ds_side)
+    along_radius = ufl.dot(state.u, ufl.SpatialCoordinate(state.model.domain.mesh)) / r
+    return mean_on_side(state, name, state.u[0] if state.model.plane == "axisymmetric" else along_radius)
 
 
 def draw(record: Record) -> None:

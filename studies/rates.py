@@ -21,7 +21,6 @@ from forms import (
     TractionLaw,
     VonMises,
 )
-from forms.base import Array
 from studies import bands, cylinders, phases, problems
 from studies import fig3_mohr_coulomb as fig3
 from studies.bands import MODULI, RETURN_PATH
@@ -169,14 +168,6 @@ def metal_blocks(h: float) -> Problem:
     return joint, setup | {"body": VonMises(FOURIER_BODY.lmbda, FOURIER_BODY.mu, strength=3.0, hardening=20.0)}
 
 
-def wedge_thickness(x: Array) -> Array:
-    """Return the thickness of a tapered layer over its mean thickness at the points `x`.
-
-    Its first row x[0] has the coordinates along S, 0 to 1, between which the thickness grows from 1/2 to 3/2.
-    """
-    return 0.5 + x[0]
-
-
 PUSH_PATH: LoadPath = {0: (0.0, 0.0, 0.0), 1: (0.3, 0.35, 0.0), 2: (0.3, 1.0, 1.5), 3: (0.3, 0.0, -0.9)}
 SHEAR_TIMES = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 PATH_TIMES = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
@@ -246,7 +237,7 @@ def wrong_law_sweep(case: str, label: str, law: TractionLaw, floors: ErrorFloors
 SWEEPS: dict[str, Sweep] = {
     "elastic": static_sweep(layer_fn(FOURIER_LAYER)),
     "extended": static_sweep(layer_fn(FOURIER_LAYER), bodies="extended"),
-    "tapered": static_sweep(layer_fn(FOURIER_LAYER, profile=wedge_thickness), bodies="extended", orders=(0.9, 1.1)),
+    "tapered": static_sweep(layer_fn(FOURIER_LAYER, profile=lambda x: 0.5 + x[0]), bodies="extended", orders=(0.9, 1.1)),
     "order1": order_1_sweep(layer_fn(FOURIER_LAYER, order=1), layer_variants={"_order0": layer_fn(FOURIER_LAYER)},
         extras_fn=reaction_error),
     "order1_stack": order_1_sweep(layer_fn(SUBLAYERS, order=1), layer_variants=STACK_VARIANTS),

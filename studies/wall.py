@@ -9,6 +9,7 @@ import numpy as np
 
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
 from geometry import wall
+from studies.problems import mean_on_side
 from thinlayer import LimitLoad, Structure, Surface, Table, ThinLayer, march, plotting
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
@@ -68,7 +69,8 @@ def push_walls(record: Record, bricks: int, courses: int, cells: int, step: floa
     for name in WALL_NAMES:
         model = wall_model(bricks, courses, BRICK_SIZE[1] / cells, heads=name == WALL_NAMES[0])
         history, limit_stress = march_to_limit(model, step, 1.5 * STRENGTH)
-        top_shifts, iterations = [top_shift(state) for state in history], [state.report.iterations for state in history]
+        top_shifts = [mean_on_side(state, "TOP", state.u[0]) for state in history]
+        iterations = [state.report.iterations for state in history]
         table.extend(Table.of({"wall": name, "shear_MPa": history.t, "shift_mm": top_shifts, "iterations": iterations}))
         record.check(f"{name}: limit over that of a bed that slides", limit_stress / STRENGTH, low=0.995, high=1.0)
         shifts.append(np.interp(LIMIT_SHARE * STRENGTH, history.t, top_shifts))
@@ -148,12 +150,6 @@ def march_to_limit(model: InterfaceModel, step: float, end: float) -> tuple[Hist
     except LimitLoad as limit:
         return limit.history, limit.t
     raise AssertionError("the wall has no limit")
-
-
-def top_shift(state: State) -> float:
-    """Return the mean displacement of the top along the wall in `state`, mm."""
-    ds_top = state.model.ds(state.model.domain.values("TOP"))
-    return state.integral(state.u[0] * ds_top) / state.integral(1.0 * ds_top)
 
 
 def draw(record: Record) -> None:

@@ -128,7 +128,12 @@ class Rollers:
 
     Args:
         h: cell size.
+
+    Attributes:
+        layers: function that returns the layers of all laws that accept a material; there are no free ends to correct.
     """
+
+    layers = staticmethod(_layers)
 
     def __init__(self, h: float) -> None:
         joint, setup = fourier(h, cell="quadrilateral")
@@ -140,13 +145,6 @@ class Rollers:
     def structure(self, eps: float) -> Structure:
         """Return the structure of the blocks, which is the same for all thicknesses `eps`."""
         return self._structure
-
-    def layers(self, lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
-        """Return the layers of all laws that accept a material, by the names of the laws.
-
-        `lmbda` and `mu` are Lamé's moduli, `eps` the thickness. There are no free ends to correct.
-        """
-        return _layers(lmbda, mu, eps)
 
     def error_function(self, record: Record, lmbda: float, mu: float, eps: float) -> ErrorFunction:
         """Return a function that compares a state of an interface model with the exact solution.

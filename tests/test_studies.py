@@ -10,7 +10,6 @@ import pytest
 from studies import fig8_friction, friction_cost, performance, relaxation, worth_it
 from studies.by_hand import CHOLESKY, K_N, LOAD, TwoBlocks, by_hand
 from studies.dropped import ignore_range_warnings
-from studies.fig4_bar import fit_line, meet_x
 from studies.other_programs import ngsolve, scikit_fem
 from studies.problems import FOURIER_LAYER, layer_fn
 from studies.snap import polygon_distances
@@ -91,12 +90,6 @@ def test_distance_from_a_polygon():
     polygon = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 2.0]])
     points = np.array([[2.0, 0.0], [2.0, 0.5], [4.4, 1.0], [-0.4, 0.0], [4.0, 2.4]])
     assert polygon_distances(points, polygon) == pytest.approx([0, 0.25, 0.1, 0.1, 0.2], abs=1e-14)
-
-
-def test_straight_lines_meet():
-    x = np.array([0.0, 1.0, 2.0, 3.0, 4.0])
-    y = np.array([1.0, 3.0, 7.0, 6.0, 5.0])  # 1 + 2 x, then 9 - x
-    assert meet_x(fit_line(x, y, x < 2), fit_line(x, y, x > 1)) == pytest.approx(8 / 3, rel=1e-12)
 
 
 def test_the_page_on_worth_has_the_numbers_of_the_study(tmp_path):

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from dolfinx.fem.petsc import apply_lifting, assemble_matrix, assemble_vector
+from dolfinx.fem.petsc import apply_lifting, assemble_matrix, assemble_vector, set_bc
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -20,6 +20,7 @@ from geometry.topology import IntArray
 from studies.timing import Stages
 
 E, NU = 100.0, 0.3  # of the blocks, MPa
+LMBDA, MU = E * NU / (1 + NU) / (1 - 2 * NU), E / 2 / (1 + NU)
 K_T, K_N = 40.0, 140.0  # stiffnesses of S, MPa/mm
 LOAD = (0.5, 1.0, 0.0)  # on the top, MPa
 CHOLESKY = {"ksp_type": "preonly", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps", "mat_mumps_icntl_7": 2}
@@ -97,13 +98,11 @@ def by_hand(n: int, dim: int, options: dict[str, object]) -> dict[str, float]:
     supports = [fem.dirichletbc(np.zeros(dim), bottom, V), fem.dirichletbc(fem.Function(V_x), sides, V.sub(0))]
     stages.end("space")
 
-    lmbda, mu = E * NU / (1 + NU) / (1 - 2 * NU), E / 2 / (1 + NU)
-
     def strain(w: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
         return ufl.sym(ufl.grad(w))
 
     def stress(w: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
-        return lmbda * ufl.tr(strain(w)) * ufl.Identity(dim) + 2 * mu * strain(w)
+        return LMBDA * ufl.tr(strain(w)) * ufl.Identity(dim) + 2 * MU * strain(w)
 
     a = fem.form(ufl.inner(stress(u), strain(v)) * ufl.dx)
     load = fem.form(ufl.inner(fem.Constant(mesh, np.array(LOAD[:dim])), v) * ds(1))
@@ -128,8 +127,7 @@ def by_hand(n: int, dim: int, options: dict[str, object]) -> dict[str, float]:
     A.assemble()
     b = assemble_vector(load)
     apply_lifting(b, [a], bcs=[supports])
-    b.array[bottom[:, None] * dim + np.arange(dim)] = 0.0
-    b.array[sides[0]] = 0.0
+    set_bc(b, supports)
     stages.end("assembly")
 
     A.setOption(PETSc.Mat.Option.SPD, True)

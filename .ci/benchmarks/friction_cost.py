@@ -112,11 +112,10 @@ class Bench:
 
     def linear(self, kind: str) -> float:
         """Processor time of one linear solve; infinite if it does not converge."""
-        factorising = DIRECT_OPTIONS | ORDERING_OPTIONS[self.dim] | {"pc_type": "cholesky"}
-        options = factorising if kind == "cholesky" else MULTIGRID_OPTIONS | {"ksp_type": "cg"}
+        cholesky = DIRECT_OPTIONS | ORDERING_OPTIONS[self.dim] | {"pc_type": "cholesky"}
+        multigrid = MULTIGRID_OPTIONS | {"ksp_type": "cg", "ksp_norm_type": "unpreconditioned"}
+        options = cholesky if kind == "cholesky" else multigrid
         options |= {"ksp_rtol": TOLERANCE, "pc_gamg_aggressive_coarsening": self.dim - 1}
-        if kind == "multigrid":
-            options |= {"ksp_norm_type": "unpreconditioned"}
         with faster_products(serial=True):
             return solve_once(self.bonded, self.equations.external, options)
 

@@ -11,10 +11,9 @@ from scipy.sparse.linalg import spsolve
 
 from forms.base import Array
 from geometry.topology import IntArray
-from studies.by_hand import NU, E, TwoBlocks
+from studies.by_hand import LMBDA, MU, TwoBlocks
 from studies.timing import Stages
 
-LMBDA, MU = E * NU / (1 + NU) / (1 - 2 * NU), E / 2 / (1 + NU)
 MODULES = {"NGSolve": "ngsolve", "scikit-fem": "skfem"}
 RESIDUAL = 1e-10  # relative residual of conjugate gradients
 

@@ -22,10 +22,10 @@ import thinlayer
 from forms import IncrementalCoulomb, LinearElastic, NonMonotone, VonMises
 from geometry import sandwich
 from geometry.joint import Joint
-from studies.by_hand import CHOLESKY, K_N, K_T, LOAD, MULTIGRID, NU, E, by_hand
+from studies.by_hand import CHOLESKY, K_N, K_T, LOAD, MULTIGRID, E, by_hand
 from studies.friction_cost import WORKS, friction
 from studies.other_programs import MODULES, ngsolve, scikit_fem
-from studies.problems import SNAP_LAW_ARGS, SUPPORTS
+from studies.problems import SNAP_LAW_ARGS, SUPPORTS, top_loaded
 from studies.sweeping import timed
 from studies.timing import Stages, compared, in_turn
 from thinlayer import ArcLength, Bond, SolveError, Structure, ThinLayer, estimate, goals, march, solve
@@ -122,8 +122,7 @@ def draw(record: Record) -> None:
 def blocks(n: int, dim: int, element: str = "P1", load: LoadInput | None = None) -> Structure:
     """Two blocks under a traction, with n cells along each side."""
     joint = sandwich(1.0, 0.5, 0.5, 1 / n, depth=1.0 if dim == 3 else None, structured=True)
-    body, tractions = LinearElastic.young(E=E, nu=NU), {"TOP": load or LOAD[:dim]}
-    return Structure(joint, body=body, supports=SUPPORTS, tractions=tractions, element=element)
+    return top_loaded(joint, load or LOAD[:dim], supports=SUPPORTS, element=element)
 
 
 def layer(stiffness: float = 1.0, eps: float = 0.01) -> ThinLayer:
@@ -182,9 +181,8 @@ def solves(n: int, dim: int, repeats: int) -> Iterable[Row]:
 
 def stiffer(n: int, repeats: int) -> Iterable[Row]:
     """Rows of laws on S with growing stiffness against bonded bodies, by multigrid."""
-    works = {
-        ratio: partial(alone, "on_s", n, 3, 2 * E * ratio / K_N, SOLVERS["iterative"]) for ratio in (0.0, *STIFFER)
-    }
+    factors = {ratio: 2 * E * ratio / K_N for ratio in (0.0, *STIFFER)}
+    works = {ratio: partial(alone, "on_s", n, 3, k, SOLVERS["iterative"]) for ratio, k in factors.items()}
     runs = in_turn(works, repeats, SECONDS)
     for ratio in STIFFER:
         limit = BONDED_LIMITS["iterative"] if ratio <= STIFF else math.inf
@@ -209,8 +207,7 @@ def thin(dim: int, eps: float) -> Iterable[Row]:
 
 def solved(kind: Callable[..., Model], soft: ThinLayer, joint: Joint) -> State:
     """Make a full or an interface model of two blocks under the load, and return its solution."""
-    body, loads = LinearElastic.young(E=E, nu=NU), {"TOP": LOAD[: joint.dim]}
-    return solve(kind(Structure(joint, body=body, supports={"BOTTOM": 0}, tractions=loads), soft))
+    return solve(kind(top_loaded(joint, LOAD[: joint.dim]), soft))
 
 
 def ranks(n: int, repeats: int) -> Iterable[Row]:
