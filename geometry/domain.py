@@ -26,11 +26,10 @@ from geometry.partition import Partitioner, make_partitioner, rows_of_rank
 from geometry.refusals import require_known
 from geometry.seam import BASE, LAYER, FacetName, S
 from geometry.sheet import continued_ridge_keys
-from geometry.topology import FloatArray, Indices, IntArray, Scalar, geometry_degree, local_facets, positions
+from geometry.topology import FloatArray, Indices, IntArray, Scalar, geometry_degree, local_facets, positions, row_keys
 
 MESHES_PER_COLLECTION = 100  # number of meshes after which Python's garbage collector frees meshes in reference cycles
 _MESH_COUNT = count(1)
-SETS_PER_CODE = 30  # number of names after which combinations are renumbered, so that codes fit into int64
 
 
 def call_first_accepted(*calls: Callable[[], ResultType]) -> ResultType:
@@ -347,7 +346,6 @@ def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
     The sets "NAME/REGION", "NAME/LAYER" and "S", which `Domain` describes, are included.
     """
     seams = () if joint.band else joint.seams
-    s_vertices = np.unique(joint.table.vertices[joint.surface_rows]) if seams else np.empty(0, np.int64)
     if seams and S not in seams:
         yield S, joint.surface_rows
     for name, facets in joint.facets.items():
@@ -359,7 +357,7 @@ def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
         for region_no, region in enumerate(joint.regions):
             if not joint.band or region not in joint.band.regions:
                 yield str(FacetName(name, region)), rows[joint.region[cells] == region_no]
-        if joint.band is None and np.isin(facets, s_vertices).any() and len(continued_ridge_keys(joint, facets)):
+        if joint.band is None and len(continued_ridge_keys(joint, facets)):
             yield str(FacetName(name, LAYER)), rows[:0]
 
 
@@ -372,12 +370,6 @@ def _tag_set_combinations(joint: Joint) -> tuple[IntArray, Indices, dict[str, tu
     """
     rows_by_name = dict(_named_sets(joint))
     tagged_rows = np.unique(np.concatenate([*rows_by_name.values()]))
-    indices_by_set = {name: np.searchsorted(tagged_rows, rows) for name, rows in rows_by_name.items()}
-    codes: IntArray = np.zeros(len(tagged_rows), np.int64)
-    for k, indices in enumerate(indices_by_set.values(), 1):
-        codes *= 2
-        codes[indices] += 1
-        if k % SETS_PER_CODE == 0 or k == len(rows_by_name):
-            codes = np.unique(codes, return_inverse=True)[1]
-    tags_by_name = {name: tuple(map(int, np.unique(codes[indices]) + 1)) for name, indices in indices_by_set.items()}
-    return tagged_rows, (codes + 1).astype(np.int32), tags_by_name
+    is_in_set = {name: np.isin(tagged_rows, rows) for name, rows in rows_by_name.items()}
+    tags = 1 + np.unique(row_keys(np.stack([*is_in_set.values()], axis=1)), return_inverse=True)[1].astype(np.int32)
+    return tagged_rows, tags, {name: tuple(map(int, np.unique(tags[rows]))) for name, rows in is_in_set.items()}

@@ -44,9 +44,7 @@ class Periods:
         """Return (n,): for each of `n` nodes the lowest number among the nodes identified with it, itself included."""
         first, second = np.concatenate(self.node_pairs).T
         component = components(first, second, n)
-        master = np.full(n, n)
-        np.minimum.at(master, component, np.arange(n))
-        return master[component]
+        return np.unique(component, return_index=True)[1][component]
 
     def check(self, points: FloatArray, corners: IntArray, cell_type: str, seams: IntArray) -> None:
         """Raise InputError if sides do not match, a seam lies on one, or fewer than three cells lie between two sides.

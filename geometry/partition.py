@@ -26,17 +26,12 @@ def bisect(x: FloatArray, n_groups: int) -> Indices:
     Returns:
         (n,) number of the group of each place.
     """
-    group_numbers = np.zeros(len(x), np.int32)
-    pending: list[tuple[IntArray, int, int]] = [(np.arange(len(x)), 0, n_groups)]
-    while pending:
-        members, first_group, n_left = pending.pop()
-        group_numbers[members] = first_group
-        if n_left > 1 and len(members):
-            low = n_left // 2
-            x_members = x[members]
-            order = np.argsort(x_members[:, np.ptp(x_members, axis=0).argmax()], kind="stable")
-            at = len(members) * low // n_left
-            pending += [(members[order[:at]], first_group, low), (members[order[at:]], first_group + low, n_left - low)]
+    group_numbers, low = np.zeros(len(x), np.int32), n_groups // 2
+    if low and len(x):
+        order = np.argsort(x[:, np.ptp(x, axis=0).argmax()], kind="stable")
+        first, second = np.split(order, [len(x) * low // n_groups])
+        group_numbers[first] = bisect(x[first], low)
+        group_numbers[second] = low + bisect(x[second], n_groups - low)
     return group_numbers
 
 

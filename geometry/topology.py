@@ -388,12 +388,10 @@ class Splitting:
         is_linked[self.cut_rows] = False
         keys = self.number_entities(dim, self._corners[cells])
         inside = np.array([[i for i, row in enumerate(local) if set(row) <= set(each)] for each in self._topology[-2]])
-        links: list[IntArray] = []
-        for cell, facet in zip(cell_pairs[is_linked].T, self.table.local[is_linked].T, strict=True):
-            local_entities = inside[facet]
-            order = np.argsort(np.take_along_axis(keys[cell], local_entities, axis=1), axis=1)
-            links.append((cell[:, None] * len(local) + np.take_along_axis(local_entities, order, axis=1)).ravel())
-        group = components(links[0], links[1], keys.size)
+        pairs, entities = cell_pairs[is_linked][..., None], inside[self.table.local[is_linked]]
+        order = np.argsort(keys[pairs, entities], axis=2)
+        links = pairs * len(local) + np.take_along_axis(entities, order, axis=2)
+        group = components(links[:, 0].ravel(), links[:, 1].ravel(), keys.size)
 
         _, first_index = np.unique(group, return_index=True)  # of each component; places are in the order of cells
         order = np.lexsort((first_index, keys.ravel()[first_index]))
@@ -434,15 +432,12 @@ class Splitting:
 
         Pieces are numbered from 0, in the order of the lowest cell number in each.
         """
-        corners, part_no = self._corners.astype(np.int32), self.at_vertices
-        copy_index = np.nonzero(part_no)  # copies of vertices follow after the last one
-        number = np.unique(np.column_stack([corners[copy_index], part_no[copy_index]]), axis=0, return_inverse=True)[1]
-        corners[copy_index] = int(corners.max(initial=-1)) + 1 + number.ravel()
-        first = corners[:, :1].repeat(corners.shape[1] - 1, axis=1)
-        component = components(first.ravel(), corners[:, 1:].ravel(), int(corners.max(initial=-1)) + 1)[corners[:, 0]]
-        first_cells = np.full(int(component.max(initial=-1)) + 1, len(component))
-        first_cells[component[::-1]] = np.arange(len(component))[::-1]  # the first cell of each, which is written last
-        return np.argsort(np.argsort(first_cells))[component]
+        n_copies = self.at_vertices.max(initial=0) + 1
+        copies = self._corners.astype(np.int32) * n_copies + self.at_vertices  # numbers of vertices of the cut mesh
+        first = copies[:, :1].repeat(copies.shape[1] - 1, axis=1)
+        component = components(first.ravel(), copies[:, 1:].ravel(), int(copies.max(initial=-1)) + 1)[copies[:, 0]]
+        _, first_cells, piece = np.unique(component, return_index=True, return_inverse=True)
+        return np.argsort(np.argsort(first_cells))[piece]
 
     @cached_property
     def component_counts(self) -> IntArray:

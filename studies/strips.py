@@ -114,7 +114,7 @@ def check_shear_lag(record: Record, h: float) -> None:
             table.extend(Table.of({"model": name, "mu": mu, "x": x, "tau": tau, "closed_form": exact}))
             at = (x > 0.1 * HALF_LENGTH) & (x < COMPARED_SHARE * HALF_LENGTH)  # exact is 0 at x = 0
             what = f"mu = {mu:g} MPa, {name}: largest relative error inside"
-            error, wrong_error = (np.abs(tau[at] / tau_[at] - 1).max() for tau_ in (exact, lag_stress(1.2 * mu, x)))
+            error, wrong_error = (np.abs(tau[at] / stress[at] - 1).max() for stress in (exact, lag_stress(1.2 * mu, x)))
             record.check(f"shear lag, {what}", error, high=0.02)
             record.check(f"shear lag of 1.2 mu, {what}", wrong_error, low=0.02)
 

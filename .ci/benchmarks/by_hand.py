@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cached_property
-from itertools import permutations
 
 import basix.ufl
 import dolfinx.mesh
@@ -16,6 +15,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.base import Array, require
+from geometry.shapes.boxes import BoxGrid
 from geometry.topology import IntArray
 from studies.timing import Stages
 
@@ -48,13 +48,13 @@ class TwoBlocks:
     def __init__(self, n: int, dim: int) -> None:
         require(n % 2 == 0, "n", n, "S lies between cells: take an even number")
         x = np.linspace(0.0, 1.0, n + 1)
-        numbers = np.arange((n + 1) ** (dim - 1) * (n // 2 + 1)).reshape(n + 1, n // 2 + 1, *[n + 1] * (dim - 2))
         axes = x, x[: n // 2 + 1] - 0.5, *[x] * (dim - 2)
-        below = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dim)
+        grid = BoxGrid(axes, "triangle" if dim == 2 else "tetrahedron")
+        below, low, top = grid.points, grid.facets_at(1, 0), grid.facets_at(1, -1)
         self.points = np.concatenate([below, below + 0.5 * (np.arange(dim) == 1)])
-        self.cells = np.concatenate([_simplices(numbers), _simplices(numbers) + len(below)])
-        self._top = _simplices(numbers[:, -1]) + len(below)
-        self.springs = np.column_stack([_simplices(numbers[:, -1]), _simplices(numbers[:, 0]) + len(below)])
+        self.cells = np.concatenate([grid.cells, grid.cells + len(below)])
+        self._top = top + len(below)
+        self.springs = np.column_stack([top, low + len(below)])
         self._area = n ** (1 - dim) / (dim - 1)
         mass = self._area * (np.ones((dim, dim)) + np.eye(dim)) / dim / (dim + 1)
         K = np.diag(np.where(np.arange(dim) == 1, K_N, K_T))
@@ -150,13 +150,3 @@ def by_hand(n: int, dim: int, options: dict[str, object]) -> dict[str, float]:
     for thing in (ksp, A, b):
         thing.destroy()
     return stages.measured(energy, len(x) * dim, dim)
-
-
-def _simplices(numbers: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Simplices that fill the boxes of a grid of numbered points, along the same diagonal of each."""
-    d, simplices = numbers.ndim, []
-    for way in permutations(range(d)):
-        offsets = np.array([[int(axis in way[:k]) for axis in range(d)] for k in range(d + 1)])
-        places = [tuple(slice(o, o + n - 1) for o, n in zip(at, numbers.shape, strict=True)) for at in offsets.tolist()]
-        simplices.append(np.column_stack([numbers[place].ravel() for place in places]))
-    return np.concatenate(simplices)

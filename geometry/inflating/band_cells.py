@@ -50,8 +50,7 @@ class NodeCopies(NamedTuple):
         nodes, first_index = np.unique(surface, return_index=True)
         s_entries = np.nonzero(np.isin(joint.cells, nodes))
         keys = joint.cells[s_entries] * (base_component + 1) + node_components[s_entries]
-        copy_keys = np.unique(np.concatenate([keys, side_keys[0].ravel()]))
-        new_keys = np.setdiff1d(copy_keys, side_keys[1].ravel()[first_index], assume_unique=True)
+        new_keys = np.setdiff1d(np.concatenate([keys, side_keys[0].ravel()]), side_keys[1].ravel()[first_index])
 
         def copy_number(keys: IntArray) -> IntArray:
             at = np.minimum(np.searchsorted(new_keys, keys), len(new_keys) - 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
+from scipy import ndimage
 
 from forms.base import InputError
 from geometry.inflating.band_cells import NodeCopies
@@ -53,9 +54,7 @@ def face_motion(joint: Joint, copies: NodeCopies, depths: tuple[FloatArray, Floa
     moment = sum_by_number(index, normals[..., :, None] * normals[..., None, :], n)
     refuse(np.linalg.norm(n_sum, axis=1) < MIN_COSINE * n_terms, x, "S is folded at {at}: a layer would overlap itself")
 
-    max_g, min_g = np.zeros(n), np.full(n, np.inf)
-    np.maximum.at(max_g, index, g)
-    np.minimum.at(min_g, index, g)
+    max_g, min_g = ndimage.maximum(g, index, np.arange(n)), ndimage.minimum(g, index, np.arange(n))
     is_uniform = max_g - min_g <= THICKNESS_TOLERANCE * max_g
     min_eigenvalue = np.where(is_uniform, MIN_COSINE, MIN_FACET_ANGLE)[:, None] ** 2
     moments, n_outer = _outer_moments(joint, copies.body_cells)
@@ -66,8 +65,7 @@ def face_motion(joint: Joint, copies: NodeCopies, depths: tuple[FloatArray, Floa
     motion = np.einsum("nik,nk,njk,nj->ni", vectors, inverse, vectors, np.einsum("nij,nj->ni", free_projector, g_sum))
     motion /= n_terms[:, None]
     gap_ratio = np.einsum("fkd,fkd->fk", motion[index], normals) / g
-    min_gap = np.full(n, np.inf)
-    np.minimum.at(min_gap, index, gap_ratio)
+    min_gap = ndimage.minimum(gap_ratio, index, np.arange(n))
     complaint = "an outer face touches S at {at} and is nearly parallel to it, so the body cannot give way there"
     refuse((min_gap < MIN_COSINE) & is_uniform, x, f"bodies='extended': {complaint}; use bodies='kept' if S is planar")
     gap_error = np.where(is_uniform[index].all(axis=1, keepdims=True), 0.0, np.abs(gap_ratio - 1))

@@ -146,7 +146,6 @@ def without_bodies(inflated: Joint) -> Joint:
     facets: dict[str, IntArray] = {}
     for name, set_facets in inflated.facets.items():
         layer_facets = new_numbers[set_facets]
-        layer_facets = layer_facets[(layer_facets >= 0).all(axis=1)]
         if len(layer_facets := layer_facets[table.index(layer_facets) >= 0]):
             facets[name] = facets[FacetName.parse(name).continued_set] = layer_facets
     points, region = inflated.points[used_nodes], inflated.region[in_layer] - first_region
@@ -299,10 +298,8 @@ def points_on_middle(joint: Joint) -> FloatArray:
     Points that are not on S are those of `joint.points`. If the bodies have not moved apart, all points are.
 
     Args:
-        joint: the joint, in d dimensions; its seams must not meet.
+        joint: the joint, in d dimensions; if its bodies have moved apart, its seams must not meet.
     """
-    if joint.parted is None:
-        return joint.points
     points = joint.points.copy()
     points[joint.surface] = joint.faces().mean(axis=0)
     return points
