@@ -241,16 +241,14 @@ class Shape(ABC):
         facet_type = FACET_TYPES[self.kind]
         facets = {name: self._elements(facet_type, tags) for name, tags in drawing.facets.items()}
         node_order = dolfinx.cpp.io.perm_gmsh(dolfinx.mesh.to_type(self.kind), body_elements[0].shape[1])
-        is_used = np.zeros(int(nodes.max()) + 1, bool)
-        for body in body_elements:
-            is_used[body] = True
-        all_points, new_number = np.empty((len(is_used), self.dim)), np.cumsum(is_used) - 1
+        used, cells = np.unique(np.concatenate(body_elements)[:, node_order], return_inverse=True)
+        all_points = np.empty((int(nodes.max()) + 1, self.dim))
         all_points[nodes] = x.reshape(-1, 3)[:, : self.dim]
-        points, cells = all_points[is_used], new_number[np.concatenate(body_elements)[:, node_order]]
+        points, cells = all_points[used], cells.reshape(-1, len(node_order))
         if is_tensor(self.kind) and self.meshing.degree == 2 and drawing.polar_core:
             points = curved_points(points, cells, self.kind, *drawing.polar_core)
         region = np.repeat(np.arange(len(body_elements)), [len(body) for body in body_elements])
-        facets = {name: new_number[rows[:, : corner_count(facet_type)]] for name, rows in facets.items()}
+        facets = {name: np.searchsorted(used, of[:, : corner_count(facet_type)]) for name, of in facets.items()}
         return partial(Joint, points * unit, cells, self.kind, region, tuple(drawing.bodies), facets, drawing.seams)
 
     def _elements(self, cell_type: str, tags: Sequence[int]) -> IntArray:
