@@ -160,17 +160,15 @@ class ContactLaw(Law):
             slip: slip (n, d - 1) at the beginning of the step; None: zero.
         """
         p, bound, trial_t, norm = self._trial_state(w, slip)
-        n, d = w.shape
+        slides, (n, d) = norm > bound, w.shape
+        direction = np.where(slides[:, None], trial_t / np.where(slides, norm, 1.0)[:, None], 0.0)  # of the slip
+        stiffness = np.where(slides, self.K_T * bound / np.where(slides, norm, 1.0), self.K_T)
+        bound_slope = -self.K_N * np.where(p > 0, self.threshold_rate(p), 0.0)
         tangents = np.zeros((n, d, d))
+        tangents[:, :-1, :-1] = np.eye(d - 1) - direction[:, :, None] * direction[:, None, :]
+        tangents[:, :-1, :-1] *= stiffness[:, None, None]
+        tangents[:, :-1, -1] = direction * bound_slope[:, None]
         tangents[:, -1, -1] = np.where(p > 0, self.K_N, 0.0)
-        slides = norm > bound
-        tangents[~slides, : d - 1, : d - 1] = self.K_T * np.eye(d - 1)
-        if slides.any():
-            slip_direction = trial_t[slides] / norm[slides, None]
-            projector = np.eye(d - 1) - slip_direction[:, :, None] * slip_direction[:, None, :]
-            tangents[slides, : d - 1, : d - 1] = (self.K_T * bound[slides] / norm[slides])[:, None, None] * projector
-            bound_slope = -self.K_N * np.where(p > 0, self.threshold_rate(p), 0.0)[slides]
-            tangents[slides, : d - 1, -1] = slip_direction * bound_slope[:, None]
         return tangents
 
     def bonded(self, n: int, d: int) -> Array:
