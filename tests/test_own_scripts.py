@@ -340,6 +340,8 @@ def test_refused_layers_parts_and_steps():
     problem.begin(0.0)
     quadratic.move.value[:] = (0.1, 0.0)
     refused(SolveError, "of the forces of loads and stresses is out of balance", lambda: problem.accept())
+    quadratic.move.value[:] = (1e-4, 0.0)  # a residual below 1 in the user's units
+    refused(SolveError, "of the forces of loads and stresses is out of balance", lambda: problem.accept())
 
 
 def test_upper_side_changes_signs_alone():

@@ -324,7 +324,8 @@ class PartSum:
             values: forces on this rank's unknowns.
         """
         squares = values * values
-        sums = np.bincount(self.block_of, squares[: len(self.block_of)], self.n_blocks)
+        # without unknowns `bincount` counts in integers
+        sums = np.bincount(self.block_of, squares[: len(self.block_of)], self.n_blocks).astype(float)
         sums = sums if self.nesting is None else self.nesting @ sums
         sums[0] = squares.sum()
         return np.asarray(np.sqrt(self.comm.allreduce(sums)))
