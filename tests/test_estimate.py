@@ -102,6 +102,9 @@ def test_the_mean_traction_is_that_of_the_load(kind):
     goal_error = next(goal for name, goal in estimated(kind).goals.items() if name.startswith("mean traction"))
     load = math.hypot(*LOAD, 0.2 * (kind == "solid base"))
     assert [goal_error.value, goal_error.better] == pytest.approx([load] * 2, rel=1e-9)
+    surface, better = Surface(estimated(kind).better.model), estimated(kind).better
+    forces = [surface.integral(component) for component in surface.traction(better)]
+    assert math.hypot(*forces) == pytest.approx(load * surface.integral(1.0), rel=1e-9)
 
 
 def test_the_mean_traction_has_nothing_of_supports_at_ends_of_s():

@@ -137,6 +137,8 @@ class State(Configuration):
             in prescribed motions of multi-point constraints; NaN: not known.
         dissipated: with several seams, name of a seam -> energy that its layer dissipated in this step, without losses
             in a snap. "bodies" -> energy that bodies dissipated, if their laws have memory or depend on rates.
+        with_meshed_layers: whether the bodies are in equilibrium with meshed layers, as in `Estimate.better`, and not
+            with interface laws. `Surface.traction` is then that of the bodies.
 
     Example:
         >>> from forms import LinearElastic
@@ -164,6 +166,7 @@ class State(Configuration):
     sudden: bool = False
     prescribed_work: float = math.nan
     dissipated: Mapping[str, float] = field(default_factory=dict)
+    with_meshed_layers: bool = False
 
     @property
     def p(self) -> fem.Function | None:

@@ -539,7 +539,7 @@ class GlobalLocal:
     def states(self, last: BodyEquilibrium) -> tuple[State, State]:
         """Return a state of the interface model and a state of the meshed layers, both for the last iterate `last`."""
         w = self.layers.equilibrate_dirichlet(last.face_u)
-        return replace(self.state, u=self._to_fem(last.u)), self.layers.state(w)
+        return replace(self.state, u=self._to_fem(last.u), with_meshed_layers=True), self.layers.state(w)
 
     def run(
         self, goals: Mapping[str, Goal], values: Mapping[str, float], bounds: dict[str, GoalBounds], width: float | None

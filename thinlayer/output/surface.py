@@ -72,14 +72,15 @@ class Surface(SurfaceMesh):
         - Meshed layer: the mean of stress times n through the thickness, in which elastic sublayers are weighted by
           their compliances. It is zero where layers meet. If the thickness varies on a rigid base, it differs from the
           traction of the interface law by O(eps).
-        - Bond: the traction equivalent to the nodal forces of the bodies (see `reaction`).
+        - Bond, and all seams of `Estimate.better`: the traction equivalent to the nodal forces of the bodies (see
+          `reaction`).
 
         Tractions of interface laws and meshed layers are projected in L2 to fields that are linear on each facet. If
         the surface's model has a contact law on any seam, the mass matrix of the projection is lumped.
         """
         self._require_same_joint(state)
         is_bonded = np.isin(self.seams, state.model.bonds)
-        if is_bonded.all():
+        if is_bonded.all() or state.with_meshed_layers:
             return self.reaction(state)
         layer_traction = self.at_points(layer_tractions(self, state))
         return np.where(is_bonded[:, None], self.reaction(state), layer_traction) if is_bonded.any() else layer_traction
