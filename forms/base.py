@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 PACKAGES = ("forms", "geometry", "thinlayer")
 # optional module -> the extra of pyproject.toml that installs it
 OPTIONAL_PACKAGES = {
-    "dolfinx": "fenicsx", "matplotlib": "pictures", "pyvista": "pictures", "gmsh": "meshes", "meshio": "meshes",
+    "dolfinx": "fenicsx", "matplotlib": "pictures", "pyvista": "vtk", "gmsh": "meshes", "meshio": "meshes",
     "pint": "units", "pandas": "pandas",
 }  # fmt: skip
 

@@ -80,9 +80,9 @@ def push_walls(record: Record, bricks: int, courses: int, cells: int, step: floa
             for row in Surface(state.model).table(state):
                 joints.append({"wall": name, "shear_MPa": state.t} | {key: row.get(key, 0.0) for key in JOINT_COLUMNS})
     record.check("shift at 0.9 of the limit, open heads over heads with mortar", shifts[1] / shifts[0], low=1.1)
-    title = f"a wall under {PRESSURE:g} MPa, sheared by {max(state.t for state in near.values()):.3g} MPa"
-    plotting.on_surface(near, Surface.status, save=record.path("joints.png"), title=title)
-    plotting.on_surface(at_limit, Surface.status, save=record.path("limit.png"), title="at the limit")
+    for states, file in ((near, "joints.png"), (at_limit, "limit.png")):
+        labelled = {f"{name}, sheared by {state.t:.3g} MPa": state for name, state in states.items()}
+        plotting.on_surface(labelled, Surface.status, save=record.path(file))
 
 
 def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:

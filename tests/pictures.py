@@ -6,6 +6,7 @@ from pathlib import Path
 
 import matplotlib.image
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
@@ -23,7 +24,9 @@ def assert_drawn(*paths: Path) -> None:
 def assert_coloured(picture: Figure | None, names: set[str]) -> None:
     """A picture whose image has the colour of each name, and whose legend has the names."""
     assert picture is not None
-    pixels = np.concatenate([np.asarray(image.get_array())[..., :3].reshape(-1, 3) for image in picture.axes[0].images])
+    canvas = FigureCanvasAgg(picture)
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())[..., :3].reshape(-1, 3)
     colours = {*map(tuple, np.unique(pixels, axis=0).tolist())}
     assert {tuple(round(255 * c) for c in to_rgb(STATUS_COLOURS[name])) for name in names} <= colours
     assert {text.get_text() for text in picture.legends[0].get_texts()} == names

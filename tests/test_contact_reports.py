@@ -14,7 +14,7 @@ from tests.pictures import assert_coloured, assert_drawn
 from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, plotting, solve
 from thinlayer.discretisation.contact_nodes import normal_frames
-from thinlayer.output.plotting.structures import _interpolate_to_parts
+from thinlayer.output.plotting.scene import interpolate_to_parts
 
 
 # ------------------------------------------------------------------------ reports and pictures
@@ -57,7 +57,7 @@ def test_frames_in_three_dimensions():
 
 def test_pictures(tmp_path):
     middle, soft = bar(12, coulomb("middle")), bar(12, coulomb("soft"))
-    options = {"save": tmp_path / "two.png", "length": "mm", "stress": "MPa", "title": "contact"}
+    options = {"save": tmp_path / "two.png", "length": "mm", "stress": "MPa"}
     plotting.along(middle.surface, {"a": middle, "b": soft}, **options)
     joint, setup = sliding_bar(4, depth=True)
     solid = solve(Structure(joint, **setup).interface(coulomb("middle")))
@@ -74,7 +74,7 @@ def test_pictures(tmp_path):
 
 def test_colours_of_a_corner_fill_the_quarter_of_the_facet_around_it():
     square = np.array([[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]])
-    for corner, part in zip(square[0], _interpolate_to_parts(square)[0], strict=True):
+    for corner, part in zip(square[0], interpolate_to_parts(square)[0], strict=True):
         assert part.mean(axis=0) == pytest.approx(corner / 2 + 1 / 4)
 
 

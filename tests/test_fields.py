@@ -234,4 +234,4 @@ def test_names_in_any_language(written, tmp_path):
         assert "größte" in (tmp_path / "größe.csv").read_text(encoding="utf-8")
         march(case, [0.5, 1.0, 1.5], observe={"größte": lambda state: 1.0}, out=tmp_path / f"ü{case.name}", resume=True)
     surface = Surface(model)
-    plotting.along(surface, {"größte": surface.traction(solve(model, 1.0))}, title="层", save=tmp_path / "层.png")
+    plotting.along(surface, {"größte": surface.traction(solve(model, 1.0))}, save=tmp_path / "层.png")

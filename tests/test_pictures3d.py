@@ -11,7 +11,8 @@ from geometry import block, sandwich
 from tests.refused import refused
 from thinlayer import Structure, ThinLayer, plotting, solve
 from thinlayer.output.paraview.grid import gather_grid
-from thinlayer.output.plotting.scene import DEFAULT_TOWARDS, DeformedShape, outer_surface, sharp_edges
+from thinlayer.output.plotting.scene import DEFAULT_TOWARDS, Scene
+from thinlayer.output.plotting.solid_shape import SolidShape, outer_surface, sharp_edges
 
 BODY = LinearElastic.young(E=100.0, nu=0.3)
 EPS = 0.015
@@ -85,11 +86,15 @@ def check_box(region, *size):
     assert sharp_edges(outside).compute_cell_sizes()["Length"].sum() == pytest.approx(4 * (a + b + c), rel=0.02)
 
 
+def shape_of(grid, **options):
+    return SolidShape.of(grid, Scene.of([grid], plotting.View(scale=0.01, **options)))
+
+
 @pytest.mark.parametrize("name", ["pulled", "pushed"])
 def test_bodies_have_twelve_edges_and_no_inner_faces(request, name):
     w, h, d = SIZE
     for state in request.getfixturevalue(name).values():
-        for number, region in DeformedShape.of(gather_grid(state), "size", 0.01).regions.items():
+        for number, region in shape_of(gather_grid(state)).regions.items():
             check_box(region, w, h if number >= 0 else EPS, d)
 
 
@@ -97,7 +102,7 @@ def test_cut_leaves_the_half_behind(pulled):
     w, h, d = SIZE
     grid = gather_grid(pulled["meshed"])
     for front in (1.0, -1.0):
-        shape = DeformedShape.of(grid, "size", 0.01, (0.0, 0.0, front))
+        shape = shape_of(grid, cut=True, towards=(0.5, 0.5, front))
         assert front * (shape.points[:, 2].mean() - d / 2) < 0
         for number, region in shape.regions.items():  # the lower one's fixed nodes are in the middle of the cut
             check_box(region, w, h if number >= 0 else EPS, d / 2)

@@ -33,7 +33,8 @@ def test_version_and_date_are_the_same_everywhere():
 
 @pytest.mark.parametrize("file", ["environment.yml", ".ci/recipe.yaml"])
 def test_dependencies_are_the_same_for_conda(file):
-    wanted = [*OF_CONDA_ALONE, *PROJECT["dependencies"], *EXTRA["pictures"], *EXTRA["meshes"], *EXTRA["movie"]]
+    wanted = [*OF_CONDA_ALONE, *PROJECT["dependencies"], *EXTRA["pictures"], *EXTRA["vtk"], *EXTRA["meshes"]]
+    wanted += EXTRA["movie"]
     listed = re.findall(r"^ *- (.+)$", (CLONE / file).read_text(), re.MULTILINE)
     for name, bounds in (re.fullmatch(r"([\w-]+)(.*)", spec).groups() for spec in wanted):
         assert f"{OF_CONDA.get(name, name)} {bounds}".strip() in listed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from io import BytesIO
 
 import numpy as np
@@ -12,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
+import thinlayer
 from forms import LinearElastic
 from geometry import sandwich
 from tests.contact_bars import bar, coulomb
@@ -23,6 +25,12 @@ def strip():
     joint = sandwich(2.0, 0.5, 0.5, 0.5)
     structure = Structure(joint, body=LinearElastic(60.0, 40.0), supports={"BOTTOM": 0}, tractions={"TOP": (0.2, 0.5)})
     return solve(structure.interface(ThinLayer(LinearElastic(3.0, 2.0), 0.1, at=1.0)))
+
+
+def cube():
+    joint = sandwich(1.5, 0.4, 0.4, 0.4, depth=0.8, cell="hexahedron")
+    pulled = Structure(joint, body=LinearElastic(60.0, 40.0), supports={"BOTTOM": 0}, tractions={"TOP": (0.2, 0.5, 0)})
+    return solve(pulled.interface(ThinLayer(LinearElastic(3.0, 2.0), 0.1, at=1.0)))
 
 
 @pytest.fixture(scope="module")
@@ -48,12 +56,13 @@ def test_pictures_are_figures_that_notebooks_display(pictures):
     assert not pyplot.get_fignums()  # pyplot knows of none, and does not show or close them
 
 
-def test_structures_open_in_a_window_where_they_turn(monkeypatch):
+def test_solids_open_in_a_window_where_they_turn(monkeypatch):
     """It has what the picture has, from the same side."""
-    shown, state = [], strip()
+    shown = []
     monkeypatch.setattr(pyvista, "OFF_SCREEN", True)
     monkeypatch.setattr(pyvista.Plotter, "show", lambda self: shown.append(self))
-    picture = plotting.deformed({"a": state, "b": state})
+    state = cube()
+    picture = plotting.deformed({"a": state, "b": state}, plotting.View(towards=(0, 0, 1)))
     picture.interactive()
     shown[0].window_size = picture.axes[0].images[0].get_array().shape[1::-1]
     for k, axes in enumerate(picture.axes[:2]):
@@ -62,7 +71,43 @@ def test_structures_open_in_a_window_where_they_turn(monkeypatch):
         assert shown[0].camera.focal_point[:2] == pytest.approx([np.mean(axes.get_xlim()), np.mean(axes.get_ylim())])
     image = shown[0].screenshot(return_img=True).astype(int)
     assert len(np.unique(image[np.ptp(image, axis=2) > 10] @ [1, 256, 65536])) > 50  # displacements, in colours
-    refused(InputError, "shows curves", plotting.curves({"a": ([0, 1], [0, 1])}, "x").interactive)
+    refused(InputError, "only pictures of 3D structures", plotting.deformed(strip()).interactive)
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize("degree", [1, 2])
+def test_plane_structures_have_their_area_and_outline(cell, degree):
+    """Triangles that cover all cells, edges around bodies, both sides of S, loads and supports where they are."""
+    element = ("P" if cell == "triangle" else "Q") + str(degree)
+    structure = Structure(
+        sandwich(2.0, 0.5, 0.7, 0.25, cell=cell),
+        body=LinearElastic(60.0, 40.0),
+        supports={"BOTTOM": 0, "LEFT": {"n": 0}},
+        tractions={"TOP": (0.2, 0.5)},
+        element=element,
+    )
+    state = solve(structure.interface(ThinLayer(LinearElastic(3.0, 2.0), 0.1, at=1.0)))
+    figure = Figure()
+    axes = figure.subplots()
+    assert plotting.deformed(state, plotting.View(scale=0.0), ax=axes) is None
+    mesh, base, edges, sides, layer = axes.collections[:5]
+    triangulation = mesh._triangulation
+    corners = np.stack([triangulation.x, triangulation.y], axis=1)[triangulation.triangles]
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    areas = (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / 2
+    assert np.abs(areas).sum() == pytest.approx(2.0 * 1.2)
+    assert (areas > 0).all() or (areas < 0).all()
+
+    def length(lines):
+        return sum(np.linalg.norm(np.diff(segment, axis=0)) for segment in lines.get_segments())
+
+    lengths = [length(lines) for lines in (base, edges, sides, layer)]
+    assert lengths == pytest.approx([0.0, 2 * 2.0 + 2 * 1.2, 2 * 2.0, 0.0])
+    arrows, (fixed, guided) = axes.collections[5], axes.lines
+    assert pytest.approx(np.full(arrows.N, 0.7 + 0.06 * 2.0 * 0.5 / np.hypot(0.2, 0.5))) == arrows.Y + arrows.V
+    assert np.asarray(fixed.get_ydata()) == pytest.approx(np.full(len(fixed.get_xdata()), -0.5))
+    assert np.asarray(guided.get_xdata()) == pytest.approx(np.zeros(len(guided.get_xdata())))
+    assert min(len(arrows.X), len(fixed.get_xdata()), len(guided.get_xdata())) >= 4
 
 
 def test_pictures_are_drawn_into_axes_of_the_user(tmp_path):
@@ -93,3 +138,14 @@ def test_a_picture_opens_in_a_window(pictures, monkeypatch):
     pictures["curves"].show()
     assert shown == [pictures["curves"]]
     pyplot.close("all")
+
+
+def test_plane_structures_need_no_vtk(monkeypatch):
+    """Nor do curves; pictures of 3D structures and files for ParaView name the extra that is missing."""
+    flat, thick = strip(), cube()
+    for name in [module for module in sys.modules if module.startswith("thinlayer.output.")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "pyvista", None)
+    assert isinstance(thinlayer.plotting.deformed(flat), Figure)
+    refused(InputError, r"pyvista is not installed: .*thinlayer\[vtk\]", thinlayer.plotting.deformed, thick)
+    refused(InputError, r"pyvista is not installed: .*thinlayer\[vtk\]", getattr, thinlayer, "fields")

@@ -34,6 +34,7 @@ SINGLE_END_DISTANCE = 3.0
 END_CELL_SIZES = (1 / 16, 1 / 2)  # largest extent of cells at ends, over the thickness; of tetrahedra
 MAX_TRACTION_DIFFERENCE = 0.3  # relative L2 difference of the tractions of layer and bodies above which zooms warn
 CORNER_EXCLUSION = 1 / 16  # distance from a corner, over the thickness, within which stresses are unknown
+ROUNDING_TOLERANCE = 1e-9  # difference of distances that counts as rounding, over the distance
 CORNER_ARC_RADIUS = 0.3  # radius, over the thickness, of the arc around a corner on which its strength is computed
 SUBLAYER_ARC_RADIUS = 0.6  # the same over the thickness of a thin sublayer
 
@@ -195,7 +196,8 @@ class Zoom:
         y = np.broadcast_to(y, located.x.shape[:1])
         free_rim = self._applicability.free_rim
         if len(free_rim.vertices):
-            is_near_corner = free_rim.distance(self.state.model.joint.points, located.x) < CORNER_EXCLUSION * self.eps
+            distances = free_rim.distance(self.state.model.joint.points, located.x)
+            is_near_corner = distances < (1 - ROUNDING_TOLERANCE) * CORNER_EXCLUSION * self.eps
             is_near_corner &= np.abs(y) > 0.5 - CORNER_EXCLUSION
             reason = f"height {y[is_near_corner.argmax()]:g} is too near a corner, where stresses are infinite"
             refuse(is_near_corner, located.x, f"{{at}}, {reason}; `corners` has their strengths")

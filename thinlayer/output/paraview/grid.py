@@ -19,6 +19,8 @@ from thinlayer.system.compat import interpolate
 # nodes of a mirrored tetrahedron of degree 2, in VTK's order; the first four: degree 1
 MIRRORED_TET_NODES = (1, 0, 2, 3, 4, 6, 5, 8, 7, 9)
 
+PLACE_DECIMALS = 9  # decimals of coordinates, over the structure's size, that distinguish nodes
+
 # VTK's numbers of cells of degree 1, and of any degree
 LINEAR_CODES = {"interval": 3, "triangle": 5, "quadrilateral": 9, "tetrahedron": 10, "hexahedron": 12}
 LAGRANGE_CODES = {"interval": 68, "triangle": 69, "quadrilateral": 70, "tetrahedron": 71, "hexahedron": 72}
@@ -47,6 +49,8 @@ class VtkGrid:
         dim: number of dimensions, 2 or 3; in 2D all third components are zero.
         points: (n, 3) coordinates of the nodes before deformation.
         u: (n, 3) displacements.
+        loads: (n, 3) nodal forces of the loads.
+        n_supported: (n,) number of displacement components that supports prescribe at each node.
         cells: VTK's list of cells: for each cell the number of its nodes, then the nodes.
         cell_codes: (n_cells,) VTK's codes for the types of the cells.
         region: (n_cells,) number of the region of the bodies, from 0; regions of meshed layers have -1, -2, ...
@@ -58,6 +62,8 @@ class VtkGrid:
     dim: int
     points: Array
     u: Array
+    loads: Array
+    n_supported: Array
     cells: IntArray
     cell_codes: npt.NDArray[np.uint8]
     region: IntArray
@@ -79,6 +85,13 @@ class VtkGrid:
             raise InputError(f"unknown component {name!r}; allowed: size, {', '.join('xyz'[: self.dim])}")
         return self.u[:, "xyz".index(name)]
 
+    def is_coincident(self) -> npt.NDArray[np.bool_]:
+        """Return a mask (n,) of the nodes that coincide with others before deformation, as on both sides of S."""
+        # the factor pi avoids coordinates half-way between two decimals, which rounding errors would separate
+        rounded_points = np.round(np.pi / np.ptp(self.points) * self.points, PLACE_DECIMALS)
+        _, place_of_node, counts = np.unique(rounded_points, axis=0, return_inverse=True, return_counts=True)
+        return counts[place_of_node.ravel()] > 1
+
 
 def nodal_displacement(state: State) -> fem.Function:
     """Return the displacement as a function all of whose degrees of freedom are values at nodes.
@@ -93,8 +106,29 @@ def nodal_displacement(state: State) -> fem.Function:
     return u
 
 
+def _loads_and_supports(state: State, V: fem.FunctionSpace) -> Array:
+    """Return for each node of V, ghosts included, the nodal force (d,) of the loads and the number of supported axes.
+
+    Collective.
+
+    Returns:
+        (n, d + 1) array.
+    """
+    model, d = state.model, state.model.joint.dim
+    force = fem.Function(V)
+    b = model.forces.nodal_forces_at(V, state.t)
+    force.x.array[: b.getLocalSize()] = b.array_r
+    b.destroy()
+    force.x.scatter_forward()
+    n_supported = np.zeros(len(force.x.array) // d)
+    for place, components in model.supports.user_entries:
+        for axis in components:
+            n_supported[np.unique(model.supports.dofs_at_place(V, place, axis) // d)] += 1
+    return np.column_stack([force.x.array.reshape(-1, d), n_supported])
+
+
 def gather_grid(state: State) -> VtkGrid | None:
-    """Gather the displacement field of a state on rank 0; other ranks return None. Collective.
+    """Gather the displacements, loads and supports of a state on rank 0; other ranks return None. Collective.
 
     Cells have the order of the model's joint, and nodes the order in which they first occur in these cells. The result
     is therefore the same on any number of ranks. Where nodes of both sides of S coincide, they stay distinct. So do
@@ -111,7 +145,8 @@ def gather_grid(state: State) -> VtkGrid | None:
     global_nodes = [imap.local_to_global(np.ravel(nodes)).reshape(nodes.shape) for imap, nodes in maps_and_nodes]
     # coordinates of each cell, as a node on periodic sides has two positions
     x_space = fem.functionspace(V.mesh, ("DG", V.ufl_element().degree)) if joint.periods else V
-    x, values = x_space.tabulate_dof_coordinates()[x_space.dofmap.list[:n]][:, perm], u.x.array.reshape(-1, d)[u_nodes]
+    x = x_space.tabulate_dof_coordinates()[x_space.dofmap.list[:n]][:, perm]
+    values = np.column_stack([u.x.array.reshape(-1, d), _loads_and_supports(state, V)])[u_nodes]
     pieces = model.comm.gather((model.domain.original_cells[:n], *global_nodes, x, values), root=0)
     if pieces is None:
         return None
@@ -122,8 +157,8 @@ def gather_grid(state: State) -> VtkGrid | None:
     pair_order = np.argsort(first_rows)
     cell_nodes = np.argsort(pair_order)[pair_numbers.ravel()].reshape(global_nodes[0].shape)
     node_rows = first_rows[pair_order]
-    points, displacements = x.reshape(-1, 3)[node_rows], np.zeros((len(node_rows), 3))
-    displacements[:, :d] = values.reshape(-1, d)[node_rows]
+    points, values = x.reshape(-1, 3)[node_rows], values.reshape(-1, 2 * d + 1)[node_rows]
+    displacements, loads = (np.pad(vectors, ((0, 0), (0, 3 - d))) for vectors in (values[:, :d], values[:, d:-1]))
     if joint.cell_type == "tetrahedron":  # VTK mistakes inner faces of left-handed cells for outer faces
         corners = points[cell_nodes[:, :4]]
         is_left_handed = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
@@ -132,7 +167,8 @@ def gather_grid(state: State) -> VtkGrid | None:
     first_layer_region = len(joint.regions) - len(joint.band.regions if joint.band else ())
     region = np.where(joint.region >= first_layer_region, first_layer_region - joint.region - 1, joint.region)
     cell_codes = np.full(len(cell_nodes), vtk_code(joint.cell_type, cell_nodes.shape[1]), np.uint8)
-    return VtkGrid(d, points, displacements, cells, cell_codes, region, *_base_points_and_code(joint))
+    base = _base_points_and_code(joint)
+    return VtkGrid(d, points, displacements, loads, values[:, -1], cells, cell_codes, region, *base)
 
 
 def _base_points_and_code(joint: Joint) -> tuple[Array, int]:

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from forms.base import require
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import PINNED_STATUS, Contact
-from thinlayer.output.plotting.curves import COLOURS, LINE_STYLES, set_symlog
+from thinlayer.output.plotting.curves import LINE_STYLES, colours_by_label, set_symlog
 from thinlayer.output.plotting.picture import GivenAxes, Picture, entry_by_label, finish_picture, make_panels
 from thinlayer.output.surface import Surface
 from thinlayer.surface.lines import Line, Plane
@@ -32,7 +32,6 @@ def along(
     *,
     plane: Plane | None = None,
     save: str | Path | None = None,
-    title: str = "",
     length: str = "",
     stress: str = "",
     log: bool = False,
@@ -54,7 +53,6 @@ def along(
         plane: (point, normal) of a plane that cuts a 3D structure; fields are drawn along the line in which it cuts S.
             None in 2D.
         save: name of a file to save the picture to, .png, .svg or .pdf; None: it is not saved.
-        title: text over the picture.
         length, stress: names of the units of lengths and of stresses, for the labels.
         log: whether the vertical axes are logarithmic on both sides of zero.
         ax: matplotlib's axes to draw in, one for each panel; the legend is in the first. None: a new picture is made.
@@ -88,12 +86,13 @@ def along(
     rows = {label: {case: surface.along(f, plane=plane) for case, f in cases.items()} for label, cases in drawn.items()}
     seams, height = list(dict.fromkeys(surface.seams.tolist())), PANEL_INCHES[1] if len(rows) < 3 else LOW_PANEL_INCHES
     inches, shape = (PANEL_INCHES[0] + 2.2 * (len(seams) - 1), len(rows) * height + 0.8), (len(rows), len(seams))
+    colours = colours_by_label(list(dict.fromkeys(case for row in rows.values() for case in row)))
     panels = make_panels(ax, shape, len(rows) * len(seams), inches, sharex="col", sharey="row")
     axes_rows = np.reshape(np.asarray(panels, object), shape)
     for (label, row), row_axes in zip(rows.items(), axes_rows, strict=True):
         values = np.concatenate([line.values.ravel() for lines in row.values() for line in lines])
         for axes, seam in zip(row_axes, seams, strict=True):
-            _draw_panel(axes, [[line for line in lines if line.seam == seam] for lines in row.values()])
+            _draw_panel(axes, {case: [line for line in row[case] if line.seam == seam] for case in row}, colours)
             if log:
                 set_symlog(axes, np.nanmin(values), np.nanmax(values))
         row_axes[0].set_ylabel(label)
@@ -102,8 +101,8 @@ def along(
     for axes in axes_rows[-1]:
         axes.set_xlabel(f"arc length{f' ({length})' if length else ''}")
     panels[0].figure.align_ylabels(panels)
-    handles = _legend_handles(rows.values(), surface.joint.dim)
-    return finish_picture(panels, save, title, handles, min(len(handles), 5))
+    handles = _legend_handles(rows.values(), colours, surface.joint.dim)
+    return finish_picture(panels, save, "", handles, min(len(handles), 5))
 
 
 def _fields_by_row(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, Mapping[str, npt.ArrayLike]]:
@@ -136,14 +135,15 @@ def _fields_by_row(surface: Surface, fields: Any, stress: str, length: str) -> d
     return {**rows}
 
 
-def _draw_panel(axes: Axes, curves: list[list[Line]]) -> None:
+def _draw_panel(axes: Axes, curves: Mapping[str, list[Line]], colours: Mapping[str, str]) -> None:
     """Draw one panel with several curves, the values of fields along lines on S.
 
     Args:
         axes: the panel.
-        curves: for each curve its lines, which follow one another on the horizontal axis, with grey lines between them.
+        curves: label of a curve -> its lines, which follow one another on the horizontal axis, with grey lines between.
+        colours: label -> colour.
     """
-    for number, lines in enumerate(curves):
+    for number, (case, lines) in enumerate(curves.items()):
         line_start = 0.0
         for line in lines:
             if line_start and not number:
@@ -151,16 +151,17 @@ def _draw_panel(axes: Axes, curves: list[list[Line]]) -> None:
             components = np.roll(np.atleast_2d(line.values.T), 1, axis=0)  # the normal component was last
             styles = COMPONENT_STYLES if len(components) > 1 else (LINE_STYLES[number % len(LINE_STYLES)],)
             for style, component in zip(styles, components, strict=False):
-                axes.plot(line_start + line.s, component, linestyle=style, color=COLOURS[number % len(COLOURS)])
+                axes.plot(line_start + line.s, component, linestyle=style, color=colours[case])
             line_start += line.length
     axes.grid(color="0.9")
 
 
-def _legend_handles(rows: Collection[Mapping[str, list[Line]]], dim: int) -> list[Line2D]:
+def _legend_handles(rows: Collection[Mapping[str, list[Line]]], colours: Mapping[str, str], dim: int) -> list[Line2D]:
     """Return the entries of the legend: line styles of the components of vectors, and colours of the curves.
 
     Args:
         rows: for each row of panels, label of a curve -> its lines on S.
+        colours: label of a curve -> its colour.
         dim: number of dimensions.
     """
     handles = list[Line2D]()
@@ -169,8 +170,8 @@ def _legend_handles(rows: Collection[Mapping[str, list[Line]]], dim: int) -> lis
         components = ["normal", "tangential"] if dim == 2 else ["normal", "tangential 1", "tangential 2"]
         styles = zip(COMPONENT_STYLES, components, strict=False)
         handles += [Line2D([], [], color="0.3", linestyle=style, label=name) for style, name in styles]
-    labels = list(dict.fromkeys(case for row in rows for case in row))
-    if len(labels) > 1:
-        curve_styles = zip(cycle(COLOURS), cycle(("-",) if has_vectors else LINE_STYLES), labels, strict=False)
-        handles += [Line2D([], [], color=colour, linestyle=dash, label=case) for colour, dash, case in curve_styles]
+    if len(colours) > 1:
+        dashes = cycle(("-",) if has_vectors else LINE_STYLES)
+        entries = zip(colours.items(), dashes, strict=False)
+        handles += [Line2D([], [], color=colour, linestyle=dash, label=case) for (case, colour), dash in entries]
     return handles

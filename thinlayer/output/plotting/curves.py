@@ -21,7 +21,8 @@ CurvesByLabel = Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike]]  # label -> (x
 AxisRange = tuple[float, float] | None
 StyleChoice = str | Sequence[str] | Mapping[str, str] | None  # one for all curves, several in turn, or by label
 # Styles of curves, in turn: colours for colour-blind readers (Okabe and Ito); line styles and markers for grey prints.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+LAW_COLOUR, MESHED_COLOUR = "#0072B2", "#D55E00"  # an interface law and a meshed layer, in all pictures
+COLOURS = (LAW_COLOUR, MESHED_COLOUR, "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 Dash = str | tuple[int, tuple[int, ...]]  # matplotlib's line style
 LINE_STYLES: tuple[Dash, ...] = ("-", "--", "-.", ":", (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1)), (0, (1, 3)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
@@ -155,7 +156,7 @@ def curves(
     inches = width, height + ROW_INCHES * (legend_rows - 1)
     axes_list = make_panels(ax, (panel_rows, columns), len(panels), inches)
     slope_colours = {label: "0.5" for label in labels if label.startswith("slope")}
-    styles, colours = _by_label(labels, styles), _by_label(labels, COLOURS) | slope_colours | _by_label(labels, colours)
+    styles, colours = _by_label(labels, styles), colours_by_label(labels) | slope_colours | _by_label(labels, colours)
     dashes, plotted = dict(zip(labels, cycle(LINE_STYLES), strict=False)), dict[str, Line2D]()
     for axes, (name, curves_in_panel) in zip(axes_list, panels.items(), strict=True):
         for label, line in curves_in_panel.items():
@@ -186,6 +187,13 @@ def _for_panel(setting: Any, name: str) -> Any:
     If `setting` is a mapping, title of a panel -> value, it is this panel's entry, or None; otherwise it is `setting`.
     """
     return setting.get(name) if isinstance(setting, Mapping) else setting
+
+
+def colours_by_label(labels: Sequence[str]) -> dict[str, str]:
+    """Return the default colours of curves: orange for the first of a meshed layer, for others all colours in turn."""
+    meshed = next((label for label in labels if "meshed" in label), None)
+    others = cycle(colour for colour in COLOURS if meshed is None or colour != MESHED_COLOUR)
+    return {label: MESHED_COLOUR if label == meshed else next(others) for label in labels}
 
 
 def _by_label(labels: Iterable[str], styles: StyleChoice) -> dict[str, str]:

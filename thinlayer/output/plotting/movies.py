@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from matplotlib import rc_context
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
@@ -84,10 +85,11 @@ def movie(
 
     def write_movie() -> None:
         scene = Scene.of(grids, view)
-        figure, (axes,) = scene.make_panels(1)
-        scene.draw_colour_bar(figure, [axes])
-        drawn_image = axes.imshow(scene.render(grids[0]), extent=scene.window)
-        time_text = axes.set_title(" ", fontsize=11)
+        (axes,) = scene.panels(1)
+        figure: Any = axes.figure
+        scene.draw_colour_bar([axes])
+        scene.draw(axes, grids[0])
+        axes.set_title(" ", fontsize=11)
         if title:
             figure.suptitle(title)
         figure.draw_without_rendering()
@@ -97,8 +99,10 @@ def movie(
             temp_path = Path(folder) / path.name
             with rc_context({"animation.ffmpeg_path": ffmpeg_path}), writer.saving(figure, str(temp_path), FRAME_DPI):
                 for state, grid in track([*zip(states, grids, strict=True)], "movie", "a frame"):
-                    drawn_image.set_data(scene.render(grid))
-                    time_text.set_text(f"t = {state.t:.4g}{f' {time_unit}' if time_unit else ''}")
+                    axes.clear()
+                    axes.set_axis_off()
+                    scene.draw(axes, grid)
+                    axes.set_title(f"t = {state.t:.4g}{f' {time_unit}' if time_unit else ''}", fontsize=11)
                     writer.grab_frame()
             file.write(temp_path.read_bytes())
 

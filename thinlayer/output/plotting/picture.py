@@ -41,7 +41,7 @@ class Picture(Figure):
     change.
 
     Attributes:
-        make_plotter: function that returns a plotter of pyvista with the structures of the picture; None: it has none.
+        make_plotter: function that returns a plotter of pyvista with the 3D structures of the picture; None: it has none.
     """
 
     make_plotter: Callable[[], Any] | None = None
@@ -53,10 +53,10 @@ class Picture(Figure):
         structures turn, otherwise pyvista shows an image and warns.
 
         Raises:
-            InputError: the picture shows curves.
+            InputError: the picture shows no 3D structure.
         """
         if self.make_plotter is None:
-            raise InputError("interactive: the picture shows curves; pictures of `deformed` and `on_surface` can turn")
+            raise InputError("interactive: only pictures of 3D structures, by `deformed` and `on_surface`, can turn")
         self.make_plotter().show()
 
     def draw(self, renderer: RendererBase) -> None:
@@ -169,19 +169,19 @@ def entry_by_label(argument: str, entries: Mapping[str, EntryType] | EntryType, 
     return by_label
 
 
-def draw_on_root(comm: MPI.Intracomm, draw: Callable[[], Picture], save: str | Path | None) -> Picture | None:
-    """Draw a picture on rank 0 and return it; other ranks return None. Collective.
+def draw_on_root(comm: MPI.Intracomm, draw: Callable[[], Figure], save: str | Path | None) -> Picture | None:
+    """Draw a picture on rank 0 and return it if it is new; other ranks return None. Collective.
 
     Args:
         comm: communicator.
-        draw: function that makes the picture.
+        draw: function that makes the picture, or draws in a figure of the user and returns that.
         save: name of a file to which rank 0 saves the picture; None: it is not saved.
     """
-    pictures: list[Picture] = []
-    on_root(comm, lambda: pictures.append(draw()))
+    figures: list[Figure] = []
+    on_root(comm, lambda: figures.append(draw()))
     if save is not None:
-        on_root(comm, lambda: save_picture(pictures[0], save))
-    return pictures[0] if pictures else None
+        on_root(comm, lambda: save_picture(figures[0], save))
+    return figures[0] if figures and isinstance(figures[0], Picture) else None
 
 
 def save_picture(figure: Figure, save: str | Path) -> None:

@@ -1,25 +1,25 @@
-"""Pictures of deformed structures, coloured by displacement or by a field on S, drawn by pyvista off screen."""
+"""Pictures of deformed structures, coloured by displacement or by a field on S: by matplotlib in 2D, pyvista in 3D."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-import pyvista
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize, SymLogNorm
+from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from forms.base import Array, InputError
 from thinlayer.discretisation.state import State
 from thinlayer.output.paraview.grid import gather_grid
 from thinlayer.output.plotting.curves import COLOURS, SYMLOG_RATIO
-from thinlayer.output.plotting.picture import Picture, draw_on_root, entry_by_label
-from thinlayer.output.plotting.scene import COLOUR_BAR_STYLE, Scene, View
+from thinlayer.output.plotting.picture import GivenAxes, Picture, draw_on_root, entry_by_label
+from thinlayer.output.plotting.scene import COLOUR_BAR_STYLE, Scene, SurfaceColours, View
 from thinlayer.output.surface import Surface
 
 SurfaceField = np.ndarray | Callable[[Surface, State], np.ndarray]
@@ -33,7 +33,12 @@ DEFAULT_VIEW = View()
 
 
 def deformed(
-    states: Mapping[str, State] | State, view: View = DEFAULT_VIEW, *, save: str | Path | None = None, title: str = ""
+    states: Mapping[str, State] | State,
+    view: View = DEFAULT_VIEW,
+    *,
+    save: str | Path | None = None,
+    title: str = "",
+    ax: GivenAxes = None,
 ) -> Picture | None:
     """Draw deformed structures side by side, coloured by displacement. Collective.
 
@@ -45,9 +50,10 @@ def deformed(
         view: direction, window, colours and scale of displacements, such as `View(zoom=..., unit="mm")`.
         save: name of a file to save the picture to, .png, .svg or .pdf; None: it is not saved.
         title: text over the picture.
+        ax: matplotlib's axes to draw in, one for each state; None: a new picture is made.
 
     Returns:
-        The picture on rank 0, which gathers the fields; None on other ranks.
+        The new picture on rank 0, which gathers the fields; None on other ranks, and if `ax` is given.
 
     Raises:
         InputError: not a state; `save` is no name of a file; a view with an unknown component, an invalid direction, a
@@ -69,7 +75,7 @@ def deformed(
         >>> picture = plotting.deformed({"glue": state}, view, save="plates.png")
     """
     labelled = _state_by_label(states, "deformed")
-    return _draw_panels(labelled, view, lambda *_: None, Scene.draw_colour_bar, title, save)
+    return _draw_panels(labelled, view, None, Scene.draw_colour_bar, title, save, ax)
 
 
 def on_surface(
@@ -79,9 +85,9 @@ def on_surface(
     *,
     seam: str = "S",
     save: str | Path | None = None,
-    title: str = "",
     quantity: str = "",
     log: bool = False,
+    ax: GivenAxes = None,
 ) -> Picture | None:
     """Draw deformed structures side by side, with S coloured by a field. Collective.
 
@@ -95,12 +101,12 @@ def on_surface(
         view: direction, window and scale of displacements; its component and unit are ignored.
         seam: name of a seam; "S": all seams.
         save: name of a file to save the picture to, .png, .svg or .pdf; None: it is not saved.
-        title: text over the picture.
         quantity: name of the field, for the legend.
         log: whether the scale of colours for numbers is logarithmic on both sides of zero.
+        ax: matplotlib's axes to draw in, one for each state; None: a new picture is made.
 
     Returns:
-        The picture on rank 0; None on other ranks.
+        The new picture on rank 0; None on other ranks, and if `ax` is given.
 
     Raises:
         InputError: not a state; no scalar field on S; a view with an invalid direction, a direction or cut in 2D, or
@@ -132,21 +138,22 @@ def on_surface(
         raise InputError(f"on_surface: the field has {wrong_counts[0]} components; give one of them")
     colours = _make_mappable(words, np.concatenate([f.ravel() for f in corner_values.values()]), log=log)
 
-    def mesh_s(scene: Scene, label: str) -> list[pyvista.PolyData]:
+    def colour_s(scene: Scene, label: str) -> SurfaceColours:
         x = surfaces[label].joint.points[surfaces[label].corners]
         lower, upper = x + scene.displacement_factor * np.moveaxis(displacements[label], 1, -1)
-        return _mesh_s(colours, corner_values[label], lower, upper, smooth=not words)
+        return SurfaceColours(lower, upper, corner_values[label], colours, smooth=not words)
 
-    def draw_legend(scene: Scene, figure: Picture, axes: list[Axes]) -> None:
+    def draw_legend(scene: Scene, panels: list[Axes]) -> None:
         text = "; ".join(filter(None, [quantity, scene.factor_text]))
+        figure: Any = panels[0].figure
         if not words:
-            figure.colorbar(colours, ax=axes, **COLOUR_BAR_STYLE, label=text)
+            figure.colorbar(colours, ax=panels, **COLOUR_BAR_STYLE, label=text)
             return
         patches = [Patch(color=word_colour(word, words), label=word) for word in words]
         columns = min(len(patches), 4 * len(labelled))
         figure.legend(handles=patches, loc="outside lower center", ncols=columns, frameon=False, title=text)
 
-    return _draw_panels(labelled, replace(view, component="size"), mesh_s, draw_legend, title, save)
+    return _draw_panels(labelled, replace(view, component="size"), colour_s, draw_legend, "", save, ax)
 
 
 def _state_by_label(states: Mapping[str, State] | State, function_name: str) -> dict[str, State]:
@@ -167,44 +174,42 @@ def _state_by_label(states: Mapping[str, State] | State, function_name: str) -> 
     return panels
 
 
-MeshS = Callable[[Scene, str], list[pyvista.PolyData] | None]
-DrawLegend = Callable[[Scene, Picture, list[Axes]], None]
+ColourS = Callable[[Scene, str], SurfaceColours]
+DrawLegend = Callable[[Scene, list[Axes]], None]
 
 
 def _draw_panels(
-    cases: Mapping[str, State], view: View, mesh_s: MeshS, draw_legend: DrawLegend, title: str, save: str | Path | None
-) -> Picture | None:
-    """Draw images of states side by side with one legend, on rank 0; other ranks return None. Collective.
+    cases: Mapping[str, State], view: View, colour_s: ColourS | None, draw_legend: DrawLegend, title: str,
+    save: str | Path | None, ax: GivenAxes,
+) -> Picture | None:  # fmt: skip
+    """Draw states side by side with one legend, on rank 0; other ranks return None. Collective.
 
     Args:
         cases: label of a panel -> state.
         view: the user's settings of the view.
-        mesh_s: function of the scene and a panel's label; returns meshes of S that are drawn in addition, or None.
-        draw_legend: function of the scene, the picture and the axes of all panels; draws the legend.
+        colour_s: function of the scene and a panel's label; returns the colours of S. None: S has no colours.
+        draw_legend: function of the scene and the axes of all panels; draws the legend.
         title: text over the picture.
         save: name of a file to save the picture to; None: it is not saved.
+        ax: the user's axes, one for each state; None: a new picture.
     """
     grids = {label: grid for label, state in cases.items() if (grid := gather_grid(state))}
 
-    def make_plotter(scene: Scene) -> pyvista.Plotter:
-        plotter = pyvista.Plotter(shape=(1, len(grids)), lighting="none")
-        for k, (label, grid) in enumerate(grids.items()):
-            plotter.subplot(0, k)
-            scene.add_to(plotter, grid, mesh_s(scene, label))
-            plotter.add_text(label, font_size=10)
-        plotter.link_views()
-        return plotter
-
-    def draw() -> Picture:
+    def draw() -> Figure:
         scene = Scene.of(list(grids.values()), view)
-        figure, axes_list = scene.make_panels(len(grids))
-        draw_legend(scene, figure, axes_list)
-        figure.make_plotter = lambda: make_plotter(scene)
-        for axes, (label, grid) in zip(axes_list, grids.items(), strict=True):
-            axes.imshow(scene.render(grid, mesh_s(scene, label)), extent=scene.window)
+        panels = scene.panels(len(grids), ax)
+        surfaces = {label: colour_s(scene, label) for label in grids} if colour_s else {}
+        draw_legend(scene, panels)
+        for axes, (label, grid) in zip(panels, grids.items(), strict=True):
+            scene.draw(axes, grid, surfaces.get(label))
             axes.set_title(label, fontsize=11)
+        figure: Any = panels[0].figure
         if title:
             figure.suptitle(title, fontsize=11)
+        if isinstance(figure, Picture) and next(iter(grids.values())).dim == 3:
+            from thinlayer.output.plotting.solid_shape import interactive_plotter
+
+            figure.make_plotter = lambda: interactive_plotter(scene, grids, surfaces)
         return figure
 
     return draw_on_root(next(iter(cases.values())).model.comm, draw, save)
@@ -263,66 +268,3 @@ def _make_mappable(words: list[str], values: Array, *, log: bool) -> ScalarMappa
     mappable = ScalarMappable(norm, "RdBu_r" if signed else "viridis")
     mappable.get_cmap().set_bad(NAN_COLOUR)
     return mappable
-
-
-def _mesh_s(colours: ScalarMappable, values: Array, lower: Array, upper: Array, smooth: bool) -> list[pyvista.PolyData]:
-    """Make meshes of the deformed S, with colours that show a field as point data "rgb".
-
-    Args:
-        colours: map from values of the field to colours.
-        values: (n, k) values at the k corners of n facets.
-        lower, upper: (n, k, d) drawn coordinates of these corners on both sides of S, in d dimensions.
-        smooth: True: values are linear between the corners. False: each facet is divided into one part around each
-            corner, which has the corner's colour. This is for words.
-
-    Returns:
-        In 3D one mesh half-way between the sides. In 2D two meshes: the areas between the sides, and the lines half-way
-        between them.
-    """
-    k, d = lower.shape[1:]
-    corner_order = [0, 1, 3, 2] if k == 4 else [*range(k)]
-    mid_x, values = ((lower + upper) / 2)[:, corner_order], values[:, corner_order]
-    n_points = 2 if k == 2 else 4
-    point_values = _interpolate_to_parts(values) if smooth else np.repeat(values[:, :, None], n_points, axis=2)
-    flat_rgb = colours.to_rgba(np.ma.masked_invalid(point_values.ravel()))[:, :3]  # (n, k, 4) would count as an image
-    rgb = np.asarray(np.rint(255 * flat_rgb), np.uint8).reshape(*point_values.shape, 3)
-    if d == 3:
-        return [_make_rgb_mesh(_interpolate_to_parts(mid_x), rgb, "faces")]
-    lower_points, upper_points = _interpolate_to_parts(lower), _interpolate_to_parts(upper)
-    gap_points = np.concatenate([lower_points, upper_points[:, :, ::-1]], axis=2)
-    gap_rgb = np.concatenate([rgb, rgb[:, :, ::-1]], axis=2)
-    return [_make_rgb_mesh(gap_points, gap_rgb, "faces"), _make_rgb_mesh(_interpolate_to_parts(mid_x), rgb, "lines")]
-
-
-def _interpolate_to_parts(values: Array) -> Array:
-    """Divide facets into one part around each corner, and interpolate values to the p points that bound each part.
-
-    Lines have p = 2 points in each part, the corner and the middle of the line. Other facets have p = 4: the corner,
-    the middle of the next edge, the centre of the facet, and the middle of the edge before.
-
-    Args:
-        values: (n, k, ...) values at the k corners of n facets, in the order around the facet.
-
-    Returns:
-        (n, k, p, ...) values at the p points of each part.
-    """
-    centre = np.broadcast_to(values.mean(axis=1, keepdims=True), values.shape)
-    edge_means = (values + np.roll(values, -1, axis=1)) / 2
-    bounds = [values, centre] if values.shape[1] == 2 else [values, edge_means, centre, np.roll(edge_means, 1, axis=1)]
-    return np.stack(bounds, axis=2)
-
-
-def _make_rgb_mesh(x: Array, rgb: npt.NDArray[np.uint8], cell_kind: str) -> pyvista.PolyData:
-    """Make a coloured VTK mesh of n * k lines or faces, k on each of n facets of S.
-
-    Args:
-        x: (n, k, p, d) coordinates of the p points that bound each line or face, in d dimensions.
-        rgb: (n, k, p, 3) colours at these points.
-        cell_kind: "lines" or "faces".
-    """
-    p, d = x.shape[2:]
-    points = np.pad(x.reshape(-1, d), ((0, 0), (0, 3 - d)))
-    cells = np.insert(np.arange(len(points)).reshape(-1, p), 0, p, axis=1)
-    mesh = pyvista.PolyData(points, **{cell_kind: cells.ravel()})
-    mesh.point_data["rgb"] = rgb.reshape(-1, 3)
-    return mesh

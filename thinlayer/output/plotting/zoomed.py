@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from forms.base import Array, InputError, is_number, require
 from geometry.refusals import require_known
 from thinlayer.output.plotting.curves import COLOURS
-from thinlayer.output.plotting.picture import Picture, draw_on_root
+from thinlayer.output.plotting.picture import GivenAxes, Picture, draw_on_root, make_panels
 from thinlayer.output.zooming import CORNER_EXCLUSION, Zoom
 
 STRESS_INDICES = {"N": (1, 1), "T": (0, 1), "S": (0, 0)}  # indices of stresses in the axes of an end: inward, n
@@ -27,8 +29,8 @@ def zoomed(
     width: float = 3.0,
     component: str = "N",
     save: str | Path | None = None,
-    title: str = "",
     stress: str = "",
+    ax: GivenAxes = None,
 ) -> Picture | None:
     """Draw a stress component in a 2D layer near a free end, as a map and along three lines parallel to S. Collective.
 
@@ -40,11 +42,11 @@ def zoomed(
         component: "N": normal traction. "T": shear stress between two axes, the first along S and inward from the end,
             the second n. "S": normal stress along S.
         save: name of a file to save the picture to, .png, .svg or .pdf; None: it is not saved.
-        title: text over the picture.
         stress: name of the unit of stresses, for the labels.
+        ax: matplotlib's axes to draw in, one for each map and one for the lines; None: a new picture is made.
 
     Returns:
-        The picture on rank 0; None on other ranks.
+        The new picture on rank 0; None on other ranks, and if `ax` is given.
 
     Raises:
         InputError: a 3D model; not a `Zoom`; no such end, component or width.
@@ -80,13 +82,14 @@ def zoomed(
     meshed_stress = {} if full is None else {"meshed layer": full.stress(x, heights)}
     fields = meshed_stress | {"layer by itself": zoom.stress(x, heights)}
     values = {name: np.einsum("i,nij,j->n", axes[i], sigma, axes[j]).reshape(D.shape) for name, sigma in fields.items()}
-    return draw_on_root(zoom.state.model.comm, lambda: _draw_stress(values, D, Y, component, title, stress), save)
+    return draw_on_root(zoom.state.model.comm, lambda: _draw_stress(values, D, Y, component, stress, ax), save)
 
 
-def _draw_stress(values: dict[str, Array], D: Array, Y: Array, component: str, title: str, unit: str) -> Picture:
+def _draw_stress(values: dict[str, Array], D: Array, Y: Array, component: str, unit: str, ax: GivenAxes) -> Figure:
     low, high = np.quantile(next(iter(values.values())), [CLIPPED_FRACTION, 1 - CLIPPED_FRACTION])
-    figure = Picture(figsize=(7.2, 1.9 * len(values) + 3.0), layout="constrained")
-    panels = figure.subplots(len(values) + 1, 1, height_ratios=[*[1.0] * len(values), 1.5], sharex=True)
+    n, ratios = len(values) + 1, [*[1.0] * len(values), 1.5]
+    panels = make_panels(ax, (n, 1), n, (7.2, 1.9 * len(values) + 3.0), height_ratios=ratios, sharex=True)
+    figure: Any = panels[0].figure
     for axes, (name, field) in zip(panels[:-1], values.items(), strict=True):
         colour_mesh = axes.pcolormesh(D, Y, field, shading="gouraud", vmin=low, vmax=high, cmap="viridis")
         axes.set(title=name, ylabel="height/eps", ylim=(-0.5, 0.5))
@@ -100,7 +103,9 @@ def _draw_stress(values: dict[str, Array], D: Array, Y: Array, component: str, t
     span = high - low
     panels[-1].set(xlabel="distance from the end, over eps", ylabel=quantity, ylim=(low - span / 3, high + span / 3))
     panels[-1].grid(color="0.9")
-    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=9)
-    if title:
-        figure.suptitle(title)
+    handles, labels = panels[-1].get_legend_handles_labels()
+    if isinstance(figure, Picture):
+        figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    else:
+        panels[-1].legend(handles, labels)
     return figure
