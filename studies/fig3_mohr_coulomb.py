@@ -97,7 +97,7 @@ def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: 
         for label, state in states.items():
             table.extend({"loads": name, "model": label} | row for row in bar.profile_table(state))
         bar.check(states)
-        title, picture = f"left end of a Mohr-Coulomb layer, loads {name}", record.path(f"layer_end_{name}.png")
+        title, picture = f"left end of a Mohr-Coulomb layer, {reading.yield_text}", record.path(f"layer_end_{name}.png")
         view = plotting.View(scale=reading.picture_scale, unit="mm", zoom=(-2.0, 6.0, -1.6, 4.0))
         plotting.deformed(dict([*states.items()][1:]), view, save=picture, title=title)
     if "R1" in readings:

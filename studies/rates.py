@@ -293,15 +293,15 @@ SWEEPS: dict[str, Sweep] = {
         orders=(0.7, 1.3), wrong_law=bands.HOLONOMIC, slow=True),
     "friction sine": fine_sweep(layer_fn(bands.BAND_LAW), "f = sin(Omega)", at_once, h=(1 / 64, 1 / 32), orders=None,
         cells_through=1, wrong_law=bands.SINE_LAW, check=bands.check_sine_error),
-    "non_monotone": phase_sweep("", "oblique chi"),
-    "non_monotone across": phase_sweep("across", "n (x) n"),
-    "non_monotone along": phase_sweep("along", "sym(t (x) n)"),
-    "non_monotone unrelaxed": fine_sweep(layer_fn(phases.PURE_LAW), "oblique chi, pure phases", h=(1 / 8, 1 / 8),
+    "non_monotone": phase_sweep("", "expands obliquely"),
+    "non_monotone across": phase_sweep("across", "expands across S"),
+    "non_monotone along": phase_sweep("along", "shears along S"),
+    "non_monotone unrelaxed": fine_sweep(layer_fn(phases.PURE_LAW), "expands obliquely, pure phases", h=(1 / 8, 1 / 8),
         cells_through=2, problem=partial(phases.blocks, shear=0.04, pull=0.03, moved=True), times=(0.25, 0.5, 0.75, 1.0),
         quick_steps=slice(None), along_fn=phases.phases_along),
     "non_monotone printed": wrong_law_sweep("", "lambda + mu on S", phases.PRINTED_LAW, PRINTED_FLOOR),
     "non_monotone one_branch": wrong_law_sweep("", "no phase -1 on S", phases.ONE_BRANCH_LAW, ONE_BRANCH_FLOOR),
-    "non_monotone across small_gain": wrong_law_sweep("across", "n (x) n, G across", phases.SMALL_GAIN_LAW, GAIN_FLOOR),
+    "non_monotone across small_gain": wrong_law_sweep("across", "across S, G across", phases.SMALL_GAIN_LAW, GAIN_FLOOR),
     "bar": bar_sweep(layer_fn(fig3.glue_law(0.02)), "h = 0.02"),
     "bar less_elastic": bar_sweep(layer_fn(fig3.glue_law(0.01)), "h = 0.01", slow=True),
     "bar monodirectional": bar_sweep(layer_fn(BAR_LAW), "monodirectional, h = 0.01", slow=True),
@@ -353,7 +353,9 @@ def draw(record: Record) -> None:
     """
     for law in LAWS:
         names = {s.label: name for name, s in SWEEPS.items() if name.split()[0] == law and record.has(table_file(name))}
-        title = f"meshed against law on S: {law}" + (f", eps in {SWEEPS[law].unit}" if SWEEPS[law].unit else "")
+        title = f"law on S against meshed layer: {law.replace('_', ' ')}" + (
+            f", eps in {SWEEPS[law].unit}" if SWEEPS[law].unit else ""
+        )
         if not names:
             continue
         tables = {label: record.path(table_file(name)) for label, name in [*names.items()][: len(COLOURS)]}
