@@ -79,9 +79,12 @@ def test_script_on_one_rank_and_two(there, name):
     assert len(numbers(serial)) >= 1
     assert numbers(serial) == pytest.approx(numbers(parallel), abs=2e-8)
     if name == "two_blocks":  # jumps on S and dissipation as in a march, with nodes that are open, stick and slide
-        mine, march_, status = serial.splitlines()
-        assert numbers(mine) == pytest.approx(numbers(march_), rel=1e-8)
-        assert min(map(int, status.split()[-3:])) > 0
+        assert len(serial.splitlines()) == 4
+        for text in (serial, parallel):
+            mine, march_, my_status, its_status = (line.partition(":")[2].strip() for line in text.splitlines())
+            assert numbers(mine) == pytest.approx(numbers(march_), rel=1e-8)
+            assert my_status == its_status
+            assert min(map(int, my_status.split()[-3:])) > 0
 
 
 @on_ranks(printed_by_all, 2)

@@ -50,6 +50,9 @@ for t in times:
     problem.accept()
 jump = broken.interface(S).jump(u)
 mine = [comm.allreduce(fem.assemble_scalar(fem.form(jump[k] * broken.dS(S)))) for k in (0, 1)]
+# contact.slip is the slip before the step; the memory of problem.state is already that after it
+status = np.concatenate(comm.allgather(law.status(contact.nodes.jump(u.x.petsc_vec), contact.slip)))
+my_counts = np.bincount(status, minlength=3)  # separated, stick, sliding
 
 names = {"LOWER": (2, LOWER), "UPPER": (2, UPPER), "S": (1, S), "TOP": (1, TOP), "BOTTOM": (1, BOTTOM)}
 blocks = read((grid, bodies, facets), names=names, upper="UPPER")
@@ -58,9 +61,10 @@ structure = Structure(blocks, body=stone, supports={"BOTTOM": 0.0, "TOP": top}, 
 history = march(structure.interface(law), times)
 surface = Surface(history.last.model)
 its = [surface.integral(surface.jump(history.last)[k]) for k in (0, 1)]
+its_counts = [surface.contact(history.last).counts[name] for name in ("separated", "stick", "sliding")]
 
-status = comm.gather(law.status(contact.nodes.jump(u.x.petsc_vec), problem.state.memory["contact"]))
 if comm.rank == 0:
     print(f"own SNES: jumps {mine[0]:.14f}, {mine[1]:.14f}, lost {problem.energies['contact'][1]:.14f}")
     print(f"march:    jumps {its[0]:.14f}, {its[1]:.14f}, lost {sum(history.table['dissipated']):.14f}")
-    print("nodes that are open, stick, slide:", *np.bincount(np.concatenate(status), minlength=3))
+    print("own SNES: nodes that are open, stick, slide:", *my_counts)
+    print("march:    nodes that are open, stick, slide:", *its_counts)
