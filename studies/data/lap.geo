@@ -1,6 +1,12 @@
 // Two plates, lap-jointed (mm), drawn with: gmsh -2 -format msh41 lap.geo
-length = 30; overlap = 25; thick = 5; // of each plate
-fine = 0.25; coarse = 2.5;
+// Other sizes: gmsh -2 -setnumber thick 2 -setnumber fine 0.1 -o mine.msh lap.geo
+DefineConstant[
+  length = 30, // of each plate outside the overlap
+  overlap = 25,
+  thick = 5, // of each plate
+  fine = 0.25, // cells on the glue
+  coarse = 2.5 // cells far from it
+];
 
 Point(1) = {-length, -thick, 0, coarse};
 Point(2) = {overlap, -thick, 0, coarse / 2};
