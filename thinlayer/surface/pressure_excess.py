@@ -13,6 +13,7 @@ import scipy.sparse.linalg
 
 from forms.law import BulkLaw
 from forms.law_tangents import acoustic_tensor, in_plane_modulus
+from forms.stations import LOCKING_RATIO
 from forms.tensors import average_lame, isotropic_tensor
 from geometry.topology import FloatArray
 from thinlayer.discretisation.layer import SeamLayer
@@ -342,8 +343,9 @@ def free_end_remark(model: Model, seam_layer: SeamLayer, moduli: Sequence[list[S
     if excess > 1 / (1 - STIFFNESS_ERROR_LIMIT) - 1:
         text = f"{seam_layer} is nearly incompressible{duration}: its pressure falls to 0 at free ends over {delta:.3g}"
         area_text = f"{y:.2g} of the area of S over the length of these ends ({width:.3g})"
+        ratio = max(k.lmbda / k.mu for sublayers in moduli for k in sublayers)
         effect = f"between rigid bodies its law is about {1 + excess:.3g} times too stiff against normal jumps"
-        yield "free ends", f"{text}, {area_text}; {effect}; {_remedy(seam_layer)}, {SUPPORT_HINT}"
+        yield "free ends", f"{text}, {area_text}; {effect}; {_remedy(seam_layer, ratio)}, {SUPPORT_HINT}"
 
 
 def pressure_decay_length(sublayers: list[SublayerModuli], width: float) -> float:
@@ -402,12 +404,18 @@ def stiffness_remark(seam_layer: SeamLayer, states: Sequence[State], start: floa
             rows.append((pressure_excess(FaceDisplacements.of(state, seam_layer), sublayers[0]).reported, sublayers[0]))
     worst, layer = max(rows, key=lambda pair: pair[0], default=(0.0, None))
     if layer and worst > STIFFNESS_ERROR_LIMIT:
-        subject = f"has lmbda/mu = {layer.lmbda / layer.mu:.4g}, and lets no material flow along S: for these jumps"
+        ratio = layer.lmbda / layer.mu
+        subject = f"has lmbda/mu = {ratio:.4g}, and lets no material flow along S: for these jumps"
         effect = f"the layer alone is {1 + worst:.4g} times too stiff, the structure less if bodies are soft"
-        yield "too stiff", f"{seam_layer}{layer.duration_text} {subject} {effect}; {_remedy(seam_layer)}"
+        yield (
+            "too stiff",
+            f"{seam_layer}{layer.duration_text} {subject} {effect}; {_remedy(seam_layer, ratio)}",
+        )
 
 
-def _remedy(layer: SeamLayer) -> str:
+def _remedy(layer: SeamLayer, lame_ratio: float) -> str:
+    """Return what to do about a layer that is too stiff, whose largest lmbda/mu is `lame_ratio`."""
     if layer.remembers or len(layer.law.sublayers) > 1:
         return "mesh the layer (structure.full; forms.Rubber has no memory, and is no sublayer)"
-    return "use forms.Rubber with order=1, or mesh the layer (structure.full)"
+    law = "" if lame_ratio <= LOCKING_RATIO else "forms.Rubber with "
+    return f"use {law}order=1, or mesh the layer (structure.full)"
