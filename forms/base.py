@@ -18,7 +18,7 @@ PACKAGES = ("forms", "geometry", "thinlayer")
 # optional module -> the extra of pyproject.toml that installs it
 OPTIONAL_PACKAGES = {
     "dolfinx": "fenicsx", "matplotlib": "pictures", "pyvista": "vtk", "gmsh": "meshes", "meshio": "meshes",
-    "pint": "units", "pandas": "pandas",
+    "h5py": "meshes", "pint": "units", "pandas": "pandas",
 }  # fmt: skip
 
 

@@ -112,10 +112,10 @@ def test_what_was_made_before_does_not_matter(modules, monkeypatch):
 FORM = """
 import os, signal, sys, time
 from pathlib import Path
+import thinlayer.system.compilation
 import cffi, ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-import thinlayer.system.compilation
 
 def compiled(folder):
     domain = mesh.create_unit_interval(MPI.COMM_SELF, 2)

@@ -109,4 +109,4 @@ def of_rank_0() -> dict[str, Any]:
 def test_large_arrays_of_rank_0_stand_once_in_the_memory_of_a_machine(there):
     assert there["shared"] == pytest.approx(1.0, abs=0.2)  # MPI's own memory is shared, too
     assert there["apart"] == pytest.approx(2.0, abs=0.2)
-    assert there["left"] < 0.5  # nothing stays when nobody uses them
+    assert there["left"] < 0.8  # nothing but memory of MPI stays when nobody uses them
