@@ -85,6 +85,11 @@ class VtkGrid:
             raise InputError(f"unknown component {name!r}; allowed: size, {', '.join('xyz'[: self.dim])}")
         return self.u[:, "xyz".index(name)]
 
+    @property
+    def nodes_of_cells(self) -> IntArray:
+        """Nodes of the cells, (n_cells, k)."""
+        return self.cells.reshape(len(self.cell_codes), -1)[:, 1:]
+
     def is_coincident(self) -> npt.NDArray[np.bool_]:
         """Return a mask (n,) of the nodes that coincide with others before deformation, as on both sides of S."""
         # the factor pi avoids coordinates half-way between two decimals, which rounding errors would separate

@@ -50,7 +50,7 @@ class PlaneShape:
     def __init__(self, grid: VtkGrid, component: str, scale: float) -> None:
         self._grid, self._values = grid, grid.component(component)
         self._x = (grid.points + scale * grid.u)[:, :2]
-        self._cells = grid.cells.reshape(len(grid.cell_codes), -1)[:, 1:]
+        self._cells = grid.nodes_of_cells
 
     @property
     def points(self) -> Array:

@@ -20,7 +20,7 @@ from thinlayer.output.plotting.picture import GivenAxes, make_panels
 
 DRAWN_DISPLACEMENT_RATIO = 0.05  # largest drawn displacement, over the size of the structure
 DEFAULT_TOWARDS = {2: (0.0, 0.0, 1.0), 3: (0.55, 0.45, 1.0)}  # dimension -> direction to the viewer
-SYMBOL_SPACING = 0.06  # distance of symbols of loads and supports, and length of arrows, over the structure's size
+SYMBOL_SPACING = 0.06  # distance of symbols of loads and supports, and length of arrows, over the picture's size
 SMALLEST_FORCE_RATIO = 1e-6  # smallest nodal force that is drawn, over the largest
 Style = dict[str, Any]  # arguments of pyvista's add_mesh, or of matplotlib
 COLOUR_BAR_STYLE: Style = {"orientation": "horizontal", "aspect": 40, "shrink": 0.6, "pad": 0.02}
@@ -137,22 +137,25 @@ class Symbols:
     guided: Array
 
     @classmethod
-    def of(cls, grid: VtkGrid, factor: float) -> Symbols:
+    def of(cls, grid: VtkGrid, factor: float, size: float) -> Symbols:
         """Choose the places on a deformed structure.
 
-        Arrows start at the structure if they point away from its centre, otherwise they end there.
+        Arrows end at nodes that are pushed into their cells, and start at other nodes.
 
         Args:
             grid: displacements, loads and supports.
             factor: factor of the drawn displacements.
+            size: length of the longer side of the picture.
         """
-        points, length = grid.points + factor * grid.u, SYMBOL_SPACING * float(np.ptp(grid.points, axis=0).max())
+        points, length, cells = grid.points + factor * grid.u, SYMBOL_SPACING * size, grid.nodes_of_cells
         forces, is_fixed = np.linalg.norm(grid.loads, axis=1), grid.n_supported >= grid.dim
         masks = forces > SMALLEST_FORCE_RATIO * forces.max(), is_fixed, (grid.n_supported > 0) & ~is_fixed
         loaded, *supported = (np.flatnonzero(mask)[_far_apart(grid.points[mask], length)] for mask in masks)
         steps = length * grid.loads[loaded] / forces[loaded, None]
-        outward = np.einsum("ij,ij->i", points[loaded] - points.mean(axis=0), steps) >= 0
-        first = np.where(outward[:, None], points[loaded], points[loaded] - steps)
+        inward = np.zeros_like(points)  # sums of vectors from a node to the centres of its cells
+        np.add.at(inward, cells, grid.points[cells].mean(axis=1, keepdims=True) - grid.points[cells])
+        is_pushed = np.einsum("ij,ij->i", inward[loaded], steps) > 0
+        first = np.where(is_pushed[:, None], points[loaded] - steps, points[loaded])
         return cls(length, np.stack([first, first + steps], axis=1), *(points[nodes] for nodes in supported))
 
 
@@ -270,7 +273,10 @@ class Scene:
 
     def symbols(self, grid: VtkGrid) -> Symbols | None:
         """Return the symbols of loads and supports; None if the user does not want them."""
-        return Symbols.of(grid, self.displacement_factor) if self.view.symbols else None
+        if not self.view.symbols:
+            return None
+        x0, x1, y0, y1 = self.view.zoom or (0.0, np.ptp(grid.points, axis=0).max(), 0.0, 0.0)
+        return Symbols.of(grid, self.displacement_factor, max(x1 - x0, y1 - y0))
 
     def draw(self, axes: Axes, grid: VtkGrid, surface: SurfaceColours | None = None) -> None:
         """Draw a structure in axes that show this scene's window.
