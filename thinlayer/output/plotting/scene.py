@@ -14,14 +14,15 @@ from scipy.spatial import cKDTree
 
 from forms.base import Array, InputError, import_optional, is_finite, require
 from forms.temperature import finite_values
-from geometry.topology import place_order
+from geometry.topology import IntArray, place_order
 from thinlayer.output.paraview.grid import VtkGrid
 from thinlayer.output.plotting.picture import GivenAxes, make_panels
 
 DRAWN_DISPLACEMENT_RATIO = 0.05  # largest drawn displacement, over the size of the structure
 DEFAULT_TOWARDS = {2: (0.0, 0.0, 1.0), 3: (0.55, 0.45, 1.0)}  # dimension -> direction to the viewer
 SYMBOL_SPACING = 0.06  # distance of symbols of loads and supports, and length of arrows, over the picture's size
-SMALLEST_FORCE_RATIO = 1e-6  # smallest nodal force that is drawn, over the largest
+ZERO_FORCE_RATIO = 1e-6  # largest nodal force that counts as zero, over the largest of all
+SMALLEST_FORCE_RATIO = 0.1  # smallest nodal force that is drawn, over the median: corners of cells may have little
 Style = dict[str, Any]  # arguments of pyvista's add_mesh, or of matplotlib
 COLOUR_BAR_STYLE: Style = {"orientation": "horizontal", "aspect": 40, "shrink": 0.6, "pad": 0.02}
 # Colours of displacements, edges of bodies, a rigid base, bodies below a field on S and their edges, loads and supports
@@ -149,7 +150,9 @@ class Symbols:
         """
         points, length, cells = grid.points + factor * grid.u, SYMBOL_SPACING * size, grid.nodes_of_cells
         forces, is_fixed = np.linalg.norm(grid.loads, axis=1), grid.n_supported >= grid.dim
-        masks = forces > SMALLEST_FORCE_RATIO * forces.max(), is_fixed, (grid.n_supported > 0) & ~is_fixed
+        is_loaded = forces > ZERO_FORCE_RATIO * forces.max()
+        is_loaded &= forces >= SMALLEST_FORCE_RATIO * np.median(forces[is_loaded]) if is_loaded.any() else False
+        masks = is_loaded, is_fixed, (grid.n_supported > 0) & ~is_fixed
         loaded, *supported = (np.flatnonzero(mask)[_far_apart(grid.points[mask], length)] for mask in masks)
         steps = length * grid.loads[loaded] / forces[loaded, None]
         inward = np.zeros_like(points)  # sums of vectors from a node to the centres of its cells
@@ -159,15 +162,18 @@ class Symbols:
         return cls(length, np.stack([first, first + steps], axis=1), *(points[nodes] for nodes in supported))
 
 
-def _far_apart(x: Array, distance: float) -> list[int]:
+def _far_apart(x: Array, distance: float) -> IntArray:
     """Choose places (n, 3) that have at least a distance from one another; return their positions in `x`."""
-    neighbours = cKDTree(x).query_ball_point(x, distance * (1 - 1e-9)) if len(x) else []
-    chosen, is_free = list[int](), np.ones(len(x), bool)
-    for k in place_order(x, distance):
+    order = place_order(x, distance)
+    _, first = np.unique(np.floor(2 * x[order] / distance), axis=0, return_index=True)  # few places of many
+    candidates = order[np.sort(first)]
+    neighbours = cKDTree(x[candidates]).query_ball_point(x[candidates], distance * (1 - 1e-9)) if len(x) else []
+    chosen, is_free = list[int](), np.ones(len(candidates), bool)
+    for k, near in enumerate(neighbours):
         if is_free[k]:
-            chosen.append(int(k))
-            is_free[neighbours[k]] = False
-    return chosen
+            chosen.append(k)
+            is_free[near] = False
+    return candidates[chosen]
 
 
 class DeformedShape(Protocol):
