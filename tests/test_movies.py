@@ -37,7 +37,7 @@ def frames(path):
 
 def test_a_gif_has_a_frame_for_each_state(history, tmp_path):
     options = {"save": tmp_path / "a.gif", "per_second": 5, "title": "strip", "time_unit": "h"}
-    images, duration = frames(plotting.movie(history, plotting.View(unit="mm"), **options))
+    images, duration = frames(plotting.movie(history, plotting.View(unit="mm", symbols=False), **options))
     assert len(images) == 4 == len(list(history))
     assert duration == 200
     assert [path.name for path in tmp_path.iterdir()] == ["a.gif"]
