@@ -14,13 +14,13 @@ LEFT_RIGHT = ((0.0, 0.5), (0.5, 1.0))
 # what is cut: parts of the width that are drawn beside or below each other, and the part of the height
 CUTS = {
     "butt_joint": ("rates_butt_joint.png", LEFT_RIGHT, (0.11, 0.87), "beside"),
-    "wall": ("wall.png", LEFT_RIGHT, (0.19, 0.75), "below"),
+    "wall": ("wall.png", LEFT_RIGHT, (0.11, 0.7), "below"),
     "grains": ("junctions_grains.png", LEFT_RIGHT, (0.14, 0.85), "beside"),
     "arch": ("rates_own_mesh.png", LEFT_RIGHT, (0.24, 0.73), "below"),
     "lap": ("lap.png", LEFT_RIGHT, (0.14, 0.67), "below"),
     "fibre": ("rates_fibre.png", LEFT_RIGHT, (0.16, 0.85), "beside"),
     "end": ("fig6_stratified_end.png", LEFT_RIGHT, (0.16, 0.8), "beside"),
-    "zoom": ("zoom.png", ((0.09, 0.83),), (0.04, 0.52), "beside"),
+    "zoom": ("zoom.png", ((0.09, 0.83),), (0.045, 0.262), "beside"),
 }
 
 
