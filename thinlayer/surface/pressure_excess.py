@@ -407,10 +407,7 @@ def stiffness_remark(seam_layer: SeamLayer, states: Sequence[State], start: floa
         ratio = layer.lmbda / layer.mu
         subject = f"has lmbda/mu = {ratio:.4g}, and lets no material flow along S: for these jumps"
         effect = f"the layer alone is {1 + worst:.4g} times too stiff, the structure less if bodies are soft"
-        yield (
-            "too stiff",
-            f"{seam_layer}{layer.duration_text} {subject} {effect}; {_remedy(seam_layer, ratio)}",
-        )
+        yield "too stiff", f"{seam_layer}{layer.duration_text} {subject} {effect}; {_remedy(seam_layer, ratio)}"
 
 
 def _remedy(layer: SeamLayer, lame_ratio: float) -> str:

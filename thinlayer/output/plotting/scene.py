@@ -281,8 +281,9 @@ class Scene:
         """Return the symbols of loads and supports; None if the user does not want them."""
         if not self.view.symbols:
             return None
-        x0, x1, y0, y1 = self.view.zoom or (0.0, np.ptp(grid.points, axis=0).max(), 0.0, 0.0)
-        return Symbols.of(grid, self.displacement_factor, max(x1 - x0, y1 - y0))
+        zoom = self.view.zoom
+        size = np.ptp(grid.points, axis=0).max() if zoom is None else max(zoom[1] - zoom[0], zoom[3] - zoom[2])
+        return Symbols.of(grid, self.displacement_factor, float(size))
 
     def draw(self, axes: Axes, grid: VtkGrid, surface: SurfaceColours | None = None) -> None:
         """Draw a structure in axes that show this scene's window.
