@@ -164,7 +164,7 @@ def descriptions():
 def test_things_are_the_same_in_another_process_and_others_if_they_differ():
     pairs = descriptions()
     assert [name for name, (first, other) in pairs.items() if first == other] == []
-    code = "import json; from tests.test_identity import *; print(json.dumps(descriptions()))"
+    code = "import json, thinlayer; from tests.test_identity import *; print(json.dumps(descriptions()))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True,
                           env=os.environ | {"PYTHONHASHSEED": "1"}, cwd=Path(__file__).parents[1])  # fmt: skip
     there = json.loads(done.stdout)

@@ -264,5 +264,5 @@ def test_weak_springs_that_hold_stiff_bodies_are_right():
     state = solve(made.interface(ThinLayer(Anisotropic.springs(K, K / 3), 1.0)))
     surface = Surface(state.model)
     moment = surface.integral(surface.jump(state)[1] * (surface.x[0] - 0.5)) * K
-    assert abs(moment) == pytest.approx(load * high, rel=1e-5)
-    assert np.ptp(surface.nodal(surface.jump(state)[1])) == pytest.approx(12 * load * high / K, rel=1e-5)
+    assert abs(moment) == pytest.approx(load * high, rel=3e-5)
+    assert np.ptp(surface.nodal(surface.jump(state)[1])) == pytest.approx(12 * load * high / K, rel=3e-5)

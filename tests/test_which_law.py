@@ -69,6 +69,7 @@ def test_the_table_of_the_page(row):
             (law,) = (law for law, words in which_law.LAW_NAMES.items() if words == label.replace("`", ""))
             cell = line.split("|")[ratios.index(nu)].strip()
             printed = [None, None] if cell == "-" else [float(number) / 100 for number in cell.split(";")]
-            assert errors(table_row, law)[:2] == pytest.approx(printed, rel=0.07), (name, law)
+            wanted = pytest.approx(printed, rel=0.07) if None not in printed else printed
+            assert [*errors(table_row, law)[:2]] == wanted, (name, law)
     assert set(re.findall(r"`run (\w+)", PAGE)) <= set(studies())
     assert set(re.findall(r"--law (\w+)", PAGE)) <= set(LAWS)
