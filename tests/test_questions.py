@@ -17,6 +17,7 @@ WARNINGS = {  # key of a RangeWarning -> words of its message
     "elastic share": "springs parallel to what yields",
     "end of a gap": "the load is smaller than",
     "facets": "S is curved and its facets are straight",
+    "fit": "not converged after",
     "free ends": "is nearly incompressible",
     "friction angle": "if it is in radians",
     "hard": "times as hard as the softer body",

@@ -18,7 +18,13 @@ from thinlayer.errors import LimitLoad as LimitLoad
 from thinlayer.errors import RangeWarning as RangeWarning
 from thinlayer.errors import SolveError as SolveError
 from thinlayer.errors import ThinlayerError as ThinlayerError
+from thinlayer.estimating.derivative import derivative as derivative
 from thinlayer.estimating.estimate import estimate as estimate
+from thinlayer.estimating.fit import Fit as Fit
+from thinlayer.estimating.fit import Measurement as Measurement
+from thinlayer.estimating.fit import fit as fit
+from thinlayer.estimating.fit import read_measurements as read_measurements
+from thinlayer.estimating.sensitivity import sensitivity as sensitivity
 from thinlayer.estimating.thickness import thin_enough as thin_enough
 from thinlayer.output.comparison import compare as compare
 from thinlayer.output.ensemble import ensemble as ensemble

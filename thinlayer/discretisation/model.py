@@ -34,7 +34,13 @@ from thinlayer.discretisation.layer import BODIES, Bond, Gap, Layers, SeamConten
 from thinlayer.discretisation.mesh_functions import law_with_constants, mesh_cut_at_faces, vector_space
 from thinlayer.discretisation.part_definition import check_part_definitions
 from thinlayer.discretisation.point_loads import ConcentratedForms, ConcentratedLoad, check_loads
-from thinlayer.discretisation.prescribed_strains import EigenstrainContext, MeanStrain, MeanStress, MeanTensorInput
+from thinlayer.discretisation.prescribed_strains import (
+    EigenstrainContext,
+    EigenstrainInput,
+    MeanStrain,
+    MeanStress,
+    MeanTensorInput,
+)
 from thinlayer.discretisation.rigid_motions import Resultant, free_axes, load_resultants, moment_centre, require_support
 from thinlayer.discretisation.supports import Place, SupportConditions, Supports, SupportsByPlace, is_same_or_part
 from thinlayer.discretisation.time_functions import TimeLevel, with_strains
@@ -398,6 +404,30 @@ class Model(ABC):
                     raise InputError(f"supports hold {other}, those of the model {expected}; build another structure")
                 new.constraints = new._make_constraints()
             new.forces = new._make_forces()
+        new.description = new._description()
+        return new
+
+    def with_bodies(
+        self, laws: Mapping[str, BulkLaw], eigenstrains: Mapping[str, EigenstrainInput] | None = None
+    ) -> Self:
+        """Return this model with other laws or eigenstrains of bodies. Collective.
+
+        It shares mesh, space, supports and loads. The laws are not checked.
+
+        Args:
+            laws: name of a body -> its new law; other bodies keep theirs.
+            eigenstrains: name of a body -> its new eigenstrain; None: unchanged.
+        """
+        new, strains = self._family_copy(), eigenstrains or {}
+        new.family, new.issued_warnings = ModelFamily(), self.issued_warnings
+        new.structure = structure = copy_without_caches(self.structure)
+        structure.body_laws = new.body_laws = {**self.body_laws, **laws}
+        structure.eigenstrains = {**structure.eigenstrains, **strains}
+        structure.data_hash = digest([structure.data_hash, require_same(self.comm, body=laws, eigenstrain=strains)])
+        new.data_hash = digest([self.data_hash, structure.data_hash])
+        with errors_on_all(self.comm):
+            new.body_strains = {name: new._body_strain(name) for name in new.body_laws}
+        new.bodies = new._with_mean_strain(new._terms_of_bodies())
         new.description = new._description()
         return new
 

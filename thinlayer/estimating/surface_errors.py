@@ -74,8 +74,7 @@ def change_density(iteration: GlobalLocal, state: State, better: State, z: BodyE
         (m,) values at the m nodes of S.
     """
     model, layers = iteration.model, iteration.layers
-    u, surface = displacements_of(state, model), SurfaceMesh(model)
-    vertex_sums, areas = np.zeros((2, len(model.joint.points)))
+    u, vertex_sums = displacements_of(state, model), np.zeros(len(model.joint.points))
     _add_at_vertices(vertex_sums, model, iteration.nodal_work_of_laws(u, z, bonded=bool(state.model.bonds)))
     if z.load.any():
         loads = state.model.forces.nodal_forces_at(state.model.V, state.t, layers=True)
@@ -94,6 +93,27 @@ def change_density(iteration: GlobalLocal, state: State, better: State, z: BodyE
     _add_at_vertices(layer_sums, layers.model, work_at_dofs)
     _, joint_vertices = cKDTree(model.joint.points).query(layer_joint.reference)
     vertex_sums = model.comm.allreduce(vertex_sums) - np.bincount(joint_vertices, layer_sums, len(vertex_sums))
+    return _density(model, vertex_sums)
+
+
+def work_density(model: Model, work_at_dofs: Array) -> Array:
+    """Return the density on S, per area, of work that is given as shares of displacements on S. Collective.
+
+    Args:
+        model: the interface model.
+        work_at_dofs: (k,) shares of this rank's k displacements.
+
+    Returns:
+        (m,) values at the m nodes of S.
+    """
+    vertex_sums = np.zeros(len(model.joint.points))
+    _add_at_vertices(vertex_sums, model, work_at_dofs)
+    return _density(model, model.comm.allreduce(vertex_sums))
+
+
+def _density(model: Model, vertex_sums: Array) -> Array:
+    """Return densities (m,) at the m nodes of S for sums at all vertices of the joint."""
+    surface, areas = SurfaceMesh(model), np.zeros(len(vertex_sums))
     np.add.at(areas, surface.vertices, surface.areas)
     return np.asarray(vertex_sums[surface.vertices] / areas[surface.vertices])
 

@@ -26,6 +26,12 @@ from thinlayer.pointwise.quadrature import MeshOrigin, add_integral_to_nodes
 from thinlayer.system.ranks import destroy
 
 ASYMMETRY_TOLERANCE = 1e-8  # skew part of a tangent, relative to its size, that still counts as rounding error
+SLOPE_STEP = 1e-6  # change of a strain or memory, over the largest, for central differences of a law's response
+KINK_TOLERANCE = 1e-3  # difference of the slopes on both sides of a value, over the slopes, that is a kink
+KINK_MESSAGE = (
+    "derivative: {} has a kink in the step to t = {:g}, as where it yields and loads stay; change times or loads"
+)
+UNDERFLOW_LIMIT = 1e-300  # smallest such change
 CHANGE_TOLERANCE = 1e-12  # relative difference of parameters at several times that counts as rounding error
 SAMPLED_STEP_FRACTIONS = (0.21, 0.5, 0.83)  # fractions of a step at which parameters are sampled for changes in time
 
@@ -213,6 +219,51 @@ class CompiledPart(Part):
         stored = self.points.stored_energy(self._e, self._response.memory, self.interval.dt)
         self.set_time(t_old)
         return float(self.comm.allreduce(stored))
+
+    # ---------------------------------------------------------------- derivatives
+    def memory_forces(self, weights: Array) -> PETSc.Vec:
+        return self._forces_of_slopes(self._slopes("e", weights, None))
+
+    def pullback(self, weights: Array, z: fem.Function) -> tuple[PETSc.Vec, Array]:
+        z_strain = self.points.strain(z.x.petsc_vec)
+        return self._forces_of_slopes(self._slopes("e_old", weights, z_strain)), self._slopes(
+            "memory", weights, z_strain
+        )
+
+    def _forces_of_slopes(self, slopes: Array) -> PETSc.Vec:
+        return self.points.forces(slopes / self.points.weights[:, None]).copy()
+
+    def _slopes(self, name: str, weights: Array, z_strain: Array | None) -> Array:
+        """Return derivatives (points, k) of memory times weights minus the work of the stresses, by central differences.
+
+        Args:
+            name: argument of the law by whose k components they are taken: "e", "e_old" or "memory".
+            weights: (points, values) factors of the memory at the end of the step.
+            z_strain: (points, m) strains in which the stresses do work; None: no work.
+        """
+        arguments = {"e": self._e, "e_old": self._e_old, "memory": self._memory}
+        x = arguments[name]
+        largest = [self.comm.allreduce(float(np.abs(values).max(initial=0.0)), MPI.MAX) for values in (x, self._e)]
+        h = SLOPE_STEP * max(*largest, UNDERFLOW_LIMIT)
+
+        def values_at(x: Array) -> Array:
+            e, e_old, memory = (arguments | {name: x}).values()
+            response = self.points.respond(e, e_old, memory, self.interval.dt, self.interval.theta)
+            values: Array = np.einsum("pj,pj->p", weights, response.memory)
+            if z_strain is not None:
+                values = values - self.points.weights * np.einsum("pm,pm->p", z_strain, response.stress)
+            return values
+
+        slopes: Array = np.zeros_like(x)
+        middle, sums = values_at(x), np.zeros(2)
+        for column, direction in enumerate(h * np.eye(x.shape[1])):
+            plus, minus = values_at(x + direction), values_at(x - direction)
+            slopes[:, column] = (plus - minus) / (2 * h)
+            sums += np.abs([plus - 2 * middle + minus, plus - minus]).sum(axis=1)
+        kink, change, size = self.comm.allreduce(np.array([*sums, SLOPE_STEP * np.abs(middle).sum()]))
+        if kink > KINK_TOLERANCE * max(change, size):
+            raise InputError(KINK_MESSAGE.format(f"the law of {self.key!r}", self.interval.t))
+        return slopes
 
     def phase_gain(self) -> float:
         switching = self.points.switching

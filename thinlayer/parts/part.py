@@ -353,6 +353,28 @@ class Part(ABC):
         They belong to the last call of `evaluate`.
         """
 
+    def memory_forces(self, weights: Array) -> PETSc.Vec:
+        """Return the derivative, by the displacements at the end of the step, of memory times weights; nodal forces.
+
+        The memory is that at the end of the step. Derivatives of marches need this method and `pullback`.
+
+        Args:
+            weights: factors of the memory, of its shape.
+        """
+        raise InputError(f"derivative: the part {self.key!r} remembers; define its memory_forces and pullback")
+
+    def pullback(self, weights: Array, z: fem.Function) -> tuple[PETSc.Vec, Array]:
+        """Return derivatives of memory times weights, minus the work of the stresses in displacements z.
+
+        They are the derivatives by the displacements at the beginning of the step, nodal forces, and by the memory
+        there, of the shape of `weights`. Memory and stresses are those at the end of the step.
+
+        Args:
+            weights: factors of the memory, of its shape.
+            z: the displacements.
+        """
+        raise InputError(f"derivative: the part {self.key!r} remembers; define its memory_forces and pullback")
+
     def undeclared_softening(self) -> Softening | None:
         """Find a law whose stress falls in the last call of `evaluate` although the law lacks the trait `softens`.
 

@@ -49,6 +49,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     Attributes:
         state, model, equations: the equilibrium, its model, and the balance of forces of this model.
+        unknowns: vector of the unknowns at the equilibrium.
         interval: the time step from `old` to `state`.
         transposed: whether the method `displacements` solves with K^t instead of K. It is False at first.
     """
@@ -57,12 +58,12 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         assert isinstance(state.model, InterfaceModel)
         self.state, self.model = state, state.model
         self.equations = equations = Equations(self.model)
-        self._x, self._r = equations.create_vector(), equations.create_vector()
+        self.unknowns, self._r = equations.create_vector(), equations.create_vector()
         initial = equations.rest_state(state.t) if old is None else old
         self.interval = TimeStep(initial, state.t, state.t - initial.t, 1.0)
         equations.begin(self.interval)
-        equations.put_state(state, self._x)
-        equations.residual(self._x, self._r)
+        equations.put_state(state, self.unknowns)
+        equations.residual(self.unknowns, self._r)
         linear_options = solver_options(self.model, equations.parts, user_value("pc_type", options or {}))
         self._options = {**linear_options[0], **(options or {})}
         self._tangent: PETSc.Mat | None = None
@@ -169,11 +170,11 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         """
         equations, bc_dofs = self.equations, self.equations.bc_dofs
         d, residuals, goal_values = equations.create_vector(), [], []
-        amplitude = float(self._x.norm(PETSc.NormType.INFINITY)) or 1.0
+        amplitude = float(self.unknowns.norm(PETSc.NormType.INFINITY)) or 1.0
         d.array[:] = np.random.default_rng(self.model.comm.rank).uniform(-amplitude, amplitude, d.getLocalSize())
         d.array[bc_dofs] = 0.0
         for factor in (1.0, 0.0):  # the last evaluation of the parts is at the state, as before
-            x, r = self._x.copy(), equations.create_vector()
+            x, r = self.unknowns.copy(), equations.create_vector()
             x.axpy(factor, d)
             equations.residual(x, r)
             bc_work = self.model.comm.allreduce(float(r.array_r[bc_dofs] @ x.array_r[bc_dofs]))
@@ -209,6 +210,12 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         self._solve(q, x, transposed=self.transposed)
         return np.asarray(self.equations.configuration(x).u.x.array[: self.equations.n_displacements])
 
+    def solve(self, r: PETSc.Vec) -> PETSc.Vec:
+        """Return a new vector of unknowns x with K x = r, where `r` is zero at constrained unknowns."""
+        x = self.equations.create_vector()
+        self._solve(r, x, transposed=False)
+        return x
+
     def weights(self, q: PETSc.Vec, g: PETSc.Vec) -> Configuration:
         """Return the adjoint solution z of a goal q . u - g . r, with displacements u and reactions r.
 
@@ -223,7 +230,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         """
         equations, bc_dofs = self.equations, self.equations.bc_dofs
         if self._has_one_factor and self._equilibrium_is_adjoint(q, g):
-            return equations.configuration(self._x)
+            return equations.configuration(self.unknowns)
         z, out = equations.create_vector(), equations.create_vector()
         g.array[np.setdiff1d(np.arange(g.getLocalSize()), bc_dofs)] = 0.0
         if g.norm():
@@ -251,7 +258,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         r.array[bc_dofs] = 0.0
         load_norm = r.norm()
         r.axpy(1.0, q)
-        r.array[bc_dofs] = np.where(g.array_r == self._x.array_r, 0.0, np.inf)[bc_dofs]
+        r.array[bc_dofs] = np.where(g.array_r == self.unknowns.array_r, 0.0, np.inf)[bc_dofs]
         return bool(r.norm() <= LOAD_DIFFERENCE_TOLERANCE * load_norm)
 
     def _transposed_product(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
