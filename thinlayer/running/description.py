@@ -69,6 +69,7 @@ class Description:
         tolerance: name of a quantity -> its largest allowed relative change, < 1. The command then also looks for the
             thickness of the layer below which the change is smaller.
         bonded: whether to estimate, too, what changes if the layer is left out and the bodies are bonded.
+        sensitivities: names of parameters by which the goals are differentiated, see `derivative`; True: all.
     """
 
     file_table: TomlTable
@@ -87,6 +88,7 @@ class Description:
     goals: Mapping[str, Arguments] = field(default_factory=dict)
     tolerance: Mapping[str, float] = field(default_factory=dict)
     bonded: bool = False
+    sensitivities: Sequence[str] | bool = False
 
     @classmethod
     def read(cls, path: Path, settings: Sequence[str] = ()) -> Description:
@@ -271,6 +273,10 @@ def _read_tolerances(section: TomlTable, key: str) -> dict[str, float]:
     return {name: table.checked(name, lambda number: number < 1, f"is not < 1; it is {what}") for name in tolerances}
 
 
+def _is_names_or_switch(value: object) -> bool:
+    return isinstance(value, bool) or (isinstance(value, list) and all(isinstance(name, str) for name in value))
+
+
 MESH_HINT = 'the name of a mesh file, mesh = "joint.msh"'
 ENTRY_READERS: dict[str, Reader] = {
     "mesh": _read_mesh,
@@ -288,4 +294,7 @@ ENTRY_READERS: dict[str, Reader] = {
     "goals": _read_goals,
     "tolerance": _read_tolerances,
     "bonded": lambda file, key: file.checked(key, lambda is_on: isinstance(is_on, bool), "is neither true nor false"),
+    "sensitivities": lambda file, key: file.checked(
+        key, _is_names_or_switch, "is neither true, false nor a list of names"
+    ),
 }

@@ -17,6 +17,7 @@ from thinlayer import plotting
 from thinlayer.discretisation.layer import Layers
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
+from thinlayer.estimating.derivative import derivative
 from thinlayer.estimating.estimate import estimate
 from thinlayer.estimating.result import Estimate
 from thinlayer.estimating.thickness import thin_enough
@@ -56,9 +57,10 @@ def run(record: Record, description: Description, path: Path) -> None:
     case = DescribedCase.from_description(description)
     hashes = {str(f): on_root(default_comm(), partial(file_hash, f)) for f in (Path(description.mesh["path"]), path)}
     record.parameters = {"files": hashes, "description": description.file_table.values}
-    estimates = {LAW: _solve_and_estimate(record, case, case.make_model())}
+    solution, law_estimate = _solve_and_estimate(record, case, case.make_model())
+    estimates = {LAW: law_estimate}
     if description.bonded:
-        estimates[BOND] = _solve_and_estimate(record, case, case.structure.bonded(), layer=case.layer)
+        _, estimates[BOND] = _solve_and_estimate(record, case, case.structure.bonded(), layer=case.layer)
     rows = [{"instead": instead, **row} for instead, answer in estimates.items() for row in answer.table.rows]
     # NaN marks a missing number
     table = Table([{key: None if value != value else value for key, value in row.items()} for row in rows])
@@ -76,17 +78,31 @@ def run(record: Record, description: Description, path: Path) -> None:
     if thickness_rows:
         record.results["thin_enough"] = thickness_rows
         record.write("thin_enough.csv", Table(thickness_rows))
+    if description.sensitivities:
+        _write_sensitivities(record, solution, case)
     for instead, answer in estimates.items():
         _draw_changes(record, case, instead, answer)
 
 
-def _solve_and_estimate(record: Record, case: DescribedCase, model: Model, layer: Layers | None = None) -> Estimate:
+def _write_sensitivities(record: Record, solution: State | History, case: DescribedCase) -> None:
+    """Print which parameters matter most for each goal, and write their derivatives to a table."""
+    chosen = case.description.sensitivities
+    table = record.new_table("sensitivities.csv")
+    for goal in case.goals:
+        result = derivative(solution, goal, None if isinstance(chosen, bool) else chosen)
+        record.say(f"  {result}")
+        table.extend({"quantity": goal.name, **row} for row in result.table().rows)
+
+
+def _solve_and_estimate(
+    record: Record, case: DescribedCase, model: Model, layer: Layers | None = None
+) -> tuple[State | History, Estimate]:
     solution: State | History = march(model, case.description.times) if case.description.times else solve(model)
     for step_state in solution if isinstance(solution, History) else [solution]:
         record.add_report(step_state)
     result = estimate(solution, goals=case.goals, layer=layer)
     record.add_report(result.better)
-    return result
+    return solution, result
 
 
 def _find_thicknesses(record: Record, case: DescribedCase, instead: str) -> list[Row]:
