@@ -29,7 +29,7 @@ SHOWN = ("tests/own_scripts/own_kernel.py", "tests/own_scripts/own_support.py") 
 SECTIONS = sections() | {name: [Block("python", 1, (CLONE / name).read_text(), "")] for name in SHOWN}
 DOCS = "thinlayer/docs/"
 LONG = """
-    howto/lap_joint.md#single-lap-joint howto/many_runs.md#an-ensemble
+    howto/derivatives.md#changes-by-a-parameter-and-a-fit howto/lap_joint.md#single-lap-joint howto/many_runs.md#an-ensemble
     howto/networks.md#networks-walls-faults-grains howto/own_law.md#jumps howto/own_law.md#strains
     howto/results.md#read-results-draw-pictures howto/time.md#time-creep-steps-restart
     howto/yielding.md#layers-and-bodies-that-yield tutorials/estimate.md tutorials/own_script.md
