@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from dataclasses import replace as changed
-from functools import cached_property, reduce
+from functools import cached_property, reduce, wraps
 from itertools import product
-from typing import Self, TypeAlias, TypeVar
+from typing import Any, Self, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -361,6 +361,23 @@ class Pressure:
     """
 
     p: Value
+
+    def __rmul__(self, factor: float) -> Pressure:
+        return Pressure(times(factor, self.p))
+
+
+def times(factor: float, value: Any) -> Any:
+    """Return a load, eigenstrain or parameter times a factor: a number, an array, a table, or a function of these."""
+    if callable(value) and not isinstance(value, ufl.core.expr.Expr):
+
+        @wraps(value, assigned=())  # with the times of `piecewise`
+        def multiple(*place_and_time: Any) -> Any:
+            return times(factor, value(*place_and_time))
+
+        return multiple
+    if isinstance(value, (list, tuple)):
+        return type(value)(times(factor, component) for component in value)
+    return factor * value
 
 
 def values_by_body(values: T | Mapping[str, T], joint: Joint, what: str = "", more: Sequence[str] = ()) -> dict[str, T]:

@@ -218,6 +218,21 @@ class Eigenstrain(ABC):
             InputError: it does not suit the material.
         """
 
+    def __rmul__(self, factor: float) -> Eigenstrain:
+        return EigenstrainMultiple(factor, self)
+
+
+@dataclass(frozen=True)
+class EigenstrainMultiple(Eigenstrain):
+    """An eigenstrain times a factor."""
+
+    factor: float
+    eigenstrain: Eigenstrain
+
+    def components(self, context: EigenstrainContext) -> TensorRows:
+        """Return the eigenstrain of a body or layer, times the factor, as rows (3, 3) of numbers or UFL scalars."""
+        return [[self.factor * c for c in row] for row in self.eigenstrain.components(context)]
+
 
 @dataclass(frozen=True)
 class PrescribedEigenstrain(Eigenstrain):

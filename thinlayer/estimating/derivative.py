@@ -226,10 +226,12 @@ def chosen_changes(
         doubled = {name[:-1] + p for name in available if name.endswith(".E") for p in ("lmbda", "mu")}
         names = [name for name in available if name not in {*available.reasons, *doubled}] if not of else []
     require(not isinstance(names, str), "derivative: parameters", names, "give a list of names")
-    of_user = {
-        name: lambda model, factor, layers=layers: with_layers(model, layers(factor)) for name, layers in of.items()
-    }
-    return {name: available.change(name, "derivative") for name in names} | of_user
+    changes: dict[str, Change] = {name: available.change(name, "derivative") for name in names}
+    return changes | {name: _change_by(layers) for name, layers in of.items()}
+
+
+def _change_by(layers: LayerOfFactor) -> Change:
+    return lambda model, factor: with_layers(model, layers(factor))
 
 
 def _step_back(

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, is_dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import Any
 
 from forms.base import InputError, is_number
+from forms.elastic import LinearElastic
 from forms.law import Law
+from forms.series import Stack
 from geometry.refusals import require_known
+from thinlayer.discretisation.coefficient import times
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
 
@@ -20,8 +24,75 @@ STEP = 1e-4
 FACTORS = (1 + STEP, 1 - STEP)
 
 
-class Parameters(dict[str, Change]):
-    """Parameters of an interface model: name -> function that multiplies the parameter by a factor.
+@dataclass(frozen=True)
+class Datum:
+    """A datum of a model or another object: how it is read, and how an object is made that differs in it alone.
+
+    `datum / part` is the part of this datum that is a datum `part` of it.
+
+    Attributes:
+        read: function of the object that returns the datum.
+        put: function of the object and a new datum that returns the new object.
+    """
+
+    read: Callable[[Any], Any]
+    put: Callable[[Any, Any], Any]
+
+    def __truediv__(self, part: Datum) -> Datum:
+        return Datum(
+            lambda owner: part.read(self.read(owner)),
+            lambda owner, new: self.put(owner, part.put(self.read(owner), new)),
+        )
+
+    def __call__(self, owner: Any, factor: float) -> Any:
+        """Return the object in which this datum is multiplied by a factor."""
+        return self.put(owner, times(factor, self.read(owner)))
+
+
+def entry(key: Any) -> Datum:
+    """Return the entry of a list or dictionary as a datum of it."""
+
+    def put(entries: Any, new: Any) -> Any:
+        entries = copy(entries)
+        entries[key] = new
+        return entries
+
+    return Datum(lambda entries: entries[key], put)
+
+
+def attribute(name: str) -> Datum:
+    """Return the attribute of an instance of a dataclass as a datum of it."""
+    return Datum(lambda owner: getattr(owner, name), lambda owner, new: replace(owner, **{name: new}))
+
+
+def with_layers(model: InterfaceModel, layers: Any) -> InterfaceModel:
+    """Return a model with other layers; warnings issued before are not repeated.
+
+    Args:
+        model: the model.
+        layers: one layer for all seams with a layer, or name of a seam -> its layer.
+    """
+    return model.with_interface_laws(layers if isinstance(layers, Mapping) else dict.fromkeys(model.layers, layers))
+
+
+LAYERS = Datum(lambda model: {seam: layer.layer for seam, layer in model.layers.items()}, with_layers)
+BODIES = Datum(lambda model: dict(model.body_laws), lambda model, laws: model.with_bodies(laws))
+EIGENSTRAINS = Datum(
+    lambda model: dict(model.structure.eigenstrains), lambda model, strains: model.with_bodies({}, strains)
+)
+TRACTIONS = Datum(
+    lambda model: dict(model.structure.tractions or {}), lambda model, loads: model.with_loads(tractions=loads)
+)
+BODY_FORCE = Datum(lambda model: model.structure.body_force, lambda model, force: model.with_loads(body_force=force))
+POINT_LOADS = Datum(lambda model: list(model.structure.loads), lambda model, loads: model.with_loads(loads=loads))
+SUPPORTS = Datum(
+    lambda model: {place: dict(components) for place, components in model.supports.user_entries},
+    lambda model, supports: model.with_loads(supports=supports),
+)
+
+
+class Parameters(dict[str, Datum]):
+    """Parameters of an interface model by name.
 
     - "SEAM.p": parameter p of the law of the seam's layer, and "SEAM.eps", its thickness with real moduli;
       "SEAM/k.p": parameter of the sublayer k of a `Stack`, from 1.
@@ -42,40 +113,37 @@ class Parameters(dict[str, Change]):
         super().__init__()
         self.reasons: dict[str, str] = {}
         self.values_in_model: dict[str, float] = {}
-        structure = model.structure
-        for seam, layer in model.layers.items():
-            content = layer.layer
-            self._add_law(seam, content.law if isinstance(content, ThinLayer) else content, _layer_change(seam))
-            if isinstance(content, ThinLayer):
-                self[f"{seam}.eps"] = _layer_change(seam, lambda thin, factor: replace(thin, eps=thin.eps * factor))
-                self.values_in_model[f"{seam}.eps"] = content.eps
-                if content.at is not None:
-                    self.reasons[f"{seam}.eps"] = "its moduli follow eps (at=...); give real moduli, and leave out `at`"
-                if content.eigenstrain is not None:
-                    self[f"eigenstrain {seam}"] = _layer_change(seam, _scale_eigenstrain)
+        for seam, layer in LAYERS.read(model).items():
+            place = LAYERS / entry(seam)
+            if not isinstance(layer, ThinLayer):
+                self._add_law(seam, layer, place)
+                continue
+            self._add_law(seam, layer.law, place / attribute("law"))
+            self._add_value(f"{seam}.eps", layer.eps, place / attribute("eps"))
+            if layer.at is not None:
+                self.reasons[f"{seam}.eps"] = "its moduli follow eps (at=...); give real moduli, and leave out `at`"
+            if layer.eigenstrain is not None:
+                self[f"eigenstrain {seam}"] = place / attribute("eigenstrain")
         for body, law in model.body_laws.items():
-            self._add_law(body, law, _body_change(body))
-        for body in structure.eigenstrains:
-            self[f"eigenstrain {body}"] = _eigenstrain_change(body)
-        for place in structure.tractions or {}:
-            self[f"load {place}"] = _load_change("tractions", place)
-        forces = structure.body_force
+            self._add_law(body, law, BODIES / entry(body))
+        self._add_entries("eigenstrain", EIGENSTRAINS, EIGENSTRAINS.read(model))
+        self._add_entries("load", TRACTIONS, TRACTIONS.read(model))
+        forces = model.structure.body_force
         if isinstance(forces, Mapping):
-            self.update({f"body force {name}": _load_change("body_force", name) for name in forces})
+            self._add_entries("body force", BODY_FORCE, forces)
         elif forces is not None:
-            self["body force"] = lambda model, f: model.with_loads(body_force=scaled(model.structure.body_force, f))
-        for k, load in enumerate(structure.loads):
+            self["body force"] = BODY_FORCE
+        for k, load in enumerate(model.structure.loads):
             if load.what in self:
                 self.reasons[load.what] = "several loads have this name"
-            self[load.what] = _point_load_change(k)
-        for k, (support_place, components) in enumerate(model.supports.user_entries):
-            for axis in components:
-                coefficient = model.supports.values[k, axis]
-                if coefficient.varies or coefficient.value != 0:
-                    self[f"support {support_place} {axis}"] = _support_change(support_place, axis)
+            self[load.what] = POINT_LOADS / entry(k) / attribute("force")
+        for k, (support, components) in enumerate(model.supports.user_entries):
+            values = {axis: model.supports.values[k, axis] for axis in components}
+            moved = [axis for axis, value in values.items() if value.varies or value.value != 0]
+            self._add_entries(f"support {support}", SUPPORTS / entry(support), moved)
 
-    def change(self, name: str, what: str) -> Change:
-        """Return the function of one parameter.
+    def change(self, name: str, what: str) -> Datum:
+        """Return a parameter.
 
         Args:
             name: name of the parameter.
@@ -89,133 +157,48 @@ class Parameters(dict[str, Change]):
             raise InputError(f"{what}: no derivative by {name!r}: {self.reasons[name]}")
         return self[name]
 
-    def _add_law(self, place: str, law: Law, change_law: Callable[[Callable[[Any, float], Any]], Change]) -> None:
-        sublayers = getattr(law, "sublayers", ((1.0, law),))
-        if len(sublayers) > 1:
-            for k, (_, sublayer) in enumerate(sublayers):
-                self._add_law(f"{place}/{k + 1}", sublayer, _of_sublayer(change_law, k))
+    def _add_entries(self, what: str, place: Datum, keys: Iterable[str]) -> None:
+        self.update({f"{what} {key}": place / entry(key) for key in keys})
+
+    def _add_value(self, name: str, value: Any, datum: Datum) -> None:
+        self[name] = datum
+        if is_number(value):
+            self.values_in_model[name] = float(value)
+
+    def _add_law(self, name: str, law: Law, place: Datum) -> None:
+        """Add the parameters of the law at a place in the model."""
+        if isinstance(law, Stack):
+            for k, sublayer in enumerate(law.laws):
+                self._add_law(f"{name}/{k + 1}" if len(law.laws) > 1 else name, sublayer, place / SUBLAYERS / entry(k))
             return
-        values = law.parameters()
-        lmbda, mu = (values.get(name) for name in ("lmbda", "mu"))
-        if is_number(lmbda) and is_number(mu):  # not functions of the place
-            values |= {"E": mu * (3 * lmbda + 2 * mu) / (lmbda + mu), "nu": lmbda / (2 * (lmbda + mu))}
-        for name, value in values.items():
-            self[f"{place}.{name}"] = change_law(_law_scaling(name))
-            if is_number(value):
-                self.values_in_model[f"{place}.{name}"] = float(value)
+        data = {key: attribute(key) for key in law.parameters()}
+        if all(is_number(law.parameters().get(key)) for key in ("lmbda", "mu")):  # not functions of the place
+            data |= {key: ENGINEERING_CONSTANTS / entry(key) for key in ("E", "nu")}
+        for key, datum in data.items():
+            value = datum.read(law)
+            self._add_value(f"{name}.{key}", value, place / datum)
             if value is None or (is_number(value) and value == 0):
-                self.reasons[f"{place}.{name}"] = f"it is {value}; a relative change of it is nothing"
+                self.reasons[f"{name}.{key}"] = f"it is {value}; a relative change of it is nothing"
                 continue
             try:
                 for factor in FACTORS:
-                    _law_scaling(name)(law, factor)
+                    datum(law, factor)
             except (TypeError, ValueError) as error:  # a choice, or a number at the end of its range
-                self.reasons[f"{place}.{name}"] = f"it cannot change both ways: {error}"
+                self.reasons[f"{name}.{key}"] = f"it cannot change both ways: {error}"
 
 
-def scaled(value: Any, factor: float) -> Any:
-    """Return a load, strain or parameter times a factor: numbers, tables, functions, or objects that have them."""
-    if is_dataclass(value):
-        first = fields(value)[0].name
-        return replace(value, **{first: scaled(getattr(value, first), factor)})  # type: ignore[type-var]
-    if callable(value) and not hasattr(value, "ufl_shape"):
-        return lambda *place_and_time: scaled(value(*place_and_time), factor)
-    if isinstance(value, (list, tuple)):
-        return type(value)(scaled(entry, factor) for entry in value)
-    return factor * value
+def _engineering_constants(law: Any) -> dict[str, float]:
+    lmbda, mu = law.lmbda, law.mu
+    return {"E": mu * (3 * lmbda + 2 * mu) / (lmbda + mu), "nu": lmbda / (2 * (lmbda + mu))}
 
 
-def _law_scaling(name: str) -> Callable[[Law, float], Law]:
-    def scale(law: Any, factor: float) -> Law:
-        parameters = law.parameters()
-        if name in parameters:
-            values = {name: scaled(parameters[name], factor)}
-        else:
-            lmbda, mu = parameters["lmbda"], parameters["mu"]
-            E, nu = mu * (3 * lmbda + 2 * mu) / (lmbda + mu), lmbda / (2 * (lmbda + mu))
-            E, nu = (E * factor, nu) if name == "E" else (E, nu * factor)
-            values = {"lmbda": E * nu / ((1 + nu) * (1 - 2 * nu)), "mu": E / (2 * (1 + nu))}
-        new: Law = replace(law, **values)
-        return new
-
-    return scale
+def _with_engineering_constants(law: Any, constants: dict[str, float]) -> Any:
+    moduli = LinearElastic.young(**constants)
+    return replace(law, lmbda=moduli.lmbda, mu=moduli.mu)
 
 
-def _of_sublayer(change_law: Callable[..., Change], k: int) -> Callable[..., Change]:
-    def change(scale: Callable[[Any, float], Any]) -> Change:
-        def scale_stack(stack: Any, factor: float) -> Any:
-            sublayers = [(a, scale(law, factor) if j == k else law) for j, (a, law) in enumerate(stack.sublayers)]
-            return type(stack)(*sublayers)
-
-        return change_law(scale_stack)
-
-    return change
-
-
-def with_layers(model: InterfaceModel, layers: Any) -> InterfaceModel:
-    """Return a model with other layers; warnings issued before are not repeated.
-
-    Args:
-        model: the model.
-        layers: one layer for all seams with a layer, or name of a seam -> its layer.
-    """
-    return model.with_interface_laws(layers if isinstance(layers, Mapping) else dict.fromkeys(model.layers, layers))
-
-
-def _layer_change(seam: str, scale: Callable[[Any, float], Any] | None = None) -> Any:
-    """Return the change of a layer, or, without `scale`, a function from the change of its law to that of the model."""
-
-    def of_layer(scale_layer: Callable[[Any, float], Any]) -> Change:
-        return lambda model, factor: with_layers(model, {seam: scale_layer(model.layers[seam].layer, factor)})
-
-    def of_law(scale_law: Callable[[Any, float], Any]) -> Change:
-        def scale_layer(layer: Any, factor: float) -> Any:
-            if isinstance(layer, ThinLayer):
-                return replace(layer, law=scale_law(layer.law, factor))
-            return scale_law(layer, factor)
-
-        return of_layer(scale_layer)
-
-    return of_law if scale is None else of_layer(scale)
-
-
-def _scale_eigenstrain(layer: ThinLayer, factor: float) -> ThinLayer:
-    return replace(layer, eigenstrain=scaled(layer.eigenstrain, factor))
-
-
-def _body_change(body: str) -> Callable[[Callable[[Any, float], Any]], Change]:
-    return lambda scale: lambda model, factor: model.with_bodies({body: scale(model.body_laws[body], factor)})
-
-
-def _eigenstrain_change(body: str) -> Change:
-    def change(model: InterfaceModel, factor: float) -> InterfaceModel:
-        return model.with_bodies({}, {body: scaled(model.structure.eigenstrains[body], factor)})
-
-    return change
-
-
-def _load_change(kind: str, name: str) -> Change:
-    def change(model: InterfaceModel, factor: float) -> InterfaceModel:
-        loads = dict(getattr(model.structure, kind))
-        changed: dict[str, Any] = {kind: loads | {name: scaled(loads[name], factor)}}
-        return model.with_loads(**changed)
-
-    return change
-
-
-def _point_load_change(k: int) -> Change:
-    def change(model: InterfaceModel, factor: float) -> InterfaceModel:
-        loads: Sequence[Any] = model.structure.loads
-        new = [replace(load, force=scaled(load.force, factor)) if j == k else load for j, load in enumerate(loads)]
-        return model.with_loads(loads=new)
-
-    return change
-
-
-def _support_change(place: Any, axis: str) -> Change:
-    def change(model: InterfaceModel, factor: float) -> InterfaceModel:
-        supports = {where: dict(components) for where, components in model.supports.user_entries}
-        supports[place][axis] = scaled(supports[place][axis], factor)
-        return model.with_loads(supports=supports)
-
-    return change
+ENGINEERING_CONSTANTS = Datum(_engineering_constants, _with_engineering_constants)
+SUBLAYERS = Datum(
+    lambda stack: list(stack.laws),
+    lambda stack, laws: Stack(*((a, law) for (a, _), law in zip(stack.sublayers, laws, strict=True))),
+)
