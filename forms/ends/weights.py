@@ -48,7 +48,8 @@ from forms.stations import Faces
 from forms.tensors import Expr, three_dimensional
 
 MAX_OPENING_STRIP = 3.0  # largest length, over the thickness, of the strip that is weaker against openings
-MIN_SPREAD_LENGTH = 10.0  # spreading length, over the thickness, from which a pressure grows linearly near an end
+# Spreading lengths, over the thickness: up to the first a pressure is not linear near an end, from the second it is.
+SPREAD_LENGTHS = (8.0, 10.0)
 
 
 class EndStrip(NamedTuple):
@@ -115,10 +116,14 @@ class EndStrips(NamedTuple):
         """Return the strips for a layer in which a pressure evens out over at most `length` thicknesses along S.
 
         For nu > 0.49 the flow at an end has less resistance than in an infinite layer (kappa > 1). This only holds if
-        the pressure grows linearly over many thicknesses, which a narrow S or soft bodies can prevent. If `length` is
-        below `MIN_SPREAD_LENGTH`, the strip `resistance` of such a layer is therefore left out.
+        the pressure grows linearly over many thicknesses, which a narrow S or soft bodies can prevent. The strip
+        `resistance` of such a layer is therefore left out up to the first of `SPREAD_LENGTHS`, and whole from the
+        second; between them it grows linearly, so that no result jumps.
         """
-        return self if self.resistance.c >= 0 or length >= MIN_SPREAD_LENGTH else self._replace(resistance=EndStrip())
+        shortest, longest = SPREAD_LENGTHS
+        share = min(max((length - shortest) / (longest - shortest), 0.0), 1.0)
+        c = self.resistance.c
+        return self if c >= 0 else self._replace(resistance=self.resistance._replace(c=share * c))
 
 
 def _shear_strip(end: FreeEnd) -> EndStrip:
