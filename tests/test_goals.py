@@ -15,6 +15,7 @@ from tests.refused import refused
 from thinlayer import (
     Bond,
     InputError,
+    Probe,
     RigidPlate,
     Springs,
     Structure,
@@ -26,6 +27,7 @@ from thinlayer import (
     solve,
 )
 from thinlayer.estimating.goals import Displacement
+from thinlayer.output.probe import cells_at
 
 BODY, LAYER = LinearElastic.young(100.0, 0.3), ThinLayer(LinearElastic.young(1.3, 0.3), 0.1)
 RODS, WALL = sandwich(4.0, 1.5, 1.0, 0.5, cell="quadrilateral"), wall(2, 2, brick=(2.0, 1.0), h=0.25)
@@ -51,6 +53,18 @@ HOLDERS = {
     "revolution": ({"plane": "axisymmetric"}, "BOTTOM", (1, 1)),
     "a vertex of S": ({"supports": {(4.0, 0.0): 0}, "joint": BLOCK}, (4.0, 0.0), (1, 0)),
 }
+
+
+def test_the_cells_at_a_point_are_searched_once_for_all_models_on_a_mesh(monkeypatch):
+    calls, soft = [], structure().interface(LAYER)
+    monkeypatch.setattr("thinlayer.estimating.goals.cells_at", lambda *place: calls.append(place) or cells_at(*place))
+    states = [solve(model) for model in (soft, soft.with_layer(ThinLayer(BODY, 0.1)))]
+    for place, side in [(CORNER, None), ([1.3, 0.0], "upper"), (np.array([1.3, 0.0]), "lower")]:
+        values = [Displacement(place, (1, 0), side).value_in(state) for state in [*states, states[0]]]
+        probed = [Probe(state).displacement(place, side=side)[0] for state in [*states, states[0]]]
+        assert values == pytest.approx(probed, rel=1e-12)
+        assert values[0] != values[1]
+    assert len(calls) == 3
 
 
 @pytest.mark.parametrize("kind", HOLDERS)

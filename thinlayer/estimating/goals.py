@@ -7,10 +7,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import ufl
 from dolfinx import fem, la
+from dolfinx.mesh import Mesh
 from petsc4py import PETSc
 
 from forms import work as forms
@@ -28,12 +30,16 @@ from thinlayer.discretisation.rigid_motions import resultant_mask
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.discretisation.supports import Place, is_same_or_part
 from thinlayer.output.nodal_forces import nodal_forces
-from thinlayer.output.probe import Probe, cells_at
+from thinlayer.output.probe import cells_at, displacements_at
 from thinlayer.output.surface import Surface
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.layer_subproblem import DirichletLayers
+from thinlayer.surface.locating import LocatedPoints
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.compat import expand_derivatives
+
+# mesh -> (coordinates, side, seam) -> cells at the point of a goal: a search among all cells is slow, and often repeated
+_CELLS_AT: WeakKeyDictionary[Mesh, dict[tuple[object, ...], LocatedPoints]] = WeakKeyDictionary()
 
 
 class Goal(ABC):
@@ -85,6 +91,11 @@ class Goal(ABC):
 
         `model` is the interface model.
         """
+
+    def value_in(self, state: State) -> float:
+        """Return Q in a state of an interface model. Collective."""
+        assert isinstance(state.model, InterfaceModel)
+        return self.value(state, state.model)
 
     def at_rest(self, state: State, model: InterfaceModel) -> float:
         """Return a linear goal's value at zero displacements, from prescribed strains and loads alone. Collective.
@@ -408,19 +419,27 @@ class Displacement(DirectedGoal):
 
     def check(self, model: InterfaceModel) -> None:
         self.unit(model)
-        cells_at(model, [self.x], self.side, self.seam)
+        self._cells(model)
+
+    def _cells(self, model: InterfaceModel) -> LocatedPoints:
+        """Return the cells that contain the point; they are searched once for all models on a mesh."""
+        cells, point = _CELLS_AT.setdefault(model.domain.mesh, {}), finite_values(self.x, (model.joint.dim,))
+        key = None if point is None else (*point,), self.side, self.seam
+        if key not in cells:
+            cells[key] = cells_at(model, [self.x], self.side, self.seam)
+        return cells[key]
 
     def value(self, state: State, model: InterfaceModel) -> float:
         # on the interface model, as bodies of full models are at other places
-        transferred = replace(state, model=model, u=displacements_of(state, model))
-        return float(Probe(transferred).displacement(self.x, side=self.side, seam=self.seam) @ self.unit(model))
+        u = displacements_of(state, model)
+        return float(displacements_at(u, model, self._cells(model), self.side)[0] @ self.unit(model))
 
     def scale(self, state: State, model: InterfaceModel) -> float:
         return float(state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         model, d = adjoint.model, adjoint.model.joint.dim
-        located = cells_at(model, [self.x], self.side, self.seam)
+        located = self._cells(model)
         e, V = self.unit(model), model.V
         original = model.domain.original_cells[: model.domain.mesh.topology.index_map(d).size_local]
         local_cell = np.flatnonzero(original == located.entity[0])[:1]  # none on the other ranks

@@ -8,6 +8,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx import fem
 from scipy.spatial import cKDTree
 
 from forms.base import Array, InputError, require
@@ -96,15 +97,8 @@ class Probe:
         Raises:
             InputError: points outside the bodies and meshed layers; `side` is None at a point where displacements jump.
         """
-        located = self._locate(x, side, seam)
-        basis = self.state.u.function_space.ufl_element().basix_element.tabulate(0, located.X)[0, :, :, 0]
-        u = np.einsum("kn,knd->kd", basis, node_values(self.state.u, self.state.model, located.entity))
-        largest_u = self._comm.allreduce(float(np.abs(self.state.u.x.array).max(initial=0.0)), max)
-        first_pairs = np.searchsorted(located.point, np.arange(len(located.x)))
-        is_jump = np.abs(u - u[first_pairs[located.point]]).max(axis=1) > ZERO_JUMP_TOLERANCE * largest_u
-        hint = "several bodies meet there; give side= and seam=" if side else "give side="
-        refuse(is_jump, located.x[located.point], f"displacements jump at {{at}}: {hint}")
-        return u[first_pairs] if np.ndim(x) > 1 else u[first_pairs][0]
+        u = displacements_at(self.state.u, self.state.model, self._locate(x, side, seam), side)
+        return u if np.ndim(x) > 1 else u[0]
 
     def stress(self, x: npt.ArrayLike, *, side: str | None = None, seam: str = S) -> Array:
         """Return the stresses (n, 3, 3) at n points in d dimensions, or (3, 3) at one point.
@@ -260,6 +254,28 @@ class Probe:
         if key is None and len(keys) > 1:
             raise InputError(f"several laws have an internal variable {name!r}; give key=, one of {', '.join(keys)}")
         return key or keys[0]
+
+
+def displacements_at(u: fem.Function, model: Model, located: LocatedPoints, side: str | None) -> Array:
+    """Return displacements (n, d) at n points in d dimensions. Collective.
+
+    Args:
+        u: the displacements, in the model's space.
+        model: the model.
+        located: the points, with the cells that contain them.
+        side: "lower" or "upper" if the cells are on this side of S; None: they are all cells that contain the points.
+
+    Raises:
+        InputError: displacements jump at a point.
+    """
+    basis = u.function_space.ufl_element().basix_element.tabulate(0, located.X)[0, :, :, 0]
+    values = np.einsum("kn,knd->kd", basis, node_values(u, model, located.entity))
+    largest_u = model.comm.allreduce(float(np.abs(u.x.array).max(initial=0.0)), max)
+    first_pairs = np.searchsorted(located.point, np.arange(len(located.x)))
+    is_jump = np.abs(values - values[first_pairs[located.point]]).max(axis=1) > ZERO_JUMP_TOLERANCE * largest_u
+    hint = "several bodies meet there; give side= and seam=" if side else "give side="
+    refuse(is_jump, located.x[located.point], f"displacements jump at {{at}}: {hint}")
+    return np.asarray(values[first_pairs])
 
 
 def cells_at(model: Model, x: npt.ArrayLike, side: str | None = None, seam: str = S) -> LocatedPoints:
