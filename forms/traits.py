@@ -54,11 +54,11 @@ def warn_of_range(key: str, message: str) -> None:
 def warn_caller(warning: Warning) -> None:
     """Issue a warning that points to the line outside these packages from which they were called.
 
-    Python shows it once for each such line.
+    Python shows it once for each such line. Packages that call functions of these packages, such as scipy, are skipped.
     """
     restore_warnings()
     level, frame = 1, sys._getframe()
-    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in (*PACKAGES, "contextlib"):
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in (*PACKAGES, "contextlib", "scipy"):
         level, frame = level + 1, frame.f_back
     warnings.warn(warning, stacklevel=level)
 

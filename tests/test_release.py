@@ -7,12 +7,15 @@ import subprocess
 import sys
 import tomllib
 import warnings
+from functools import partial
 
 import pytest
+from scipy.optimize import minimize
 
 import geometry
 import thinlayer
 from forms.base import OPTIONAL_PACKAGES, InputError
+from forms.traits import RangeWarning, warn_of_range
 from tests.documents import CLONE
 from tests.refused import refused
 from thinlayer.errors import warn_of_deprecated
@@ -83,6 +86,12 @@ def test_what_is_deprecated_is_said_once_at_each_line_of_the_user():
             warn_of_deprecated("Bond()", "1.2", "Gap()")
         warn_of_deprecated("Bond()", "1.2", "Gap()")
     assert [str(warning.message) for warning in caught] == ["Bond() is deprecated since thinlayer 1.2; use Gap()"] * 2
+    assert {warning.filename for warning in caught} == {__file__}
+
+
+def test_a_warning_below_scipy_is_said_at_the_line_of_the_user():
+    with pytest.warns(RangeWarning) as caught:
+        minimize(lambda x: x @ x, [1.0], callback=partial(warn_of_range, "key"))
     assert {warning.filename for warning in caught} == {__file__}
 
 
