@@ -78,7 +78,7 @@ def test_other_structures_are_not_compared(states):
 def test_states_of_another_time_than_asked_for(states):
     """A state has one time, here 0."""
     assert compare(*states, at=0) == compare(*states)
-    refused(InputError, "a state is of t = 0, not of at = 7", lambda: compare(*states, at=7.0))
+    refused(InputError, "a state is of t = 0, not of t = 7", lambda: compare(*states, at=7.0))
     for at in (float("nan"), "0", True):
         refused(InputError, r"at is .*; give a time, a finite number", compare, *states, at=at)
 

@@ -295,11 +295,17 @@ def _evaluate(equations: Equations, step: AdjointStep) -> tuple[PETSc.Vec, PETSc
         The unknowns of the step, with the displacements that supports of the changed model prescribe; the residual.
     """
     equations.begin(step.interval)
-    x, residual = equations.create_vector(), equations.create_vector()
+    x = equations.create_vector()
     equations.put_state(step.state, x)
+    return x, residual_at(equations, x)
+
+
+def residual_at(equations: Equations, x: PETSc.Vec) -> PETSc.Vec:
+    """Put the prescribed displacements into unknowns `x`, and return the residual there, a new vector. Collective."""
+    residual = equations.create_vector()
     x.array[equations.bc_dofs] = equations.prescribed
     equations.residual(x, residual)
-    return x, residual
+    return residual
 
 
 def _slope(model: InterfaceModel, steps: Sequence[AdjointStep], goal: Goal, change: Change) -> float:

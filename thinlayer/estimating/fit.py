@@ -409,7 +409,7 @@ class _LeastSquares:
         """Derivatives (m, n) of the residuals at the last logarithms."""
         if self._sensitivity is None:
             changes = {name: self._change(k) for k, name in enumerate(self._changes)}
-            self._sensitivity = sensitivity_by(self.solution, changes, None)
+            self._sensitivity = sensitivity_by(self.solution, lambda _: changes)
         rows = [[*self._sensitivity.of(m.goal, m.t).values()] for m in self._data]
         return np.asarray(np.array(rows) / self.deviations[:, None])
 

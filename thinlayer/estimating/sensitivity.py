@@ -5,21 +5,28 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 
-import numpy as np
 from dolfinx import fem
 
 from forms.base import InputError, require
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import Configuration, State
-from thinlayer.estimating.derivative import LayerOfFactor, changed_model, chosen_changes, equations_of, steps_of
+from thinlayer.estimating.derivative import (
+    LayerOfFactor,
+    changed_model,
+    chosen_changes,
+    equations_of,
+    residual_at,
+    steps_of,
+)
 from thinlayer.estimating.goals import Goal
 from thinlayer.estimating.parameters import FACTORS, STEP, Change
 from thinlayer.parts.compiled_part import KINK_MESSAGE, KINK_TOLERANCE
 from thinlayer.parts.part import TimeStep
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.history import TIME_TOLERANCE, History
+from thinlayer.solving.history import History, Solution, state_at
 from thinlayer.solving.petsc import Options
 from thinlayer.system.progress import report
 
@@ -32,12 +39,13 @@ class Sensitivity:
     """Linearised states for a relative change of parameters, the result of `sensitivity`.
 
     Attributes:
-        states: the states, one for each step; their last is the solution's last.
-        pairs: name of a parameter -> for each step, the states for this parameter times 1 + h and 1 - h, h = 1e-4.
+        solution: the state, or the history of a march.
+        pairs: name of a parameter -> time -> states for this parameter times 1 + h and 1 - h, h = 1e-4. States at rest
+            have none, as they do not change.
     """
 
-    states: Sequence[State]
-    pairs: Mapping[str, Sequence[StatePair]]
+    solution: Solution
+    pairs: Mapping[str, Mapping[float, StatePair]]
 
     def of(self, goal: Goal | Callable[[State], float], t: float | None = None) -> dict[str, float]:
         """Return the derivatives of a goal by relative changes of the parameters, by their names. Collective.
@@ -49,15 +57,9 @@ class Sensitivity:
         Raises:
             InputError: there is no state at the time.
         """
-        k = self._position(t)
-
-        def value(state: State) -> float:
-            if isinstance(goal, Goal):
-                assert isinstance(state.model, InterfaceModel)
-                return goal.value(state, state.model)
-            return goal(state)
-
-        return {name: (value(pairs[k][0]) - value(pairs[k][1])) / (2 * STEP) for name, pairs in self.pairs.items()}
+        value = goal.value_in if isinstance(goal, Goal) else goal
+        pairs = {name: self._pair(name, t) for name in self.pairs}
+        return {name: (value(plus) - value(minus)) / (2 * STEP) for name, (plus, minus) in pairs.items()}
 
     def displacement(self, name: str, t: float | None = None) -> fem.Function:
         """Return the change of the displacements per relative change of a parameter, a function in the model's space.
@@ -67,20 +69,14 @@ class Sensitivity:
             t: time of the state at which it is taken; None: the last.
         """
         require(name in self.pairs, "displacement", name, f"give one of {', '.join(self.pairs)}")
-        plus, minus = self.pairs[name][self._position(t)]
-        change = fem.Function(self.states[0].model.V)
+        plus, minus = self._pair(name, t)
+        change = plus.u.copy()
         change.x.array[:] = (plus.u.x.array - minus.u.x.array) / (2 * STEP)
         return change
 
-    def _position(self, t: float | None) -> int:
-        if t is None:
-            return len(self.states) - 1
-        times = np.array([state.t for state in self.states])
-        k = int(np.abs(times - t).argmin())
-        if abs(times[k] - t) > TIME_TOLERANCE * max(abs(t), float(np.ptp(times))):
-            known_times = ", ".join(f"{time:g}" for time in times)
-            raise InputError(f"sensitivity: no state at t = {t:g}; there are states at {known_times}")
-        return k
+    def _pair(self, name: str, t: float | None) -> StatePair:
+        state = state_at(self.solution, t)
+        return self.pairs[name].get(state.t, (state, state))
 
 
 @report("sensitivity")
@@ -118,58 +114,49 @@ def sensitivity(
         >>> {name: f"{slope:.3g}" for name, slope in change.of(corner).items()}
         {'S.E': '0.000221', 'S.eps': '-0.000221'}
     """
-    model, _ = steps_of(solution)
-    return sensitivity_by(solution, chosen_changes(model, parameters, of or {}), options)
+    return sensitivity_by(solution, partial(chosen_changes, names=parameters, of=of or {}), options)
 
 
-def sensitivity_by(solution: State | History, changes: Mapping[str, Change], options: Options | None) -> Sensitivity:
-    """Compute a sensitivity by the functions that change the parameters. Collective."""
+def sensitivity_by(
+    solution: Solution, choose: Callable[[InterfaceModel], Mapping[str, Change]], options: Options | None = None
+) -> Sensitivity:
+    """Compute a sensitivity by functions that change parameters, which `choose` returns for the model. Collective."""
     model, steps = steps_of(solution)
-    pairs: dict[str, list[StatePair]] = {name: [] for name in changes}
-    with ExitStack() as march:  # whose equations serve all its steps
-        ends = {name: _pair_of_equations(march, model, change) for name, change in changes.items() if len(steps) > 1}
+    changes, ends = choose(model), dict[str, list[Equations]]()
+    pairs: dict[str, dict[float, StatePair]] = {name: {} for name in changes}
+    with ExitStack() as stack:  # equations serve all steps of a march
         for state, old in steps:
             with Adjoint(state, old, options) as tangent:
                 for name, change in changes.items():
-                    with ExitStack() as step:
-                        plus, minus = ends.get(name) or _pair_of_equations(step, model, change)
-                        pairs[name].append(_pair(tangent, plus, minus, pairs[name][-1] if pairs[name] else None))
-    return Sensitivity([state for state, _ in steps], pairs)
+                    if name not in ends:
+                        models = [changed_model(model, change, factor) for factor in FACTORS]
+                        ends[name] = [stack.enter_context(equations_of(changed)) for changed in models]
+                    pairs[name][state.t] = _pair(tangent, ends[name], [None, *pairs[name].values()][-1])
+                    if len(steps) == 1:
+                        stack.close()
+    return Sensitivity(solution, pairs)
 
 
-def _pair_of_equations(stack: ExitStack, model: InterfaceModel, change: Change) -> list[Equations]:
-    return [stack.enter_context(equations_of(changed_model(model, change, factor))) for factor in FACTORS]
-
-
-def _pair(tangent: Adjoint, plus: Equations, minus: Equations, before: StatePair | None) -> StatePair:
+def _pair(tangent: Adjoint, ends: Sequence[Equations], before: StatePair | None) -> StatePair:
     """Return the linearised states at the end of a step for a parameter times 1 + h and 1 - h. Collective.
 
     Args:
         tangent: the linearised step.
-        plus, minus: equations for the parameter times 1 + h and 1 - h.
+        ends: equations for the parameter times 1 + h and 1 - h.
         before: the same states at the start of the step; None: the step begins at rest.
     """
     interval, bc_dofs = tangent.interval, tangent.equations.bc_dofs
-    starts: Sequence[Configuration] = before or [end.rest_state(interval.old.t) for end in (plus, minus)]
-    ends = []
-    for equations, old in zip((plus, minus), starts, strict=True):
+    starts: Sequence[Configuration] = before or [equations.rest_state(interval.old.t) for equations in ends]
+    for equations, old in zip(ends, starts, strict=True):
         equations.begin(TimeStep(old, interval.t, interval.dt, interval.theta))
-        x, residual = equations.create_vector(), equations.create_vector()
-        x.array[:] = tangent.unknowns.array_r
-        x.array[bc_dofs] = equations.prescribed
-        equations.residual(x, residual)
-        ends.append((equations, x, residual))
-    (_, x, residual), (_, other_x, other_residual) = ends
-    moved, slope = x - other_x, other_residual - residual
+    residuals = [residual_at(equations, tangent.unknowns.copy()) for equations in ends]
+    slope, base_residual = residuals[1] - residuals[0], residual_at(tangent.equations, tangent.unknowns.copy())
     slope.array[bc_dofs] = 0.0
-    dx, base_residual = tangent.solve(slope), tangent.equations.create_vector()
-    tangent.equations.residual(tangent.unknowns, base_residual)
-    dx.array[bc_dofs] = moved.array_r[bc_dofs]
-    pair = []
-    for sign, (equations, x, residual) in zip((0.5, -0.5), ends, strict=True):
-        x.array[:] = tangent.unknowns.array_r + sign * dx.array_r
-        x.array[bc_dofs] = equations.prescribed
-        equations.residual(x, residual)
+    dx, pair = tangent.solve(slope), list[State]()
+    dx.array[bc_dofs] = ends[0].prescribed - ends[1].prescribed
+    for sign, equations in zip((0.5, -0.5), ends, strict=True):
+        x = tangent.unknowns + sign * dx
+        residual = residual_at(equations, x)
         error = tangent.equations.relative_norm(residual - base_residual)
         if error > KINK_TOLERANCE * max(tangent.equations.relative_norm(slope), SLOPE_ROUNDING):
             raise InputError(KINK_MESSAGE.format("a law", interval.t))

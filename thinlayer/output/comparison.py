@@ -14,7 +14,7 @@ from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.output.surface import Surface
-from thinlayer.solving.history import TIME_TOLERANCE, History, Solution
+from thinlayer.solving.history import TIME_TOLERANCE, History, Solution, state_at
 from thinlayer.surface.pressure_excess import times_too_stiff
 from thinlayer.system.fingerprint import differences, differences_text
 from thinlayer.system.ranks import errors_on_all, require_same
@@ -77,7 +77,7 @@ def compare(
     for result in (full, interface):
         require(isinstance(result, (State, History)), "compare: a state", result, "give what solve or march returns")
     require(at is None or is_finite(at), "compare: at", at, "give a time, a finite number")
-    full, interface = (_state_at(result, at) for result in (full, interface))
+    full, interface = (state_at(result, at) for result in (full, interface))
     meshed, limit = full.model, interface.model
     if not (isinstance(meshed, FullModel) and isinstance(limit, InterfaceModel)):
         raise InputError(f"compare needs a full and an interface model, not {meshed.name} and {limit.name}")
@@ -133,14 +133,6 @@ def _too_stiff_factors(state: State, seam: str) -> dict[str, float]:
     layers = [layer for name, layer in state.model.layers.items() if seam in (S, name) and not layer.has_pressure_flow]
     factors = {f"too_stiff {layer.name}" if several else "too_stiff": times_too_stiff(state, layer) for layer in layers}
     return {name: factor for name, factor in factors.items() if factor is not None}
-
-
-def _state_at(result: Solution, t: float | None) -> State:
-    if isinstance(result, State):
-        if t is not None and not abs(result.t - t) <= TIME_TOLERANCE * max(abs(result.t), abs(t)):
-            raise InputError(f"compare: a state is of t = {result.t:g}, not of at = {t:g}; give its history, or no at")
-        return result
-    return result.last if t is None else result.at(t)
 
 
 def _require_same_body_extent(full: FullModel, interface: InterfaceModel) -> None:

@@ -143,6 +143,20 @@ class History:
 Solution = State | History
 
 
+def state_at(solution: Solution, t: float | None) -> State:
+    """Return the state of a history at a time, or its last one for None; a state is returned as it is.
+
+    Raises:
+        InputError: the history has no state at this time, or the state has another time.
+    """
+    if isinstance(solution, History):
+        return solution.last if t is None else solution.at(t)
+    if t is not None and not abs(solution.t - t) <= TIME_TOLERANCE * max(abs(solution.t), abs(t)):
+        text = f"a state is of t = {solution.t:g}, not of t = {t:g}"
+        raise InputError(f"{text}; give the history of a march, for `fit` by run=")
+    return solution
+
+
 # ---------------------------------------------------------------- columns
 def column_getters(model: Model) -> dict[str, Callable[[State], float]]:
     """Return the columns of a march's table: name of a column -> function that returns its value in a state.
