@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache, reduce
 from pathlib import Path
 
 import numpy as np
@@ -12,16 +14,15 @@ from scipy.optimize import least_squares
 
 from forms.base import Array, InputError, is_finite, require
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.state import State
 from thinlayer.errors import ThinlayerError, warn
 from thinlayer.estimating.derivative import LayerOfFactor, chosen_changes
 from thinlayer.estimating.estimate import estimate
 from thinlayer.estimating.goals import Displacement, Goal, MeanTraction, Reaction
-from thinlayer.estimating.parameters import Change, Parameters
-from thinlayer.estimating.sensitivity import Sensitivity, sensitivity_by
-from thinlayer.output.plotting.curves import LAW_COLOUR, MESHED_COLOUR
+from thinlayer.estimating.parameters import Parameters
+from thinlayer.estimating.sensitivity import sensitivity_by
+from thinlayer.output.plotting.curves import LAW_COLOUR, MESHED_COLOUR, curves
 from thinlayer.output.plotting.picture import GivenAxes, Picture, finish_picture, make_panels
-from thinlayer.solving.history import History
+from thinlayer.solving.history import History, Solution, state_at
 from thinlayer.solving.solve import solve
 from thinlayer.system.progress import report
 from thinlayer.system.table import Table
@@ -31,8 +32,6 @@ UNSEEN_DEVIATION = 1.0  # standard deviation of the logarithm of a parameter fro
 RANK_TOLERANCE = 1e-6  # singular value, over the largest, up to which data do not see a combination of parameters
 UNSEEN_POWER = 0.05  # smallest power in an unseen product of a parameter that the data do not see, of a unit vector
 COLUMNS = ("quantity", "place", "direction", "value", "deviation")
-QUANTITIES = ("displacement", "reaction", "traction")
-Run = Callable[[InterfaceModel], State | History]
 
 
 @dataclass(frozen=True)
@@ -44,18 +43,33 @@ class Measurement:
         value: the value.
         deviation: its standard deviation, > 0.
         t: time of a march at which it was measured; None: the last.
+        source: file and line from which it was read, for messages; "": none.
     """
 
     goal: Goal
     value: float
     deviation: float
     t: float | None = None
+    source: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         require(isinstance(self.goal, Goal), "the goal of a measurement", self.goal, "give one of thinlayer.goals")
         require(is_finite(self.value), f"the measured {self.goal.name}", self.value, "it must be a finite number")
         is_valid = is_finite(self.deviation) and self.deviation > 0
         require(is_valid, f"the standard deviation of {self.goal.name}", self.deviation, "allowed: > 0")
+
+    @contextmanager
+    def named_in_errors(self) -> Iterator[None]:
+        """Within a `with` block, put the source before the messages of errors."""
+        try:
+            yield
+        except InputError as error:
+            raise InputError(f"{self.source}: {error}" if self.source else str(error)) from error
+
+    def value_in(self, solution: Solution) -> float:
+        """Return the value of the goal in a solution, at the time of the measurement. Collective."""
+        with self.named_in_errors():
+            return self.goal.value_in(state_at(solution, self.t))
 
 
 def read_measurements(path: str | Path) -> list[Measurement]:
@@ -79,32 +93,29 @@ def read_measurements(path: str | Path) -> list[Measurement]:
     """
     with Path(path).open(encoding="utf-8-sig", newline="") as file:
         rows = csv.DictReader(file)
-        if lacking := [name for name in COLUMNS if name not in (rows.fieldnames or ())]:
-            columns = ", ".join(rows.fieldnames or ()) or "none"
-            raise InputError(f"{path}: no column {', '.join(lacking)}; it has {columns}")
-        measurements = []
-        for row in rows:
-            try:
-                if empty := [name for name in COLUMNS if row[name] is None]:
-                    raise InputError(f"no {', '.join(empty)}")
-                t = float(row["t"]) if row.get("t") else None
-                measurements.append(Measurement(_goal_of(row), float(row["value"]), float(row["deviation"]), t))
-            except ValueError as error:
-                raise InputError(f"{path}, line {rows.line_num}: {error}") from error
+        measurements = [_measurement_of(row, f"{path}, line {rows.line_num}") for row in rows]
     if not measurements:
         raise InputError(f"{path}: no measurements")
     return measurements
 
 
-def _goal_of(row: Mapping[str, str]) -> Goal:
-    quantity, place = row["quantity"].strip(), row["place"].strip()
-    direction = [float(c) for c in row["direction"].split()]
-    if quantity == "displacement":
-        words = place.split()
-        side = words.pop() if words and words[-1] in ("lower", "upper") else None
-        return Displacement([float(c) for c in words], direction, side=side)
-    require(quantity in QUANTITIES, "quantity", quantity, f"allowed: {', '.join(QUANTITIES)}")
-    return Reaction(place, direction) if quantity == "reaction" else MeanTraction(direction, seam=place or "S")
+def _measurement_of(row: Mapping[str, str], source: str) -> Measurement:
+    try:
+        if lacking := [name for name in COLUMNS if row.get(name) is None]:
+            raise InputError(f"no {', '.join(lacking)}; there must be columns {', '.join(COLUMNS)}")
+        quantity, place = row["quantity"].strip(), row["place"].strip()
+        direction = [*map(float, row["direction"].split())]
+        x, _, side = place.rpartition(" ") if place.endswith((" lower", " upper")) else (place, "", None)
+        goals: dict[str, Callable[[], Goal]] = {
+            "displacement": lambda: Displacement([*map(float, x.split())], direction, side=side),
+            "reaction": lambda: Reaction(place, direction),
+            "traction": lambda: MeanTraction(direction, seam=place or "S"),
+        }
+        require(quantity in goals, "quantity", quantity, f"allowed: {', '.join(goals)}")
+        t = float(row["t"]) if row.get("t") else None
+        return Measurement(goals[quantity](), float(row["value"]), float(row["deviation"]), t, source)
+    except ValueError as error:
+        raise InputError(f"{source}: {error}") from error
 
 
 @dataclass(frozen=True, repr=False)
@@ -112,90 +123,113 @@ class Fit:
     """Parameters fitted to measurements, the result of `fit`.
 
     Attributes:
-        factors: name of a parameter -> its fitted value over that of the model.
-        start: name -> value in the model; NaN: it has no single number.
-        deviation: name -> standard deviation of its logarithm, from that of the data.
-        bias: name -> change of its logarithm if the layer were meshed in the fit, to first order by `estimate`.
-        covariance: (n, n) covariance of the logarithms of the n parameters, from that of the data.
-        unseen: combinations that the data do not see, each {name: exponent}: a product of powers of parameters.
-        misfit: root of the sum of squared residuals, over their standard deviations, per datum beyond the number of
-            parameters that are seen; about 1 if model and data agree. NaN: there are no more data than these.
-        measurements: the data.
-        fitted: (m,) values of the model for the m data.
-        law_errors: (m,) their estimated changes by meshing the layer.
+        model: the fitted interface model, ready to solve.
+        factors: name of each of the n parameters -> its fitted value over that of the given model.
+        measurements: the m data.
+        fitted: (m,) values of the fitted model for the data.
+        jacobian: (m, n) derivatives of these values by the logarithms of the parameters.
+        law_errors: (m,) changes of these values by meshing the layer, by `estimate`.
         solution: state or history of the fitted model.
-        steps: number of steps of the least-squares method.
+        steps: number of models that were solved.
     """
 
+    model: InterfaceModel
     factors: Mapping[str, float]
-    start: Mapping[str, float]
-    deviation: Mapping[str, float]
-    bias: Mapping[str, float]
-    covariance: Array
-    unseen: Sequence[Mapping[str, float]]
-    misfit: float
     measurements: Sequence[Measurement]
     fitted: Array
+    jacobian: Array
     law_errors: Array
-    solution: State | History
+    solution: Solution
     steps: int
 
-    def is_seen(self, name: str) -> bool:
-        """Return whether the data determine a parameter."""
-        return not any(name in powers for powers in self.unseen)
+    # ---------------------------------------------------------------- numbers
+    @cached_property
+    def _split(self) -> tuple[Array, Array, Array]:
+        return split_directions(self.jacobian, _deviations(self.measurements))
+
+    def _by_name(self, values: Array) -> dict[str, float]:
+        """Return values of the n parameters by name; NaN for those that the data do not see."""
+        is_seen = (np.abs(self._split[1]) <= UNSEEN_POWER).all(axis=0)
+        return dict(zip(self.factors, np.where(is_seen, values, np.nan).tolist(), strict=True))
+
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """Name -> fitted value, or factor of a parameter that is no number; NaN: the data do not see it."""
+        numbers = Parameters(self.model).values_in_model
+        return self._by_name(np.array([numbers.get(name, factor) for name, factor in self.factors.items()]))
 
     @property
-    def values(self) -> dict[str, float]:
-        """Name of a parameter -> its fitted value; NaN if the data do not see it, or it has no single number."""
-        return {name: f * self.start[name] if self.is_seen(name) else np.nan for name, f in self.factors.items()}
+    def covariance(self) -> Array:
+        """Covariance (n, n) of the logarithms of the parameters, from that of the data."""
+        return self._split[2] * _deviations(self.measurements) ** 2 @ self._split[2].T
+
+    @property
+    def deviation(self) -> dict[str, float]:
+        """Name -> standard deviation of the logarithm, from that of the data; NaN: the data do not see it."""
+        return self._by_name(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def bias(self) -> dict[str, float]:
+        """Name -> change of the logarithm, to first order, if the layer were meshed in the fit; NaN as in `deviation`."""
+        return self._by_name(-self._split[2] @ self.law_errors)
+
+    @property
+    def unseen(self) -> list[dict[str, float]]:
+        """Combinations that the data do not see, each {name: exponent}: a product of powers of parameters."""
+        rows = [dict(zip(self.factors, v.tolist(), strict=True)) for v in self._split[1]]
+        return [{name: power for name, power in row.items() if abs(power) > UNSEEN_POWER} for row in rows]
+
+    @property
+    def residuals(self) -> Array:
+        """Differences (m,) of the data from the fitted values, over the standard deviations of the data."""
+        return (np.array([m.value for m in self.measurements]) - self.fitted) / _deviations(self.measurements)
+
+    @property
+    def misfit(self) -> float:
+        """Root of the sum of squared residuals, per datum beyond the number of parameters that are seen.
+
+        It is about 1 if model and data agree. NaN: there are no more data than these parameters.
+        """
+        spare = len(self.fitted) - len(self.factors) + len(self.unseen)
+        return float(np.linalg.norm(self.residuals) / np.sqrt(spare)) if spare > 0 else np.nan
 
     def interval(self, name: str) -> tuple[float, float]:
         """Return the interval of 95 % of a parameter, or of its factor if it is no number, with the error of the law.
 
+        Both ends are NaN if the data do not see the parameter, see `unseen`.
+
         Raises:
-            InputError: no such parameter, or the data do not see it.
+            InputError: no such parameter.
         """
         require(name in self.factors, "interval", name, f"give one of {', '.join(self.factors)}")
-        if not self.is_seen(name):
-            raise InputError(f"interval: the data do not see {name!r}, only products: {self._unseen_text()}")
         half_width = NORMAL_QUANTILE * self.deviation[name] + abs(self.bias[name])
-        start = self.start[name] if np.isfinite(self.start[name]) else 1.0
-        low, high = sorted(start * self.factors[name] * np.exp((-half_width, half_width)))
+        low, high = sorted(self.values[name] * np.exp((-half_width, half_width)))
         return float(low), float(high)
 
-    def _unseen_text(self) -> str:
-        return "; ".join(" ".join(f"{name}^{power:.2g}" for name, power in powers.items()) for powers in self.unseen)
+    def _rows(self) -> Iterator[tuple[str, float, float, float, float, float]]:
+        for name, value in self.values.items():
+            yield name, value, *self.interval(name), self.deviation[name], self.bias[name]
 
+    # ---------------------------------------------------------------- texts, tables and pictures
     def __repr__(self) -> str:
         return f"Fit of {', '.join(self.factors)} to {len(self.measurements)} data, misfit {self.misfit:.3g}"
 
     def __str__(self) -> str:
         lines = []
-        for name in self.factors:
-            if self.is_seen(name):
-                value, (low, high) = self.values[name], self.interval(name)
-                value = value if np.isfinite(value) else self.factors[name]
-                shift = f"; with a meshed layer it would change by {100 * self.bias[name]:+.2g} %"
-                lines.append(f"{name} = {value:.4g}, {low:.4g} to {high:.4g} (95 %){shift}")
-            else:
-                lines.append(f"{name}: the data do not see it")
-        if self.unseen:
-            lines.append(f"the data do not change with the products {self._unseen_text()}")
+        for name, value, low, high, _, bias in self._rows():
+            text = f"{value:.4g}, {low:.4g} to {high:.4g} (95 %)"
+            text += f"; with a meshed layer it would change by {100 * bias:+.2g} %"
+            lines.append(f"{name}: the data do not see it" if np.isnan(value) else f"{name} = {text}")
+        products = (" ".join(f"{name}^{power:.2g}" for name, power in powers.items()) for powers in self.unseen)
+        lines += [f"the data do not change with {product}" for product in products]
         verdict = "model and data agree" if self.misfit < 1.5 else "the model cannot follow the data"
         verdict = "too few to compare" if np.isnan(self.misfit) else f"misfit {self.misfit:.3g}, {verdict}"
-        lines.append(f"{len(self.measurements)} data, {verdict}")
-        return "\n".join(lines)
+        return "\n".join([*lines, f"{len(self.measurements)} data, {verdict}"])
 
     def table(self) -> Table:
         """Return a table with a row for each parameter: value, interval, standard deviation and bias of its logarithm."""
-        rows = []
-        for name, value in self.values.items():
-            row = {"parameter": name, "value": value} | dict.fromkeys(("lower", "upper", "deviation", "bias"), np.nan)
-            if self.is_seen(name):
-                low, high = self.interval(name)
-                row |= {"lower": low, "upper": high, "deviation": self.deviation[name], "bias": self.bias[name]}
-            rows.append(row)
-        return Table(rows)
+        columns = ("parameter", "value", "lower", "upper", "deviation", "bias")
+        return Table(dict(zip(columns, row, strict=True)) for row in self._rows())
 
     def plot(self, *, save: str | Path | None = None, ax: GivenAxes = None) -> Picture | None:
         """Draw data and model, the residuals, and the correlations of the parameters.
@@ -207,38 +241,27 @@ class Fit:
         Returns:
             The new picture; None if `ax` is given.
         """
-        data, residual, correlation = panels = make_panels(ax, (1, 3), 3, (11.0, 3.6))
-        numbers, deviations = np.arange(1, len(self.measurements) + 1), self._deviations
-        scale = np.abs([m.value for m in self.measurements]).max() or 1.0
-        measured = np.array([m.value for m in self.measurements])
-        data.errorbar(
-            numbers, measured / scale, deviations / scale, fmt="o", mfc="none", ms=4, color="0.4", label="data"
-        )
-        data.plot(numbers, self.fitted / scale, "x", ms=5, color=LAW_COLOUR, label="law")
-        data.plot(
-            numbers, (self.fitted + self.law_errors) / scale, "+", ms=6, color=MESHED_COLOUR, label="layer meshed"
-        )
-        data.set(xlabel="number of the measurement", ylabel="value over the largest")
-        data.legend(frameon=False)
-        residual.axhspan(-NORMAL_QUANTILE, NORMAL_QUANTILE, color="0.93")
-        residual.plot(numbers, (measured - self.fitted) / deviations, "o", mfc="none", ms=4, color=LAW_COLOUR)
-        residual.set(xlabel="number of the measurement", ylabel="residual over standard deviation")
+        panels, data = make_panels(ax, (1, 3), 3, (10.0, 3.6)), np.array([m.value for m in self.measurements])
+        kinds, deviations = [type(m.goal) for m in self.measurements], _deviations(self.measurements)
+        scale = np.array([np.abs(data[[other is kind for other in kinds]]).max() or 1.0 for kind in kinds])
+        k, meshed = np.arange(1, len(data) + 1), self.fitted + self.law_errors
+        values = {"measured": (k, data / scale), "law": (k, self.fitted / scale), "layer meshed": (k, meshed / scale)}
+        differences = {"measured": (k, self.residuals), "layer meshed": (k, self.law_errors / deviations)}
+        lines = {"data and model": values, "differences from the law": differences}
+        units = dict(zip(lines, ("value over the largest of its kind", "over the standard deviation"), strict=True))
+        colours = {"measured": "0.4", "law": LAW_COLOUR, "layer meshed": MESHED_COLOUR}
+        panels[0].errorbar(k, data / scale, deviations / scale, fmt="none", color="0.4")
+        panels[1].axhspan(-NORMAL_QUANTILE, NORMAL_QUANTILE, color="0.95", zorder=0)
+        curves(lines, "number of the measurement", units, styles=("o", "X", "P"), colours=colours, ax=panels[:2])
         names, d = [*self.factors], np.sqrt(np.diag(self.covariance))
-        matrix = self.covariance / np.where(np.outer(d, d) > 0, np.outer(d, d), 1.0)
-        correlation.imshow(matrix, cmap="RdBu_r", vmin=-1, vmax=1)
-        correlation.set_xticks(range(len(names)), names, rotation=30, ha="right")
-        correlation.set_yticks(range(len(names)), names)
-        for (row, column), number in np.ndenumerate(matrix):
-            white = abs(number) > 0.6
-            correlation.text(
-                column, row, f"{number:.2f}", ha="center", va="center", color="white" if white else "black"
-            )
-        correlation.set_title("correlation", fontsize=10)
+        matrix = self.covariance / np.maximum(np.outer(d, d), np.finfo(float).tiny)
+        panels[2].imshow(matrix, cmap="RdBu_r", vmin=-2, vmax=2)  # pale, below numbers
+        panels[2].set_xticks(range(len(names)), names, rotation=30, ha="right")
+        panels[2].set_yticks(range(len(names)), names)
+        for (row, column), r in np.ndenumerate(matrix):
+            panels[2].text(column, row, f"{r:.2f}", ha="center", va="center")
+        panels[2].set_title("correlations", fontsize=11)
         return finish_picture(panels, save)
-
-    @property
-    def _deviations(self) -> Array:
-        return np.array([m.deviation for m in self.measurements])
 
 
 @report("fit")
@@ -248,7 +271,7 @@ def fit(
     parameters: Sequence[str],
     *,
     of: Mapping[str, LayerOfFactor] | None = None,
-    run: Run = solve,
+    run: Callable[[InterfaceModel], Solution] = solve,
     max_steps: int = 30,
 ) -> Fit:
     """Fit parameters of an interface model to measurements, by least squares of their logarithms. Collective.
@@ -288,155 +311,88 @@ def fit(
         1 data, too few to compare
     """
     data = read_measurements(measurements) if isinstance(measurements, (str, Path)) else list(measurements)
-    require(
-        bool(data) and all(isinstance(m, Measurement) for m in data), "fit: measurements", data, "give Measurements"
-    )
+    is_valid = bool(data) and all(isinstance(m, Measurement) for m in data)
+    require(is_valid, "fit: measurements", data, "give Measurements")
     for m in data:
-        m.goal.check(model)
-    changes = chosen_changes(model, parameters, of or {})
-    require(bool(changes), "fit: parameters", parameters, "give at least one name, or of={...}")
-    require(len(changes) == len(parameters) + len(of or {}), "fit: parameters", parameters, "each name once")
-    numbers = Parameters(model).values_in_model
-    start = {name: numbers.get(name, np.nan) for name in changes}
-    problem = _LeastSquares(model, data, changes, run)
-    problem.at(np.zeros(len(changes)))
-    seen, _ = split_directions(problem.jacobian)
+        with m.named_in_errors():
+            m.goal.check(model)
+    of, chosen = of or {}, chosen_changes(model, parameters, of or {})
+    is_valid = 0 < len(chosen) == len(parameters) + len(of)
+    require(is_valid, "fit: parameters", parameters, "give at least one name, each once, or of={...}")
+    require(len(of) < 2, "fit: of", [*of], "give one function: its layers replace those of another one")
+    names = [*of, *parameters]  # layers first, whose parameters are then multiplied
+    measured, deviations = np.array([m.value for m in data]), _deviations(data)
+
+    def model_at(logs: Iterable[float]) -> InterfaceModel:
+        pairs = zip(names, np.exp([*logs]).tolist(), strict=True)
+        return reduce(lambda changed, pair: chosen[pair[0]](changed, pair[1]), pairs, model)
+
+    @lru_cache(maxsize=1)
+    def solve_at(logs: tuple[float, ...]) -> tuple[InterfaceModel, Solution, Array]:
+        solution = run(fitted_model := model_at(logs))
+        return fitted_model, solution, np.array([m.value_in(solution) for m in data])
+
+    @lru_cache(maxsize=1)  # of the last step that was accepted
+    def linearise_at(logs: tuple[float, ...]) -> tuple[InterfaceModel, Solution, Array, Array]:
+        fitted_model, solution, fitted = solve_at(logs)
+        # the user's function takes factors from the start
+        of_user = {name: lambda _, factor: model_at((logs[0] + np.log(factor), *logs[1:])) for name in of}
+        slopes = sensitivity_by(solution, lambda _: of_user | {name: chosen[name] for name in parameters})
+        return fitted_model, solution, fitted, np.array([[*slopes.of(m.goal, m.t).values()] for m in data])
+
+    def residuals(logs: Array) -> Array:
+        try:
+            return np.asarray((solve_at(tuple(logs))[-1] - measured) / deviations)
+        except ThinlayerError:  # a shorter step is tried
+            return np.full(len(data), np.inf)
+
+    seen, _, _ = split_directions(linearise_at((0.0,) * len(names))[-1], deviations)
     if not seen.shape[1]:
-        raise InputError(f"fit: the data do not see any of {', '.join(changes)}")
+        raise InputError(f"fit: the data do not see any of {', '.join(names)}")
     result = least_squares(
-        lambda y: problem.at(seen @ y), np.zeros(seen.shape[1]), lambda y: problem.jacobian_at(seen @ y) @ seen,
-        max_nfev=max_steps, x_scale="jac", xtol=1e-5, ftol=1e-6, gtol=1e-10,
+        lambda y: residuals(seen @ y), np.zeros(seen.shape[1]),
+        lambda y: linearise_at(tuple(seen @ y))[-1] / deviations[:, None] @ seen,
+        max_nfev=max_steps, xtol=1e-5, ftol=1e-6, gtol=1e-10,
     )  # fmt: skip
-    logs = seen @ result.x
-    residuals, J = problem.at(logs), problem.jacobian_at(logs)
     if not result.success:
         warn("fit", f"fit: not converged after {max_steps} steps; give max_steps=...", model.comm)
-    seen, unseen = split_directions(J)
-    inverse = seen @ np.linalg.pinv(J @ seen)
-    covariance = inverse @ inverse.T
-    law_errors = problem.law_errors()
-    bias = inverse @ (-law_errors / problem.deviations)
-    names = [*changes]
-
-    def by_name(values: Array) -> dict[str, float]:
-        return dict(zip(names, map(float, values), strict=True))
-
-    products = [
-        {name: float(power) for name, power in zip(names, v, strict=True) if abs(power) > UNSEEN_POWER}
-        for v in unseen.T * np.sign(unseen.sum(axis=0))[:, None]
-    ]
-    spare = len(data) - seen.shape[1]
-    misfit = float(np.sqrt(residuals @ residuals / spare)) if spare > 0 else np.nan
-    fitted = np.array([m.value for m in data]) + residuals * problem.deviations
-    return Fit(
-        by_name(np.exp(logs)), start, by_name(np.sqrt(np.diag(covariance))), by_name(bias), covariance, products,
-        misfit, data, fitted, law_errors, problem.solution, int(result.nfev),
-    )  # fmt: skip
+    fitted_model, solution, fitted, J = linearise_at(tuple(seen @ result.x))
+    factors = dict(zip(names, np.exp(seen @ result.x).tolist(), strict=True))
+    return Fit(fitted_model, factors, data, fitted, J, _law_errors(solution, data), solution, int(result.nfev))
 
 
-def split_directions(J: Array) -> tuple[Array, Array]:
-    """Split the logarithms of parameters into directions that data see and those that they do not see.
+def split_directions(J: Array, deviations: Array) -> tuple[Array, Array, Array]:
+    """Split the logarithms of n parameters into directions that m data see and those that they do not see.
 
     Args:
-        J: (m, n) derivatives of the m data, over their standard deviations, by the n logarithms.
+        J: (m, n) derivatives of the data by the logarithms.
+        deviations: (m,) standard deviations of the data.
 
     Returns:
-        (n, r) and (n, n - r) orthonormal directions. Unseen ones have a standard deviation above 1, or a singular value
-        that is rounding.
+        (n, r) orthonormal directions that are seen, in columns; (n - r, n) those that are not, in rows; (n, m)
+        derivatives of the logarithms by the data. Unseen directions have a standard deviation above 1, or a singular
+        value that is rounding.
     """
-    _, sizes, rows = np.linalg.svd(J)
-    sizes = np.pad(sizes, (0, len(rows) - len(sizes)))
-    is_seen = sizes > max(1 / UNSEEN_DEVIATION, RANK_TOLERANCE * sizes[0])
-    return rows[is_seen].T, rows[~is_seen].T
+    columns, sizes, rows = np.linalg.svd(J / deviations[:, None])
+    is_seen = np.pad(sizes, (0, len(rows) - len(sizes))) > max(1 / UNSEEN_DEVIATION, RANK_TOLERANCE * sizes[0])
+    k, unseen = np.flatnonzero(is_seen), rows[~is_seen]
+    inverse = rows[k].T / sizes[k] @ columns[:, k].T / deviations
+    return rows[k].T, unseen * np.sign(unseen.sum(axis=1, keepdims=True)), inverse
 
 
-def _interface_model(state: State) -> InterfaceModel:
-    assert isinstance(state.model, InterfaceModel)
-    return state.model
+def _deviations(data: Sequence[Measurement]) -> Array:
+    return np.array([m.deviation for m in data])
 
 
-class _LeastSquares:
-    """Residuals of data over their standard deviations, and their Jacobian, for logarithms of factors of parameters.
-
-    Attributes:
-        deviations: (m,) standard deviations.
-        solution: the last solution.
-    """
-
-    solution: State | History
-
-    def __init__(
-        self, model: InterfaceModel, data: Sequence[Measurement], changes: Mapping[str, Change], run: Run
-    ) -> None:
-        self._model, self._data, self._changes, self._run = model, data, changes, run
-        self.deviations = np.array([m.deviation for m in data])
-        self._logs: Array | None = None
-        self._sensitivity: Sensitivity | None = None
-        self._is_first = True
-
-    def at(self, logs: Array) -> Array:
-        """Return the residuals (m,); infinity if the model cannot be solved."""
-        if self._logs is None or not np.array_equal(logs, self._logs):
-            try:
-                self.solution = self._run(self._model_at(logs))
-            except ThinlayerError:
-                if self._is_first:
-                    raise
-                return np.full(len(self._data), np.inf)
-            self._logs, self._sensitivity = logs.copy(), None
-            self._is_first = False
-        pairs = zip(self._data, self._states(), strict=True)
-        differences = np.array([m.goal.value(state, _interface_model(state)) - m.value for m, state in pairs])
-        return np.asarray(differences / self.deviations)
-
-    def _model_at(self, logs: Array) -> InterfaceModel:
-        model = self._model
-        for change, factor in zip(self._changes.values(), np.exp(logs), strict=True):
-            model = change(model, float(factor))
-        return model
-
-    def _states(self) -> list[State]:
-        if isinstance(self.solution, State):
-            if times := [m.t for m in self._data if m.t not in (None, self.solution.t)]:
-                raise InputError(
-                    f"fit: a measurement at t = {times[0]:g}, but the model is solved without steps; give run="
-                )
-            return [self.solution] * len(self._data)
-        return [self.solution.last if m.t is None else self.solution.at(m.t) for m in self._data]
-
-    @property
-    def jacobian(self) -> Array:
-        """Derivatives (m, n) of the residuals at the last logarithms."""
-        if self._sensitivity is None:
-            changes = {name: self._change(k) for k, name in enumerate(self._changes)}
-            self._sensitivity = sensitivity_by(self.solution, lambda _: changes)
-        rows = [[*self._sensitivity.of(m.goal, m.t).values()] for m in self._data]
-        return np.asarray(np.array(rows) / self.deviations[:, None])
-
-    def _change(self, k: int) -> Change:
-        """Return the change of parameter k from its last value; `of` gives layers for factors from the start."""
-        logs, unit = self._logs, np.eye(len(self._changes))[k]
-        return lambda _, factor: self._model_at(logs + np.log(factor) * unit)
-
-    def jacobian_at(self, logs: Array) -> Array:
-        """Derivatives (m, n) of the residuals at some logarithms."""
-        self.at(logs)
-        return self.jacobian
-
-    def law_errors(self) -> Array:
-        """Return the estimated changes (m,) of the data by meshing the layers."""
-        changes = np.zeros(len(self._data))
-        for t in dict.fromkeys(m.t for m in self._data):
-            chosen = [k for k, m in enumerate(self._data) if m.t == t]
-            unique = {m.goal.name: m.goal for k, m in enumerate(self._data) if k in chosen}
-            result = estimate(self._part_until(t), goals=[*unique.values()])
-            changes[chosen] = [result.goals[self._data[k].goal.name].change for k in chosen]
-        return changes
-
-    def _part_until(self, t: float | None) -> State | History:
-        if t is None or isinstance(self.solution, State):
-            return self.solution
-        rows = [k for k, state in self.solution.states.items() if state.t <= t * (1 + 1e-9)]
-        history = self.solution
-        table = Table(history.table.rows[: max(rows) + 1])
-        return History(history.model, table, {k: history.states[k] for k in rows}, history.theta)
+def _law_errors(solution: Solution, data: Sequence[Measurement]) -> Array:
+    """Return the estimated changes (m,) of m data by meshing the layers."""
+    errors = np.zeros(len(data))
+    for t in dict.fromkeys(m.t for m in data):
+        rows, part = [k for k, m in enumerate(data) if m.t == t], solution
+        if t is not None and isinstance(solution, History):
+            states = {k: state for k, state in solution.states.items() if state.t <= solution.at(t).t}
+            part = replace(solution, table=Table(solution.table.rows[: max(states) + 1]), states=states)
+        goals = {data[k].goal.name: data[k].goal for k in rows}
+        result = estimate(part, goals=[*goals.values()])
+        errors[rows] = [result.goals[data[k].goal.name].change for k in rows]
+    return errors
