@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,7 +16,16 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Layers
 from thinlayer.discretisation.state import Configuration, State
 from thinlayer.estimating.goals import Goal
-from thinlayer.estimating.parameters import FACTORS, STEP, Change, Parameters, with_layers
+from thinlayer.estimating.parameters import (
+    BEND_MESSAGE,
+    BEND_TOLERANCE,
+    FACTORS,
+    SLOPE_ROUNDING,
+    STEP,
+    Change,
+    Parameters,
+    with_layers,
+)
 from thinlayer.estimating.surface_errors import work_density
 from thinlayer.parts.part import TimeStep
 from thinlayer.solving.adjoint import Adjoint
@@ -40,7 +49,7 @@ class AdjointStep:
         state, interval: the state at the end of the step, and the step.
         z: adjoint solution of the step.
         later: key of a part -> derivative of the goal by the part's memory at the end of the step, through later steps.
-        reactions: residual (n,) at the n constrained unknowns of this rank.
+        residual: residual (n,) of the model at the n unknowns of this rank, with reactions where supports prescribe them.
         held_weights: (n,) derivative of the goal by these unknowns through later steps.
         is_last: whether the march ends with the step, so that the goal depends on it directly.
     """
@@ -49,7 +58,7 @@ class AdjointStep:
     interval: TimeStep
     z: Configuration
     later: Mapping[str, Array]
-    reactions: Array
+    residual: Array
     held_weights: Array
     is_last: bool
 
@@ -251,7 +260,6 @@ def _step_back(
     equations, bc_dofs = adjoint.equations, adjoint.equations.bc_dofs
     residual = equations.create_vector()
     equations.residual(adjoint.unknowns, residual)
-    reactions = residual.array_r[bc_dofs].copy()
     if not (error := equations.relative_norm(residual)) <= BALANCE_TOLERANCE:
         raise InputError(f"derivative: the state is out of balance by {error:.2g} of its forces; solve more accurately")
     parts = [part for part in equations.parts if part.traits.remembers or part.traits.rate]
@@ -266,8 +274,9 @@ def _step_back(
     q = equations.forces_on_unknowns(forces)
     dual, g = goal.dual(adjoint) if goal else (equations.create_vector(), equations.create_vector())
     q.axpy(1.0, dual)
+    z = adjoint.weights(q, g)
     step = AdjointStep(
-        adjoint.state, adjoint.interval, adjoint.weights(q, g), later, reactions, held_weights, goal is not None
+        adjoint.state, adjoint.interval, z, later, residual.array_r.copy(), held_weights, goal is not None
     )
     equations.residual(adjoint.unknowns, residual)
     forces.set(0.0)
@@ -310,11 +319,17 @@ def residual_at(equations: Equations, x: PETSc.Vec) -> PETSc.Vec:
 
 def _slope(model: InterfaceModel, steps: Sequence[AdjointStep], goal: Goal, change: Change) -> float:
     """Return p dQ/dp for the goal Q and the parameter p of a model that `change` multiplies. Collective."""
-    values = []
-    for factor in FACTORS:
-        with equations_of(changed_model(model, change, factor)) as equations:
-            values.append(sum(_lagrangian(equations, step, goal) for step in steps))
-    slope = (values[0] - values[1]) / (2 * STEP)
+    slope = 0.0
+    with ExitStack() as stack:
+        ends = [stack.enter_context(equations_of(changed_model(model, change, factor))) for factor in FACTORS]
+        for step in steps:
+            (plus, residual), (minus, other_residual) = (_lagrangian(equations, step, goal) for equations in ends)
+            slope += (plus - minus) / (2 * STEP)
+            difference, bend = residual - other_residual, residual + other_residual
+            bend.array[:] -= 2 * step.residual
+            sizes = [ends[0].relative_norm(vector) for vector in (bend, difference)]
+            if sizes[0] > BEND_TOLERANCE * max(sizes[1], SLOPE_ROUNDING):
+                raise InputError(BEND_MESSAGE.format(step.interval.t))
     if not math.isfinite(slope):
         raise InputError("derivative: a law fails at a changed parameter")
     return float(slope)
@@ -333,16 +348,17 @@ def changed_model(model: InterfaceModel, change: Change, factor: float) -> Inter
     return changed
 
 
-def _lagrangian(equations: Equations, step: AdjointStep, goal: Goal) -> float:
-    """Return what a step adds to the Lagrangian function: the goal, minus the work of residuals in adjoint solutions.
+def _lagrangian(equations: Equations, step: AdjointStep, goal: Goal) -> tuple[float, PETSc.Vec]:
+    """Return what a step adds to the Lagrangian function, and the residual.
 
-    Its derivative by a parameter, at the displacements and adjoint solutions of the march, is that of the goal.
+    The function is the goal, minus the work of residuals in adjoint solutions. Its derivative by a parameter, at the
+    displacements and adjoint solutions of the march, is that of the goal.
     """
     x, residual = _evaluate(equations, step)
     z = equations.create_vector()
     equations.put_state(step.z, z)
     held_x = x.array_r[equations.bc_dofs]
-    sums = [step.held_weights @ held_x, step.reactions @ held_x]
+    sums = [step.held_weights @ held_x, step.residual[equations.bc_dofs] @ held_x]
     sums[0] += sum(
         float(np.vdot(step.later[part.key], np.asarray(part.commit().memory)))
         for part in equations.parts
@@ -355,5 +371,5 @@ def _lagrangian(equations: Equations, step: AdjointStep, goal: Goal) -> float:
         assert isinstance(model, InterfaceModel)
         state = replace(step.state, u=end.u, model=model, fields=end.fields, prescribed_work=float(held_work))
         value += goal.value(state, model)
-    destroy(x, residual, z)
-    return value
+    destroy(x, z)
+    return value, residual

@@ -22,6 +22,14 @@ Change = Callable[[InterfaceModel, float], InterfaceModel]
 # would be 4e-4 at 1e-5 for E of steel that moves on rubber
 STEP = 1e-4
 FACTORS = (1 + STEP, 1 - STEP)
+# second difference of residuals, over the first, from which there is no derivative; the error of slopes of smooth laws is
+# its square
+BEND_TOLERANCE = 0.01
+BEND_MESSAGE = (
+    "derivative: a law has a kink in the step to t = {:g}, as where it yields and loads stay, or jumps; or it changes too "
+    "fast with a parameter, as with nu near 1/2 (give lmbda and mu)"
+)
+SLOPE_ROUNDING = 1e-8  # first difference of residuals, over the forces, that is rounding
 
 
 @dataclass(frozen=True)
@@ -180,6 +188,8 @@ class Parameters(dict[str, Datum]):
             if value is None or (is_number(value) and value == 0):
                 self.reasons[f"{name}.{key}"] = f"it is {value}; a relative change of it is nothing"
                 continue
+            if key == "nu" and 2 * STEP * abs(value) / (1 - 2 * value) > BEND_TOLERANCE:
+                self.reasons[f"{name}.nu"] = "moduli change too fast with it, so near to 1/2; give lmbda and mu"
             try:
                 for factor in FACTORS:
                     datum(law, factor)

@@ -21,8 +21,7 @@ from thinlayer.estimating.derivative import (
     steps_of,
 )
 from thinlayer.estimating.goals import Goal
-from thinlayer.estimating.parameters import FACTORS, STEP, Change
-from thinlayer.parts.compiled_part import KINK_MESSAGE, KINK_TOLERANCE
+from thinlayer.estimating.parameters import BEND_MESSAGE, BEND_TOLERANCE, FACTORS, SLOPE_ROUNDING, STEP, Change
 from thinlayer.parts.part import TimeStep
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.equations import Equations
@@ -30,7 +29,6 @@ from thinlayer.solving.history import History, Solution, state_at
 from thinlayer.solving.petsc import Options
 from thinlayer.system.progress import report
 
-SLOPE_ROUNDING = 1e-8  # residuals of changed models, over the forces, below which no kink is sought
 StatePair = tuple[State, State]
 
 
@@ -158,8 +156,8 @@ def _pair(tangent: Adjoint, ends: Sequence[Equations], before: StatePair | None)
         x = tangent.unknowns + sign * dx
         residual = residual_at(equations, x)
         error = tangent.equations.relative_norm(residual - base_residual)
-        if error > KINK_TOLERANCE * max(tangent.equations.relative_norm(slope), SLOPE_ROUNDING):
-            raise InputError(KINK_MESSAGE.format("a law", interval.t))
+        if error > BEND_TOLERANCE * max(tangent.equations.relative_norm(slope), SLOPE_ROUNDING):
+            raise InputError(BEND_MESSAGE.format(interval.t))
         work = equations.comm.allreduce(float(residual.array_r[bc_dofs] @ x.array_r[bc_dofs]))
         _, end = equations.end_parts(equations.u, interval.t)
         new = {name: getattr(end, name) for name in ("u", "fields", "memory", "stresses", "stored")}
