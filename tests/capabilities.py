@@ -234,6 +234,16 @@ COLUMNS: dict[str, Callable[[], Column]] = {
 }  # fmt: skip
 
 
+def slopes(change: Any, model: Any, follow: Callable[[Any], Any], asked: Any) -> Any:
+    """Differences of whole solves or marches, p dQ/dp of goals Q by a parameter p; their error is of the size of h^4."""
+    values, h = [], 1e-3  # their rounding is 1e-8
+    for k in (-2, -1, 1, 2):
+        changed = change(model, 1 + k * h)
+        state = getattr(solution := follow(changed), "last", solution)
+        values.append([goal.value(state, changed) for goal in asked])
+    return np.array((1, -8, 8, -1)) @ values / (12 * h)
+
+
 @cache
 def column(name: str) -> Column:
     """A column by its name; "free" has no roller, others are the plain one."""

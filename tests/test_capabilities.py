@@ -16,7 +16,7 @@ import ufl
 from scipy.spatial import cKDTree
 
 from geometry.parallel import on_root
-from tests.capabilities import COLUMNS, EPS, LOAD, TIMES, Column, column
+from tests.capabilities import COLUMNS, EPS, LOAD, TIMES, Column, column, slopes
 from tests.on_ranks import Asked
 from tests.refused import refused
 from thinlayer import (
@@ -25,6 +25,7 @@ from thinlayer import (
     Surface,
     Zoom,
     compare,
+    derivative,
     ensemble,
     estimate,
     fields,
@@ -35,6 +36,7 @@ from thinlayer import (
     thin_enough,
 )  # fmt: skip
 from thinlayer.errors import ThinlayerError
+from thinlayer.estimating.derivative import chosen_changes
 from thinlayer.running.case import DescribedCase
 from thinlayer.running.description import Description
 
@@ -119,6 +121,20 @@ GOALS = {
     "Functional": (lambda c: goals.Functional("square", lambda u, model: ufl.inner(u, u)
         * model.ds(model.domain.values(c.loaded))), lambda d: (d + 1, 0)),
 }  # fmt: skip
+
+
+def differentiated(c, folder):
+    """Derivatives of two goals, by a thickness or load and a parameter at random, are differences of whole solves."""
+    changes, solution, k = chosen_changes(c.model, None, {}), c.follow(c.model), [*map(column, COLUMNS), c].index(c)
+    given = [name for name in (f"{c.seam}.eps", f"load {c.loaded}") if name in changes][:1]
+    others = [name for name in changes if name not in given]
+    names = [*given, str(np.random.default_rng(k).choice(others))]
+    asked = {name: GOALS[name][0](c) for name in ("Functional", "Displacement")}
+    results = [derivative(solution, goal, names) for goal in asked.values()]
+    for name in names:
+        for result, slope in zip(results, slopes(changes[name], c.model, c.follow, asked.values()), strict=True):
+            near(result.by[name], slope, 1e-6, abs(result.value))
+    return [(r.by[name], *GOALS[of][1](len(c.at))) for of, r in zip(asked, results, strict=True) for name in given]
 
 
 def thin(c, folder):
@@ -229,6 +245,7 @@ def described(c, folder):
 
 ROWS = {
     "solve": solved, "march": marched, "resume": resumed, "compare": compared,
+    "derivative": differentiated,
     **{f"estimate {name}": partial(estimated, *args) for name, args in GOALS.items()}, "thin_enough": thin,
     "Zoom": zoomed, "Probe": probed, **{name: partial(crossed, name) for name in ("traction", "reaction")}, "jump": opened,
     "status": status_shares, "files": filed, "ensemble": in_ensemble, "sweep": swept, "TOML": described,
@@ -244,6 +261,9 @@ REFUSALS = [
     (["Zoom"], ["memory"], "it remembers earlier steps"),
     (["Zoom"], ["rate"], "has a rate, of which a state does not know"),
     ([*ESTIMATES, "thin_enough", "Zoom"], ["softening"], "a stress that falls as strains grow"),
+    (["derivative"], CONTACT, "a law of contact has kinks"),
+    (["derivative"], ["softening"], "'layer' has a kink in the step to t = 1"),
+    (["derivative"], ["inertia"], "the part 'inertia' remembers; define its memory_forces and pullback"),
     (["compare", *ESTIMATES, "Zoom", "sweep"], CONTACT, "a law on S, without a thickness"),
     (["thin_enough"], CONTACT, "give a ThinLayer"),
     ([*ESTIMATES, "thin_enough", "Zoom"], ["gaps"], "BED meets HEAD, where bodies part without a layer"),
@@ -302,4 +322,4 @@ def test_every_pair_is_run_or_refused():
     """A new row or column changes these counts, once its refusals are known."""
     cells = {(row, name) for name in (*COLUMNS, RANKS) for row in ROWS}
     assert {*REFUSED} <= cells
-    assert (len(cells) - len(REFUSED), len(REFUSED)) == (527, 73)
+    assert (len(cells) - len(REFUSED), len(REFUSED)) == (553, 77)

@@ -27,10 +27,14 @@ from forms import (
 )
 from forms.base import InputError
 from geometry import sandwich
+from tests import mixtures
+from tests.capabilities import slopes
+from tests.mixtures import Mixture
 from tests.on_ranks import on_ranks
 from tests.own_laws import Skew, Slipping, StandardSolid, layer_of
 from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, derivative, goals, march, sensitivity, solve
+from thinlayer.estimating.derivative import chosen_changes
 from thinlayer.estimating.parameters import Parameters
 from thinlayer.parts.compiled_part import CompiledPart
 from thinlayer.solving.adjoint import Adjoint
@@ -213,7 +217,30 @@ def test_a_field_is_the_derivative_by_a_parameter_that_varies(name):
     assert np.log10(remainders[0] / remainders[1]) > 1.8
 
 
+# ---------------------------------------------------------------- structures at random
+NONE = {17: "depends on the mean strain that the mean stress causes", 38: "contact has kinks"}
+
+
+@pytest.mark.few(10)
+@pytest.mark.parametrize("seed", [14, 0, 3, 4, 8, 9, 12, 15, 17, 18, 20, 26, 27, 30, 32, 34, 36, 38, 39, 50])
+def test_structures_at_random(seed):
+    """Derivatives of an energy and a traction, by parameters at random, are differences of whole marches."""
+    mixture, follow = Mixture(seed), partial(march, times=mixtures.TIMES)
+    model = mixture.structure.interface(mixture.layers, bodies=mixture.bodies)
+    asked = [goals.Compliance(), goals.MeanTraction((0.6, -0.8, 0.3)[: model.joint.dim])]
+    changes, solution = chosen_changes(model, None, {}), follow(model)
+    names = [str(name) for name in np.random.default_rng(seed).choice([*changes], 2, replace=False)]
+    if seed in NONE:
+        refused(InputError, NONE[seed], derivative, solution, asked[0], names)
+        return
+    results = [derivative(solution, goal, names) for goal in asked]
+    for name in names:
+        for result, slope in zip(results, slopes(changes[name], model, follow, asked), strict=True):
+            assert result.by[name] == pytest.approx(slope, rel=1e-6, abs=1e-6 * abs(result.value)), name
+
+
 # ---------------------------------------------------------------- refused
+@pytest.mark.filterwarnings("ignore:invalid value")  # no seam is left for the mean traction
 def test_what_has_no_derivative():
     state, clamped = solution_of("order 0"), structure(supports={"BOTTOM": 0}, eigenstrain=None)
     phases = layer_of(NonMonotoneUnrelaxed(3.0, 2.0, 0.5, 0.08, [[0.2, 0.5], [0.5, 1.0]]), EPS)
@@ -221,13 +248,16 @@ def test_what_has_no_derivative():
     asked = lambda solution, names=("S.mu",), goal=GOALS["compliance"]: lambda: derivative(solution, goal, names)
     of = lambda layer, *names: asked(solve(clamped.interface(layer)), *names)()
     field = lambda solution, name: asked(solution, [name])().field(name)
+    out = state.u.copy()
+    out.x.array[:] *= 1.01
+    wide = clamped.interface(ThinLayer(GLUE, EPS), bodies="extended")
     for call, message in [
         (asked(3), "the solution is 3"),
         (asked(state, goal=3), "the goal is 3"),
         (asked(state, "S.mu"), "parameters is 'S.mu'"),
         (asked(state, ["S.my"]), "did you mean 'S.mu'.*known: LOWER.E, .*S.nu.*support LEFT/UPPER y"),
         (asked(state, goal=goals.Reaction("BOTTOM", (0, 1))), "nothing holds 'BOTTOM'"),
-        (asked(replace(state, u=solution_of("pressure").u)), "out of balance by"),
+        (asked(replace(state, u=out)), "out of balance by"),
         (lambda: asked(solve(clamped.full(ThinLayer(GLUE, EPS))))(), "a full model"),
         (lambda: of(HolonomicCoulomb(200.0, 80.0, 0.5)), "contact has kinks"),
         (lambda: of(phases), "phases of NonMonotoneUnrelaxed switch"),
@@ -241,6 +271,8 @@ def test_what_has_no_derivative():
         (lambda: asked(state)().field("S.nu"), "give S.mu|one of S.mu"),
         (lambda: field(state, "load TOP"), "not act through stresses of layers alone"),
         (lambda: field(solution_of("pressure"), "S.mu"), "equations of a part"),
+        (lambda: asked(solve(wide), ["S.eps"])(), "bodies have made room"),
+        (lambda: asked(solve(clamped.bonded()), ["load TOP"], GOALS["traction"])(), "mean traction.* is nan"),
     ]:
         refused(InputError, message, call)
 

@@ -15,7 +15,7 @@ from forms.base import Array, InputError, require
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Layers
 from thinlayer.discretisation.state import Configuration, State
-from thinlayer.estimating.goals import Goal
+from thinlayer.estimating.goals import Compliance, Goal, MeanTraction
 from thinlayer.estimating.parameters import (
     BEND_MESSAGE,
     BEND_TOLERANCE,
@@ -181,14 +181,19 @@ def derivative(
     steps_of_march = steps_of_march if steps_of_march[-1][1] else steps_of_march[-1:]
     require(isinstance(goal, Goal), "derivative: the goal", goal, "give one of thinlayer.goals")
     goal.check(model)
+    if model.stress and isinstance(goal, Compliance | MeanTraction):
+        reason = "it depends on the mean strain that the mean stress causes; take sensitivity(...).of(goal)"
+        raise InputError(f"derivative: no derivative of the {goal.name}: {reason}")
     changes = chosen_changes(model, parameters, of or {})
+    value = goal.value(steps_of_march[-1][0], model)
+    if not math.isfinite(value):
+        raise InputError(f"derivative: the goal, {goal.name}, is {value} in this model")
     steps, moved, later = list[AdjointStep](), np.zeros(model.constraints.n), dict[str, Array]()
     for state, old in reversed(steps_of_march):
         with Adjoint(state, old, options) as adjoint:
             step, moved, later = _step_back(adjoint, goal if not steps else None, moved, later)
         steps.append(step)
     by = {name: _slope(model, steps, goal, change) for name, change in changes.items()}
-    value = goal.value(steps[0].state, model)
     return Derivative(goal, value, by, model, steps, changes)
 
 
@@ -231,6 +236,9 @@ def chosen_changes(
 ) -> dict[str, Change]:
     """Return the functions that change the chosen parameters, by name; see `derivative` for the arguments."""
     available = Parameters(model)
+    if model.domain.joint.parted is not None:
+        reason = "bodies have made room for the layer, and their faces would move (bodies='extended')"
+        available.reasons |= {f"{seam}.eps": reason for seam in model.layers}
     if names is None:
         doubled = {name[:-1] + p for name in available if name.endswith(".E") for p in ("lmbda", "mu")}
         names = [name for name in available if name not in {*available.reasons, *doubled}] if not of else []
@@ -274,6 +282,9 @@ def _step_back(
     q = equations.forces_on_unknowns(forces)
     dual, g = goal.dual(adjoint) if goal else (equations.create_vector(), equations.create_vector())
     q.axpy(1.0, dual)
+    if isinstance(goal, Compliance):  # whose weights leave out the loads on layers, which `estimate` takes apart
+        forces.array[:] = adjoint.layer_loads
+        q.axpy(1.0, equations.forces_on_unknowns(forces))
     z = adjoint.weights(q, g)
     step = AdjointStep(
         adjoint.state, adjoint.interval, z, later, residual.array_r.copy(), held_weights, goal is not None
