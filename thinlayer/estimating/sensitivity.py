@@ -88,7 +88,8 @@ def sensitivity(
     """Compute how a state, or all states of a march, change with parameters. Collective.
 
     Each parameter costs a solve with the factor of the tangent and two residuals in each step. Use it for many results
-    and few parameters, `derivative` for one result and many parameters.
+    and few parameters, `derivative` for one result and many parameters. Errors are those of `derivative`, but up to 1e-4
+    in marches of laws with powers of stresses that pass through zero, as `Norton`.
 
     Args:
         solution, parameters, of, options: as in `derivative`.
