@@ -114,7 +114,7 @@ def solution_of(kind):
     return solve(structure().interface(layer))
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(5)
 @pytest.mark.parametrize("kind", [*LAYERS, *MARCHES])
 def test_the_remainder_is_quadratic(kind, tmp_path, monkeypatch):
     """All parameters are changed at once, by weights of their own, so that errors of two do not cancel.
