@@ -126,15 +126,15 @@ GOALS = {
 def differentiated(c, folder):
     """Derivatives of two goals, by a thickness or load and a parameter at random, are differences of whole solves."""
     changes, solution, k = chosen_changes(c.model, None, {}), c.follow(c.model), [*map(column, COLUMNS), c].index(c)
-    given = [name for name in (f"{c.seam}.eps", f"load {c.loaded}") if name in changes][:1]
-    others = [name for name in changes if name not in given]
-    names = [*given, str(np.random.default_rng(k).choice(others))]
+    first = [name for name in (f"{c.seam}.eps", f"load {c.loaded}") if name in changes][:1]
+    others = [name for name in changes if name not in first]
+    names = [*first, str(np.random.default_rng(k).choice(others))]
     asked = {name: GOALS[name][0](c) for name in ("Functional", "Displacement")}
     results = [derivative(solution, goal, names) for goal in asked.values()]
     for name in names:
         for result, slope in zip(results, slopes(changes[name], c.model, c.follow, asked.values()), strict=True):
             near(result.by[name], slope, 1e-6, abs(result.value))
-    return [(r.by[name], *GOALS[of][1](len(c.at))) for of, r in zip(asked, results, strict=True) for name in given]
+    return [(r.by[name], *GOALS[of][1](len(c.at))) for of, r in zip(asked, results, strict=True) for name in first]
 
 
 def thin(c, folder):

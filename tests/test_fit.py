@@ -13,6 +13,7 @@ from geometry import sandwich
 from tests.pictures import assert_drawn
 from tests.refused import refused
 from thinlayer import Measurement, Structure, ThinLayer, derivative, fit, goals, march, read_measurements, solve
+from thinlayer.errors import RangeWarning
 
 pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
 
@@ -100,6 +101,22 @@ def test_a_parameter_without_a_name():
     refused(InputError, "give one function", fit, start(), measured(), [], of=dict.fromkeys("ab", stiffer["stiffness"]))
 
 
+def test_parameters_that_change_together():
+    """Moduli of both in place of E, and thickness: the data do not see their ratio."""
+    of = {"moduli": ["S.mu", "S.lmbda"]}
+    result, expected = fit(start(), measured(), ["S.nu"], of=of), fitted(0).values
+    law = result.model.layers["S"].layer.law
+    assert {"S.mu": law.mu, "S.lmbda": law.lmbda} == pytest.approx(expected, rel=1e-5)
+    assert f"moduli = {result.factors['moduli']:.4g} times its start" in str(result)
+    assert len(fit(start(), measured(), ["S.eps"], of=of).unseen) == 1
+
+
+def test_a_fit_that_does_not_converge():
+    with pytest.warns(RangeWarning, match="not converged after 2 steps; give max_steps"):
+        result = fit(start(), measured(), MODULI, max_steps=2)
+    assert "NOT CONVERGED after 2 steps" in str(result)
+
+
 # ---------------------------------------------------------------- marches
 def test_a_march_is_fitted_to_data_at_several_times():
     times, top = (0.2, 1.0), goals.Displacement((2.0, 1.5), (0.3, 1))
@@ -132,11 +149,26 @@ def test_measurements_of_a_file(tmp_path):
     ]
 
 
+def test_a_file_of_a_spreadsheet(tmp_path):
+    """Semicolons and decimal commas, capitals, an empty line before the head."""
+    for name, text in {
+        "plain": HEAD + GOOD,
+        "sheet": "\n" + (HEAD.title() + GOOD).replace(",", ";").replace(".", ","),
+    }.items():
+        (tmp_path / name).write_text(text)
+    assert read_measurements(tmp_path / "sheet") == read_measurements(tmp_path / "plain")
+    (tmp_path / "sheet").write_text(HEAD + "reaction,B\u00d6DEN,0 1,3,0.1,\n", encoding="latin-1")
+    refused(InputError, "sheet is not in UTF-8", read_measurements, tmp_path / "sheet")
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("quantity,value\n", "no measurements"),
-        ("quantity;value\n1;2\n", "line 2: no quantity, place, direction, value, deviation; there must be columns"),
+        ("quantity;value\n1;2\n", "line 2: no place, direction, deviation; there must be columns"),
+        (HEAD.replace("t\n", "t [s]\n") + GOOD, "line 1: column is 't .s.'; allowed, each once: quantity, .*, t"),
+        (HEAD.replace("t\n", "value\n") + GOOD, "line 1: column is 'value, value'; allowed, each once"),
+        (HEAD + "reaction,BOTTOM,0 1,-0,01189,0,00012\n", "line 2: the row is .*; there are 6 columns"),
         (HEAD + "force,BOTTOM,0 1,3,0.1,\n", "line 2: quantity is 'force'; allowed: displacement, reaction, traction"),
         (HEAD + GOOD + "reaction,BOTTOM,0 1,three,0.1,\n", "line 6: could not convert string to float: 'three'"),
         (HEAD + "reaction,BOTTOM,0 1,3,0,\n", "line 2: the standard deviation of reaction BOTTOM .* is 0.0"),
@@ -165,6 +197,7 @@ def test_what_cannot_be_fitted():
         (data, [], "at least one name"),
         (data, ["S.my"], "did you mean 'S.mu'"),
         (data, ["S.mu", "S.mu"], "each once"),
+        (data, ["S.mu", "S.nu"], "parameters of S is .*; S.E and S.nu, or S.lmbda and S.mu"),
     ]:
         refused(InputError, message, fit, model, measurements, names)
     refused(InputError, "the goal of a measurement is 3", Measurement, 3, 1.0, 0.1)

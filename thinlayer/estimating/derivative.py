@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from functools import reduce
 
 import numpy as np
 from dolfinx import fem
@@ -38,7 +39,7 @@ from thinlayer.system.table import Table
 
 BALANCE_TOLERANCE = 1e-6  # largest residual of a state, over its forces: derivatives have about three times its error
 FIELD_TOLERANCE = 1e-6  # difference of a field's integral from the derivative, over its size, that counts as rounding
-LayerOfFactor = Callable[[float], Layers]
+LayerOfFactor = Callable[[float], Layers] | Sequence[str]
 
 
 @dataclass(frozen=True)
@@ -153,8 +154,9 @@ def derivative(
             memory need.
         goal: the goal, one of `thinlayer.goals`. In a history it is taken at the last state.
         parameters: names of parameters, see `Parameters`; None: all of the model's by which there are derivatives.
-        of: name -> function of a factor that returns layers, as for `Structure.interface`, for parameters without a
-            name. At the factor 1 it must return those of the model.
+        of: name -> names of parameters that change together, such as those of the same glue in two layers; or, for
+            parameters without a name, a function of a factor that returns layers, as for `Structure.interface`. At the
+            factor 1 it must return those of the model.
         options: {name of a PETSc option without its prefix: value} for the linear solver.
 
     Raises:
@@ -244,11 +246,14 @@ def chosen_changes(
         names = [name for name in available if name not in {*available.reasons, *doubled}] if not of else []
     require(not isinstance(names, str), "derivative: parameters", names, "give a list of names")
     changes: dict[str, Change] = {name: available.change(name, "derivative") for name in names}
-    return changes | {name: _change_by(layers) for name, layers in of.items()}
+    return changes | {name: _change_by(of[name], available) for name in of}
 
 
-def _change_by(layers: LayerOfFactor) -> Change:
-    return lambda model, factor: with_layers(model, layers(factor))
+def _change_by(layers: LayerOfFactor, available: Parameters) -> Change:
+    if callable(layers):
+        return lambda model, factor: with_layers(model, layers(factor))
+    data = [available.change(name, "derivative") for name in layers]
+    return lambda model, factor: reduce(lambda changed, datum: datum(changed, factor), data, model)
 
 
 def _step_back(

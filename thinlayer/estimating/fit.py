@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, reduce
 from pathlib import Path
@@ -18,7 +18,7 @@ from thinlayer.errors import ThinlayerError, warn
 from thinlayer.estimating.derivative import LayerOfFactor, chosen_changes
 from thinlayer.estimating.estimate import estimate
 from thinlayer.estimating.goals import Displacement, Goal, MeanTraction, Reaction
-from thinlayer.estimating.parameters import Parameters
+from thinlayer.estimating.parameters import Parameters, require_independent
 from thinlayer.estimating.sensitivity import sensitivity_by
 from thinlayer.output.plotting.curves import LAW_COLOUR, MESHED_COLOUR, curves
 from thinlayer.output.plotting.picture import GivenAxes, Picture, finish_picture, make_panels
@@ -32,6 +32,7 @@ UNSEEN_DEVIATION = 1.0  # standard deviation of the logarithm of a parameter fro
 RANK_TOLERANCE = 1e-6  # singular value, over the largest, up to which data do not see a combination of parameters
 UNSEEN_POWER = 0.05  # smallest power in an unseen product of a parameter that the data do not see, of a unit vector
 COLUMNS = ("quantity", "place", "direction", "value", "deviation")
+ALL_COLUMNS = (*COLUMNS, "t")
 
 
 @dataclass(frozen=True)
@@ -84,16 +85,32 @@ def read_measurements(path: str | Path) -> list[Measurement]:
     - value and deviation (its standard deviation);
     - t, the time, which may be left out.
 
+    Columns are separated by commas, or by semicolons or tabs, with which numbers may have decimal commas.
+
     Args:
         path: name of the file.
 
     Raises:
-        InputError: a missing column, or an entry that cannot be read; the message has the line.
+        InputError: a missing or unknown column, or an entry that cannot be read; the message has the line.
         OSError: the file cannot be read.
     """
-    with Path(path).open(encoding="utf-8-sig", newline="") as file:
-        rows = csv.DictReader(file)
-        measurements = [_measurement_of(row, f"{path}, line {rows.line_num}") for row in rows]
+    try:
+        lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is not in UTF-8; save it as csv in UTF-8") from error
+    head = next((line for line in lines if line.strip()), "")
+    separator = next((mark for mark in ";\t" if mark in head), ",")
+    rows, names, measurements = csv.reader(lines, delimiter=separator), list[str](), list[Measurement]()
+    for row in rows:
+        source = f"{path}, line {rows.line_num}"
+        entries = [entry.strip() if separator == "," else entry.strip().replace(",", ".") for entry in row]
+        if not names and any(entries):
+            names = [entry.lower() for entry in entries]
+            wrong = [name for name in names if name not in ALL_COLUMNS or names.count(name) > 1]
+            require(not wrong, f"{source}: column", ", ".join(wrong), f"allowed, each once: {', '.join(ALL_COLUMNS)}")
+        elif any(entries):
+            require(len(entries) <= len(names), f"{source}: the row", row, f"there are {len(names)} columns")
+            measurements.append(_measurement_of(dict(zip(names, entries, strict=False)), source))
     if not measurements:
         raise InputError(f"{path}: no measurements")
     return measurements
@@ -101,9 +118,9 @@ def read_measurements(path: str | Path) -> list[Measurement]:
 
 def _measurement_of(row: Mapping[str, str], source: str) -> Measurement:
     try:
-        if lacking := [name for name in COLUMNS if row.get(name) is None]:
+        if lacking := [name for name in COLUMNS if name not in row]:
             raise InputError(f"no {', '.join(lacking)}; there must be columns {', '.join(COLUMNS)}")
-        quantity, place = row["quantity"].strip(), row["place"].strip()
+        quantity, place = row["quantity"], row["place"]
         direction = [*map(float, row["direction"].split())]
         x, _, side = place.rpartition(" ") if place.endswith((" lower", " upper")) else (place, "", None)
         goals: dict[str, Callable[[], Goal]] = {
@@ -131,6 +148,7 @@ class Fit:
         law_errors: (m,) changes of these values by meshing the layer, by `estimate`.
         solution: state or history of the fitted model.
         steps: number of models that were solved.
+        converged: whether the steps have converged.
     """
 
     model: InterfaceModel
@@ -141,6 +159,7 @@ class Fit:
     law_errors: Array
     solution: Solution
     steps: int
+    converged: bool
 
     # ---------------------------------------------------------------- numbers
     @cached_property
@@ -217,14 +236,23 @@ class Fit:
     def __str__(self) -> str:
         lines = []
         for name, value, low, high, _, bias in self._rows():
-            text = f"{value:.4g}, {low:.4g} to {high:.4g} (95 %)"
+            factor = "" if name in Parameters(self.model).values_in_model else " times its start"
+            text = f"{value:.4g}{factor}, {low:.4g} to {high:.4g} (95 %)"
             text += f"; with a meshed layer it would change by {100 * bias:+.2g} %"
+            text = f"{value:.4g}{factor}, without an interval" if np.isnan(low) else text
             lines.append(f"{name}: the data do not see it" if np.isnan(value) else f"{name} = {text}")
-        products = (" ".join(f"{name}^{power:.2g}" for name, power in powers.items()) for powers in self.unseen)
-        lines += [f"the data do not change with {product}" for product in products]
-        verdict = "model and data agree" if self.misfit < 1.5 else "the model cannot follow the data"
+        for powers in self.unseen:
+            largest = max(powers.values(), key=abs)
+            product = ", ".join(f"{name} by a^{power / largest:.2g}" for name, power in powers.items())
+            lines.append(f"the data stay the same if, for any a, one multiplies {product}")
+        verdict = (
+            "model and data agree"
+            if self.misfit < 1.5
+            else "the model does not follow the data within their deviations"
+        )
         verdict = "too few to compare" if np.isnan(self.misfit) else f"misfit {self.misfit:.3g}, {verdict}"
-        return "\n".join([*lines, f"{len(self.measurements)} data, {verdict}"])
+        end = "" if self.converged else f"; NOT CONVERGED after {self.steps} steps"
+        return "\n".join([*lines, f"{len(self.measurements)} data, {verdict}{end}"])
 
     def table(self) -> Table:
         """Return a table with a row for each parameter: value, interval, standard deviation and bias of its logarithm."""
@@ -283,7 +311,7 @@ def fit(
         model: the model, whose parameters are the start.
         measurements: the data, or name of a csv file with them, see `read_measurements`.
         parameters: names of the parameters, see `derivative`.
-        of: parameters without a name, see `derivative`.
+        of: parameters without a name, see `derivative`; one function at most.
         run: function that solves a model: `solve`, or, for laws with memory and data at several times, one such as
             `lambda model: march(model, [0.1, 0.2])`.
         max_steps: largest number of steps.
@@ -313,14 +341,16 @@ def fit(
     data = read_measurements(measurements) if isinstance(measurements, (str, Path)) else list(measurements)
     is_valid = bool(data) and all(isinstance(m, Measurement) for m in data)
     require(is_valid, "fit: measurements", data, "give Measurements")
+    of, chosen = of or {}, chosen_changes(model, parameters, of or {})
     for m in data:
         with m.named_in_errors():
             m.goal.check(model)
-    of, chosen = of or {}, chosen_changes(model, parameters, of or {})
     is_valid = 0 < len(chosen) == len(parameters) + len(of)
     require(is_valid, "fit: parameters", parameters, "give at least one name, each once, or of={...}")
-    require(len(of) < 2, "fit: of", [*of], "give one function: its layers replace those of another one")
-    names = [*of, *parameters]  # layers first, whose parameters are then multiplied
+    require_independent(parameters, of)
+    functions = [name for name, layers in of.items() if callable(layers)]
+    require(len(functions) < 2, "fit: of", functions, "give one function: its layers replace those of another one")
+    names = [*functions, *(name for name in chosen if name not in functions)]  # first layers, then their parameters
     measured, deviations = np.array([m.value for m in data]), _deviations(data)
 
     def model_at(logs: Iterable[float]) -> InterfaceModel:
@@ -336,8 +366,8 @@ def fit(
     def linearise_at(logs: tuple[float, ...]) -> tuple[InterfaceModel, Solution, Array, Array]:
         fitted_model, solution, fitted = solve_at(logs)
         # the user's function takes factors from the start
-        of_user = {name: lambda _, factor: model_at((logs[0] + np.log(factor), *logs[1:])) for name in of}
-        slopes = sensitivity_by(solution, lambda _: of_user | {name: chosen[name] for name in parameters})
+        of_user = {name: lambda _, factor: model_at((logs[0] + np.log(factor), *logs[1:])) for name in functions}
+        slopes = sensitivity_by(solution, lambda _: {name: (chosen | of_user)[name] for name in names})
         return fitted_model, solution, fitted, np.array([[*slopes.of(m.goal, m.t).values()] for m in data])
 
     def residuals(logs: Array) -> Array:
@@ -346,19 +376,29 @@ def fit(
         except ThinlayerError:  # a shorter step is tried
             return np.full(len(data), np.inf)
 
-    seen, _, _ = split_directions(linearise_at((0.0,) * len(names))[-1], deviations)
+    latest = linearise_at((0.0,) * len(names))[-1]
+
+    def jacobian(logs: Array) -> Array:
+        nonlocal latest
+        with suppress(InputError):  # a kink of a law there: the one before will do
+            latest = linearise_at(tuple(logs))[-1]
+        return latest
+
+    seen, _, _ = split_directions(latest, deviations)
     if not seen.shape[1]:
         raise InputError(f"fit: the data do not see any of {', '.join(names)}")
     result = least_squares(
         lambda y: residuals(seen @ y), np.zeros(seen.shape[1]),
-        lambda y: linearise_at(tuple(seen @ y))[-1] / deviations[:, None] @ seen,
+        lambda y: jacobian(seen @ y) / deviations[:, None] @ seen,
         max_nfev=max_steps, xtol=1e-5, ftol=1e-6, gtol=1e-10,
     )  # fmt: skip
     if not result.success:
         warn("fit", f"fit: not converged after {max_steps} steps; give max_steps=...", model.comm)
-    fitted_model, solution, fitted, J = linearise_at(tuple(seen @ result.x))
-    factors = dict(zip(names, np.exp(seen @ result.x).tolist(), strict=True))
-    return Fit(fitted_model, factors, data, fitted, J, _law_errors(solution, data), solution, int(result.nfev))
+    logs = seen @ result.x
+    fitted_model, solution, fitted = solve_at(tuple(logs))
+    factors, errors = dict(zip(names, np.exp(logs).tolist(), strict=True)), _law_errors(solution, data)
+    end = solution, int(result.nfev), bool(result.success)
+    return Fit(fitted_model, factors, data, fitted, jacobian(logs), errors, *end)
 
 
 def split_directions(J: Array, deviations: Array) -> tuple[Array, Array, Array]:
@@ -393,6 +433,10 @@ def _law_errors(solution: Solution, data: Sequence[Measurement]) -> Array:
             states = {k: state for k, state in solution.states.items() if state.t <= solution.at(t).t}
             part = replace(solution, table=Table(solution.table.rows[: max(states) + 1]), states=states)
         goals = {data[k].goal.name: data[k].goal for k in rows}
-        result = estimate(part, goals=[*goals.values()])
+        try:
+            result = estimate(part, goals=[*goals.values()])
+        except ThinlayerError as error:  # the fit is not lost
+            warn("fit", f"fit: no intervals, as the error of the law is not known: {error}", solution.model.comm)
+            return np.full(len(data), np.nan)
         errors[rows] = [result.goals[data[k].goal.name].change for k in rows]
     return errors

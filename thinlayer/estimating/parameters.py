@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
-from forms.base import InputError, is_number
+from forms.base import InputError, is_number, require
 from forms.elastic import LinearElastic
 from forms.law import Law
 from forms.series import Stack
@@ -99,6 +99,20 @@ SUPPORTS = Datum(
 )
 
 
+def require_independent(names: Sequence[str], of: Mapping[str, object]) -> None:
+    """Raise InputError if a modulus of a law is to change with several parameters, as mu does with mu and E."""
+    laws: dict[str, set[str]] = {}
+    groups = [*([name] for name in names), *(list(tied) for tied in of.values() if isinstance(tied, Sequence))]
+    for group in groups:
+        for law, _, parameter in (name.rpartition(".") for name in group):
+            both = {f"{law}.lmbda", f"{law}.mu"} <= {*group}  # multiplied together, they change as with E
+            laws.setdefault(law, set()).add("E" if both else parameter)
+    for law, parameters in laws.items():
+        mixed = parameters & {"E", "nu"}, parameters & {"lmbda", "mu"}
+        allowed = f"{law}.E and {law}.nu, or {law}.lmbda and {law}.mu: the others are functions of these"
+        require(not all(mixed), f"the parameters of {law}", sorted(parameters), allowed)
+
+
 class Parameters(dict[str, Datum]):
     """Parameters of an interface model by name.
 
@@ -119,6 +133,8 @@ class Parameters(dict[str, Datum]):
 
     def __init__(self, model: InterfaceModel) -> None:
         super().__init__()
+        if not isinstance(model, InterfaceModel):
+            raise InputError("derivative: a full model; give an interface model (structure.interface)")
         self.reasons: dict[str, str] = {}
         self.values_in_model: dict[str, float] = {}
         for seam, layer in LAYERS.read(model).items():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -17,8 +17,9 @@ from thinlayer import plotting
 from thinlayer.discretisation.layer import Layers
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
-from thinlayer.estimating.derivative import derivative
+from thinlayer.estimating.derivative import chosen_changes, derivative
 from thinlayer.estimating.estimate import estimate
+from thinlayer.estimating.goals import Goal
 from thinlayer.estimating.result import Estimate
 from thinlayer.estimating.thickness import thin_enough
 from thinlayer.output.surface import Surface
@@ -57,7 +58,11 @@ def run(record: Record, description: Description, path: Path) -> None:
     case = DescribedCase.from_description(description)
     hashes = {str(f): on_root(default_comm(), partial(file_hash, f)) for f in (Path(description.mesh["path"]), path)}
     record.parameters = {"files": hashes, "description": description.file_table.values}
-    solution, law_estimate = _solve_and_estimate(record, case, case.make_model())
+    model, chosen = case.make_model(), description.sensitivities
+    names = None if isinstance(chosen, bool) else chosen
+    if chosen:
+        chosen_changes(model, names, {})  # names are checked before anything is solved
+    solution, law_estimate = _solve_and_estimate(record, case, model)
     estimates = {LAW: law_estimate}
     if description.bonded:
         _, estimates[BOND] = _solve_and_estimate(record, case, case.structure.bonded(), layer=case.layer)
@@ -79,17 +84,18 @@ def run(record: Record, description: Description, path: Path) -> None:
         record.results["thin_enough"] = thickness_rows
         record.write("thin_enough.csv", Table(thickness_rows))
     if description.sensitivities:
-        _write_sensitivities(record, solution, case)
+        _write_sensitivities(record, solution, case.goals, names)
     for instead, answer in estimates.items():
         _draw_changes(record, case, instead, answer)
 
 
-def _write_sensitivities(record: Record, solution: State | History, case: DescribedCase) -> None:
+def _write_sensitivities(
+    record: Record, solution: State | History, goals: Sequence[Goal], names: Sequence[str] | None
+) -> None:
     """Print which parameters matter most for each goal, and write their derivatives to a table."""
-    chosen = case.description.sensitivities
     table = record.new_table("sensitivities.csv")
-    for goal in case.goals:
-        result = derivative(solution, goal, None if isinstance(chosen, bool) else chosen)
+    for goal in goals:
+        result = derivative(solution, goal, names)
         record.say(f"  {result}")
         table.extend({"quantity": goal.name, **row} for row in result.table().rows)
 
