@@ -29,12 +29,20 @@ from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import Factor, direct_solver_options, mark_symmetry
 from thinlayer.solving.petsc import Options, reason_name, set_options, solve_linear
 
-MAX_NEWTON_STEPS = 12  # largest number of Newton steps
+MAX_NEWTON_STEPS = 100  # largest number of Newton steps; cracks that close do so facet by facet
+MAX_FUTILE_STEPS = 8  # largest number of successive Newton steps without a smaller residual than all before
+FULL_STEPS = 2  # number of Newton steps without a search along the increment
+OVERSHOOT = 0.1  # work of forces at the end of an increment, over minus that at its start, from which it is too long
 MAX_TURN_STEPS = 2  # the same for a step that turns: the branch beyond a corner is nearly straight
 # Largest distance of the equilibrium from the predictor, relative to the step; farther away it is on another path.
 MAX_PREDICTION_ERROR = 0.25
+# The same for steps up to `SHORT_STEP` in which the memory of laws changes. Where a crack grows through points of a mesh,
+# the path has a corner at each; another path, on which all unloads, leaves the memory as it is.
+MAX_CORNER_ERROR = 1.0
+SHORT_STEP = 0.18  # arc length; that of the first step is sqrt(2)
 MAX_TURN_ERROR = 3.0  # the same for a step that turns
 MAX_ITERATE_DISTANCE = 9.0  # largest distance of Newton's iterates from the predictor, relative to the step
+MEMORY_TOLERANCE = 1e-9  # change of memory in a step, over the memory, that counts as none
 CORNER_DISTANCE = 0.5  # distance beyond a corner at which a step that turns ends, relative to the step
 # Bound of the distance from the predictor, relative to the step: factor * (change of direction) + offset.
 BEND_FACTOR, BEND_OFFSET = 2.0, 0.01
@@ -300,10 +308,12 @@ class EquilibriumPath:
                 corner.
         """
         start_time, offset, iterations, point = time.perf_counter(), 0.0, 0, predictor.copy()
-        most, far = (MAX_TURN_STEPS, MAX_TURN_ERROR * step) if turn else (MAX_NEWTON_STEPS, MAX_PREDICTION_ERROR * step)
+        most, smallest, n_futile = MAX_TURN_STEPS if turn else MAX_NEWTON_STEPS, math.inf, 0
         while (residual := self._residual_size(last, point)) is None:
-            if iterations == most:
-                raise SolveError(f"Newton's method for the arc length has not converged in {most} steps")
+            size = self.equations.relative_norm(self._r)
+            smallest, n_futile = (size, 0) if size < smallest else (smallest, n_futile + 1)
+            if iterations == most or n_futile > MAX_FUTILE_STEPS:
+                raise SolveError(f"Newton's method for the arc length has not converged in {iterations} steps")
             newton, tangent = self._linearise(last, float(point[-1]))
             if turn and iterations == 0:
                 normal, offset = self._corner_direction(last, tangent, step)
@@ -311,15 +321,52 @@ class EquilibriumPath:
             tangent_normal = self._scalar_product(normal, tangent)
             if not tangent_normal or not math.isfinite(deficit / tangent_normal):
                 raise SolveError("the tangent is singular along the path")
-            point += newton + deficit / tangent_normal * tangent
+            increment = newton + deficit / tangent_normal * tangent
+            point += increment if iterations < FULL_STEPS else self._shortened(last, point, increment)
             iterations += 1
             if not self._norm(point - predictor) <= MAX_ITERATE_DISTANCE * step:
                 raise SolveError("Newton's method for the arc length runs away")
         distance = self._norm(point - predictor)
-        if distance > far:
+        report = Report("newton", iterations, residual, time.perf_counter() - start_time)
+        state = self.equations.accept(self._x, report)
+        is_corner = not turn and step < SHORT_STEP and self._memory_changes(last, state)
+        if distance > step * (MAX_TURN_ERROR if turn else MAX_CORNER_ERROR if is_corner else MAX_PREDICTION_ERROR):
             raise SolveError("the equilibrium at this arc length is far from the predictor")
         self._prediction_error = 0.0 if turn else distance / step
-        return self.equations.accept(self._x, Report("newton", iterations, residual, time.perf_counter() - start_time))
+        return state
+
+    def _shortened(self, last: State, point: Array, increment: Array) -> Array:
+        """Return an increment of Newton's method, shorter if it overshoots, as where it cycles between branches of laws.
+
+        The residual forces do work in the increment. Where this work is positive before and negative after it, the
+        increment ends where linear interpolation gives zero.
+
+        Args:
+            last: the last state, with the memory of laws.
+            point: (n + 1,) the point of the last residual: the n unknowns of this rank, then t.
+            increment: (n + 1,) the increment.
+
+        Raises:
+            SolveError: a law fails, or loads or supports are not finite.
+        """
+        before = self._work(increment)
+        self._residual_size(last, point + increment)
+        after = self._work(increment)
+        overshoots = before * after < 0 and abs(after) > OVERSHOOT * abs(before)
+        return increment * (before / (before - after)) if overshoots else increment
+
+    def _work(self, increment: Array) -> float:
+        """Return the work of the last residual in an increment, times -1. Collective."""
+        return float(self.equations.comm.allreduce(float(self._r.array_r @ increment[:-1])))
+
+    def _memory_changes(self, last: State, state: State) -> bool:
+        """Return whether the memory of a law differs between two states. Collective."""
+        changes = []
+        for part in self.equations.parts:
+            if part.traits.remembers:
+                new, old = np.asarray(state.memory[part.key]), np.asarray(last.memory[part.key])
+                changes.append(np.abs(new - old).max(initial=0.0) > MEMORY_TOLERANCE * np.abs(new).max(initial=0.0))
+        return bool(self.equations.comm.allreduce(int(any(changes)), max))
 
     def _corner_direction(self, last: State, tangent: Array, arc_length: float) -> tuple[Array, float]:
         """Return the direction of the path beyond a corner, and how far from the predictor to look for an equilibrium.
