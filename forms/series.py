@@ -173,6 +173,9 @@ class Stack(BulkLaw):
         self.require(abs(total - 1) < 1e-12, "sum of the fractions", "1", total)
         for law in self.laws:
             self.require(isinstance(law, BulkLaw) and law.traits.stackable, "a sublayer", allowed, law)
+        softening = [type(law).__name__ for law in self.laws if law.traits.softens]
+        allowed = "at most one: of several, only the weakest would break, and equal ones would break together"
+        self.require(len(softening) <= 1, "sublayers that soften", allowed, " and ".join(softening))
 
     @classmethod
     def graded(cls, law: Callable[[float], BulkLaw], n: int) -> Stack:

@@ -43,10 +43,10 @@ class TractionLaw(Law):
     It is not derived from the law of a material. Subclasses are frozen dataclasses with their parameters as fields; no
     parameter depends on the thickness. They define `traction(step)`, UFL (3,), where `step` is a `JumpStep`. A subclass
     with internal variables, of shape (), (3,) or (3, 3), also defines `evolve(step)`. It may define `energy(step)`, and
-    with it `dissipation(step)`. If its tangent is not symmetric, it declares `symmetric = False`.
+    with it `dissipated(step)` or `dissipation(step)`. If its tangent is not symmetric, it declares `symmetric = False`.
     """
 
-    ignored: ClassVar = (*STRESS_ATTRIBUTES, "stress", "advance", "dissipated", "homotopy")
+    ignored: ClassVar = (*STRESS_ATTRIBUTES, "stress", "advance", "homotopy")
 
     def __post_init__(self) -> None:
         if self.powers:
@@ -79,6 +79,13 @@ class TractionLaw(Law):
         """Return the mean dissipated power per unit area over the step, UFL: the dissipated energy divided by dt."""
         return ufl.as_ufl(0.0)
 
+    def dissipated(self, step: JumpStep) -> Expr:
+        """Return the energy per unit area that is dissipated in the step, UFL.
+
+        A law without rate defines this method in place of `dissipation`.
+        """
+        return step.dt * self.dissipation(step)
+
 
 class TractionAsBulkLaw(WrappedLaw):
     """A traction law t([u]) in the form of a law of strains, for the strains sym(w (x) n) of jumps w.
@@ -105,8 +112,8 @@ class TractionAsBulkLaw(WrappedLaw):
     def energy(self, step: Step) -> Expr:
         return self.law.energy(JumpStep.of_step(step))
 
-    def dissipation(self, step: Step) -> Expr:
-        return self.law.dissipation(JumpStep.of_step(step))
+    def dissipated(self, step: Step) -> Expr:
+        return self.law.dissipated(JumpStep.of_step(step))
 
 
 @cache

@@ -16,7 +16,7 @@ from geometry import fibre, periodic, ring, sandwich, wall
 from geometry.joint import Joint
 from geometry.seam import Seam
 from tests.meshes import blocks_of, write
-from tests.own_laws import AgeingSpring, Breaking, Cubic, Mises, Skew
+from tests.own_laws import AgeingSpring, Cubic, Damaging, Mises, Skew
 from tests.own_scripts.inertia import Inertia
 from thinlayer import Bond, Gap, Prestress, RigidPlate, Springs, Structure, ThinLayer, UflPart, march, solve
 from thinlayer.discretisation.state import State
@@ -192,7 +192,7 @@ COLUMNS: dict[str, Callable[[], Column]] = {
     "memory": lambda: Column(layers=glue(Maxwell(LMBDA, MU, t1=0.8)), **OLD, toml=law("Maxwell", ", t1 = 0.8") | MARCHED),
     "rate": lambda: Column(layers=glue(KelvinVoigt(LMBDA, MU, 2.0, 1.5)), **OLD,
         toml=law("KelvinVoigt", ", theta_lmbda = 2, theta_mu = 1.5") | MARCHED),
-    "softening": lambda: Column(layers=glue(Breaking(LMBDA, MU, 0.01, 6.0)), **OLD, toml=law("Breaking"), data=SHIFT),
+    "softening": lambda: Column(layers=glue(Damaging(LMBDA, MU, 0.01, 6.0)), **OLD, toml=law("Damaging"), data=SHIFT),
     "fields": lambda: Column(layers=glue(LinearElastic(LMBDA, lambda x: MU * (1 + 0.3 * x[0]))),
         toml={"layer": f'{{lmbda = {LMBDA}, mu = "2 + 0.6 x", eps = {EPS}}}'}),
     "in time": lambda: Column(layers=glue(AgeingSpring(MU, 0.5)), toml=law("AgeingSpring")),

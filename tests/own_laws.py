@@ -200,7 +200,7 @@ class Springs(TractionLaw):
 
 
 @dataclass(frozen=True)
-class Breaking(BulkLaw):
+class Damaging(BulkLaw):
     """Damage of an isotropic material, whose stress falls linearly from the energy `onset` on; k * onset breaks it."""
 
     lmbda: float

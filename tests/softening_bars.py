@@ -133,7 +133,7 @@ def sigma(law, w):
 
 
 @dataclass(frozen=True)
-class Cohesive(TractionLaw):
+class Fading(TractionLaw):
     """k [u] exp(-[u]^2/w_0^2): nothing is left of it far beyond w_0."""
 
     k: float
@@ -145,5 +145,5 @@ class Cohesive(TractionLaw):
 
 
 @dataclass(frozen=True)
-class Undeclared(Cohesive):
+class Undeclared(Fading):
     softens: ClassVar = False

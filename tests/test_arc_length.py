@@ -16,8 +16,8 @@ from tests.softening_bars import (
     SHARP,
     STEEP,
     C,
-    Cohesive,
     Damage,
+    Fading,
     bar,
     openings,
     sigma,
@@ -115,7 +115,7 @@ def test_a_block_that_softens_from_one_side():
 @pytest.mark.parametrize(("k", "w_0", "first"), [(5.4, 0.17, 0.22), (31.0, 0.017, 0.1)])
 def test_a_path_goes_on_without_force(k, w_0, first):
     """Forces vanish, on one side first: a path that turned round there would go back along itself."""
-    history = march(tilted(Cohesive(k, w_0)), ArcLength(end=1.0, first=first))
+    history = march(tilted(Fading(k, w_0)), ArcLength(end=1.0, first=first))
     assert history.last.t == 1
     assert (np.diff(history.t[history.t > 0.5]) > 0).all()
     x = history.model.V.tabulate_dof_coordinates()

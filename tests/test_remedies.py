@@ -28,7 +28,7 @@ from forms import (
 from forms.base import InputError
 from geometry import disc, fibre, periodic, ring, sandwich, wall
 from tests.documents import CLONE
-from tests.own_laws import Breaking, Cubic
+from tests.own_laws import Cubic, Damaging
 from tests.refused import refused
 from tests.test_tips import in_one_body, partly
 from thinlayer import (
@@ -71,7 +71,7 @@ SOFT, BODY, CHI = LinearElastic(3.0, 2.0), LinearElastic.young(400.0, 0.2), np.a
 WELLS, SHEETS = NonMonotone(60.0, 40.0, 1.2, 0.02, CHI, mixing=0.5), NonMonotoneUnrelaxed(60.0, 40.0, 1.2, 0.02, CHI)
 KELVIN, CREEP, FLUID = KelvinVoigt(3.0, 2.0, 1.0, 1.0), Maxwell(3.0, 2.0, t1=1.0), Maxwell(60.0, 1.0, t1=1.0)
 CUBIC, STACK = Cubic(2.0, 3.0), Stack((0.4, SOFT), (0.6, BODY))
-RUBBER, FLAWED = Rubber(60.0, 1.0), Breaking(3.0, 2.0, 0.5, 6.0)
+RUBBER, FLAWED = Rubber(60.0, 1.0), Damaging(3.0, 2.0, 0.5, 6.0)
 COULOMB, SKEW = HolonomicCoulomb(200.0, 80.0, 0.5), np.diag([9.0, 8.0, 7.0, 3.0, 2.0, 1.0])
 WATER, SOLID = Incompressible(1.0), Rubber.shear(1.0, 0.4999)
 ONE: dict[str, Any] = {"order": 1}

@@ -17,7 +17,7 @@ from forms.tensors import three_dimensional
 from geometry import block, sandwich, wall
 from tests import ranges_told
 from tests.on_ranks import on_ranks
-from tests.own_laws import Breaking
+from tests.own_laws import Damaging
 from tests.refused import refused
 from thinlayer import Structure, ThinLayer, estimate, march, solve
 
@@ -78,7 +78,7 @@ def test_where_stresses_fall(law, onset, kind):
 
 # ---------------------------------------------------------------- meshed layers whose law says that it softens
 SOLID = LinearElastic.young(100.0, 0.3)
-GLUE = Breaking(60.0, 40.0, 1 / 280, 6.0)  # of a layer of unit thickness
+GLUE = Damaging(60.0, 40.0, 1 / 280, 6.0)  # of a layer of unit thickness
 TIMES = [0.004, 0.008, 0.015, 0.022, 0.03]
 
 

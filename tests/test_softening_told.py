@@ -15,7 +15,7 @@ from geometry import block
 from tests import ranges_told
 from tests.mpirun import CLONE
 from tests.refused import refused
-from tests.softening_bars import HEIGHT, STEEP, WIDTH, C, Cohesive, Undeclared, bar, openings, sigma
+from tests.softening_bars import HEIGHT, STEEP, WIDTH, C, Fading, Undeclared, bar, openings, sigma
 from thinlayer import Structure, ThinLayer, march, solve
 
 
@@ -39,7 +39,7 @@ def test_softening_is_told_where_it_is_met():
         assert not falling[:2].any()
         assert warnings_and_result(again, 0.05)[0] == []
         assert len(warnings_and_result(again, 0.3)[0]) == 1
-    refused(InputError, "follow them by march", lambda: solve(bar(Cohesive(0.9, 0.11))))
+    refused(InputError, "follow them by march", lambda: solve(bar(Fading(0.9, 0.11))))
 
 
 def test_a_step_over_a_loop_is_told():
