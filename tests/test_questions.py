@@ -11,6 +11,7 @@ SOURCES = "".join(
 )
 QUOTES = set(re.findall(r'\*"(.+?)"\*', PAGES["thinlayer/docs/howto/questions.md"]))
 WARNINGS = {  # key of a RangeWarning -> words of its message
+    "bond line": "is that of a bond line of",
     "coarse ends": "falls to zero at free ends over delta",
     "curved": "the meshed layer is curved",
     "density": "the density of the change",
@@ -18,6 +19,7 @@ WARNINGS = {  # key of a RangeWarning -> words of its message
     "end of a gap": "the load is smaller than",
     "facets": "S is curved and its facets are straight",
     "fit": "not converged after",
+    "fracture zone": "the fracture zone of",
     "free ends": "is nearly incompressible",
     "friction angle": "if it is in radians",
     "hard": "times as hard as the softer body",

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
-from forms.base import Array, InputError
+from forms.base import Array, InputError, unknown_name_message
 from forms.law import Law
 from forms.layer_results import ELASTIC, YIELD_STATUSES, LayerPoints
 from geometry.topology import IntArray
@@ -13,8 +15,8 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, balance_errors, contact_values
-from thinlayer.output.tractions import consistent_tractions, layer_points, layer_tractions, match_law_points
-from thinlayer.surface.law_points import LawPoints, layer_shares
+from thinlayer.output.tractions import consistent_tractions, layer_tractions, match_law_points
+from thinlayer.surface.law_points import LawPoints, layer_points, layer_shares
 from thinlayer.surface.pressure_excess import sublayer_moduli, times_too_stiff
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.table import Row, Table
@@ -109,6 +111,7 @@ class Surface(SurfaceMesh):
         - "sliding": the plastic strain across S is mainly a slip along S.
         - "crushed", "torn": the plastic strain is mainly a closing, or an opening, along n.
         - "open": the sides have separated, and no traction across S is left.
+        - "breaking", "broken": laws such as `Breaking` are damaged there, partly or by more than 0.999.
         - "no layer": no law acts on this part of S.
         - "bonded": the seam has a `Bond`.
         - "separated", "sliding", "stick", "pinned": under contact laws, the status of nodes (`Contact.status`).
@@ -147,17 +150,43 @@ class Surface(SurfaceMesh):
         phase 1 in a mixture with phase 0. Negative fractions are minus the volume fraction of phase -1 in such a
         mixture. nan: the layer has no phases.
         """
+        return self._facet_means(state, "phase", ())
+
+    def internal(self, state: State, name: str) -> Array:
+        """Return the means (n, 1) of an internal variable of a layer's law over each of n facets, and over the thickness.
+
+        An example is the damage "d" of `Breaking`, also in a meshed layer. A tensor has its components first, (3, 3, n,
+        1). nan: the law on this facet has no such variable.
+
+        Args:
+            state: a state of a full or an interface model.
+            name: name of the variable, see `internal` of the law's class.
+
+        Raises:
+            InputError: no layer of the model has the variable.
+        """
+        laws = [law for layer in state.model.layers.values() for _, law in layer.law.sublayers]
+        shapes = {variable: shape for law in laws for variable, shape in law.internal.items()}
+        if name not in shapes:
+            raise InputError(unknown_name_message("internal variable", name, shapes))
+        return self._facet_means(state, name, shapes[name])
+
+    def _facet_means(self, state: State, name: str, shape: tuple[int, ...]) -> Array:
+        """Return the means (*shape, n, 1) over each of n facets of an internal variable; nan where a law lacks it."""
         self._require_same_joint(state)
-        integrals = np.zeros((2, len(self.rows)))
+        integrals, size = np.zeros((1 + math.prod(shape), len(self.rows))), math.prod(shape)
         for points, facets in layer_points(self, state):
-            cells = points.quadrature.cells[facets >= 0]
+            cells, facets_here = points.quadrature.cells[facets >= 0], facets[facets >= 0]
             for (fraction, law), internal in zip(points.term.law.sublayers, points.internal(), strict=True):
-                if law.traits.phases:
+                if name in law.internal:
                     weights = fraction * points.quadrature.weights[cells]
-                    for integral, values in zip(integrals, (weights * internal["phase"][cells], weights), strict=True):
-                        np.add.at(integral, facets[facets >= 0], values.sum(axis=1))
-        phase_integrals, volumes = state.model.comm.allreduce(integrals)
-        return np.where(volumes > 0, phase_integrals / np.where(volumes > 0, volumes, 1.0), np.nan)[:, None]
+                    values = internal[name].reshape(len(internal[name]), size)[cells]
+                    np.add.at(integrals[0], facets_here, weights.sum(axis=1))
+                    for integral, component in zip(integrals[1:], np.moveaxis(values, -1, 0), strict=True):
+                        np.add.at(integral, facets_here, (weights * component).sum(axis=1))
+        volumes, *sums = state.model.comm.allreduce(integrals)
+        means = np.where(volumes > 0, np.array(sums) / np.where(volumes > 0, volumes, 1.0), np.nan)
+        return means.reshape(*shape, -1, 1)
 
     def contact(self, state: State) -> Contact:
         """Return status, jumps and tractions of contact laws at the nodes of this surface, in a state.
@@ -182,7 +211,8 @@ class Surface(SurfaceMesh):
         - "plus", "minus": in non-monotone layers, also of full models, the volume fractions of phases 1 and -1.
         - "boundary": in such layers the mean thickness of phase 0. It is the height of the phase boundary above the
           lower face if the other phases lie above phase 0.
-        - Columns that other laws add.
+        - "broken", "breaking": of laws such as `Breaking` the fractions of the area that are damaged by more than 0.999,
+          and less; also of full models. Other laws may add columns.
         - "too_stiff": factor by which an interface law of order 0 or 1 overestimates an isotropic elastic layer's
           stiffness against the openings of the state. These laws do not let material flow along S. The factor is that
           of the layer alone, and leaves out its shear. The error of a structure with soft bodies is smaller. If the
@@ -207,7 +237,7 @@ class Surface(SurfaceMesh):
                 areas = self.weights.sum(axis=1) * is_in_seam / seam_area
                 row |= {name: float(areas @ (status[:, 0] == name)) for name in seam_statuses(model, seam)}
             if layer:
-                row |= layer_shares(state, seam)
+                row |= {name: share for name, share in layer_shares(state, seam).items() if name not in row}
             if layer and status is not None and (stiffness_factor := times_too_stiff(state, layer)) is not None:
                 row |= {"delta": layer.eps * sublayer_moduli(layer)[0].decay_length, "too_stiff": stiffness_factor}
             rows.append(row)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from weakref import WeakKeyDictionary
 
 import basix
@@ -11,26 +11,23 @@ import scipy.sparse
 import scipy.sparse.linalg
 import ufl
 from dolfinx import fem
-from scipy.spatial import cKDTree
 from ufl.classes import Zero
 
 from forms.base import Array, InputError
 from forms.tensors import Expr, mandel_tensor, mandel_vectors
 from geometry.domain import cell_nodes
 from geometry.topology import BoolArray, IntArray, lagrange
-from thinlayer.discretisation.form_compilation import column_numbers
 from thinlayer.discretisation.layer import SeamLayer, law_with_numbers
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import contact_values
 from thinlayer.output.nodal_forces import layer_forces
 from thinlayer.pointwise.quadrature import Quadrature
-from thinlayer.surface.law_points import LawPoints, law_points
+from thinlayer.surface.law_points import LawPoints, layer_points
 from thinlayer.surface.surface_mesh import FacetPoints, SurfaceMesh
 
 # relative tolerances of LSQR for consistent tractions, and its limit of iterations: uniform meshes need 29 to 45
 LSQR_OPTIONS = {"atol": 1e-15, "btol": 1e-15, "iter_lim": 2000}
 _UNIT_STRESS_TRACTIONS: WeakKeyDictionary[Quadrature, Array] = WeakKeyDictionary()
-CENTRE_TOLERANCE = 1e-9  # largest distance of the centres of a facet and of its column, over the size of the joint
 
 
 # ---------------------------------------------------------------- of layers
@@ -50,25 +47,6 @@ def layer_tractions(surface: SurfaceMesh, state: State) -> Array:
     if state.model.contacts and (contact := contact_values(surface, state)):
         tractions += np.einsum("nij,ni->nj", contact["frames"], np.column_stack([contact["t_T"], -contact["p"]]))
     return tractions
-
-
-def layer_points(surface: SurfaceMesh, state: State) -> Iterator[tuple[LawPoints, IntArray]]:
-    """Yield each layer law's quadrature points, and the facets of the surface to which they belong. Collective.
-
-    Yields:
-        Pairs of the quadrature points and an array of integers. For each facet of an interface law, or each
-        cell of a meshed layer, the array has the number of the facet on the surface, or -1. It is -1 for facets of
-        other seams, and for cells where layers meet.
-    """
-    joint = surface.joint
-    facet_of_row = np.full(len(joint.table.vertices), -1)
-    facet_of_row[joint.surface_rows[surface.rows]] = np.arange(len(surface.rows))
-    facet_of_cell = _facets_of_cells(surface, state) if not state.model.broken else None
-    for points in law_points(state):
-        if points.quadrature.region.dim < joint.dim:
-            yield points, facet_of_row[points.quadrature.entity_numbers]
-        elif points.term.n is not None and facet_of_cell is not None:
-            yield points, facet_of_cell[points.quadrature.entity_numbers]
 
 
 def _add_interface_forces(corner_forces: Array, surface: SurfaceMesh, facets: IntArray, points: LawPoints) -> None:
@@ -128,18 +106,6 @@ def _unit_stress_tractions(traction: Callable[[Expr], Expr], q: Quadrature) -> A
     if all(isinstance(t, Zero) for t in components):  # a station whose strain does not depend on [u]
         return np.zeros((q.count, 6, q.dim))
     return q.values(ufl.as_vector(components)).reshape(q.count, 6, q.dim)
-
-
-def _facets_of_cells(surface: SurfaceMesh, state: State) -> IntArray:
-    """Return for each cell of the joint the number of the facet on the surface from which the cell was extruded.
-
-    The number is -1 for cells of bodies, for cells where layers meet, and for cells of layers on other seams.
-    """
-    joint = surface.joint
-    column_of_cell, column_centres = column_numbers(state.model.domain.joint)
-    distance, facet_of_column = cKDTree(joint.points[surface.corners].mean(axis=1)).query(column_centres)
-    facet_of_column = np.where(distance <= CENTRE_TOLERANCE * joint.size, facet_of_column, -1)
-    return np.where(column_of_cell >= 0, facet_of_column[column_of_cell], -1)
 
 
 def _add_meshed_forces(corner_forces: Array, surface: SurfaceMesh, facets: IntArray, points: LawPoints) -> None:

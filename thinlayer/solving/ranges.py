@@ -21,6 +21,7 @@ from thinlayer.discretisation.key import Key
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
+from thinlayer.surface.fracture_zone import short_zone_remark
 from thinlayer.surface.pressure_excess import (
     STIFFNESS_ERROR_LIMIT,
     FaceDisplacements,
@@ -41,6 +42,7 @@ MAX_SMALL_STRAIN = 0.1  # largest root mean square strain of a body that counts 
 MAX_STEP_ERROR = 0.05  # largest error of steps over one time constant of a law, relative to the creep or relaxation
 MIN_SPRING_LOAD_FRACTION = 0.05  # share of the load in parallel springs above which they change results visibly
 PLATE_SLENDERNESS = 10.0  # length of S over the height of both bodies above which these are plates that may bend
+THICKNESS_TOLERANCE = 1e-6  # relative difference of two thicknesses that counts as rounding
 MIN_STEP_TO_TIME_CONSTANT = 1e-9  # step over a time constant of a law below which its error is lost in rounding
 # mean stress over the shear modulus at which small holes in rubber grow (Gent and Lindley 1959)
 CAVITATION_STRESS_RATIO = 2.5
@@ -65,6 +67,9 @@ def warn_of_model(model: Model, durations: Sequence[float] = ()) -> None:
             text = f"a body of {type(law).__name__} has Poisson's ratio {nu:.4g}, and {setup.element} locks near 0.5"
             why = "a block of 10 by 5 cells is 4 % too stiff at 0.45, 18 % at 0.49, and three times at 0.4995"
             model.warn("locking", f"{text}: {why}; use {remedy}", law)
+    for layer in model.layers.values():
+        for key, remark in _bond_line_remarks(layer):
+            model.warn(key, remark, layer.name)
     for layer in _strain_layers(model):
         for key, remark in _model_remarks(model, layer, durations):
             model.warn(key, remark, layer.name)
@@ -76,6 +81,18 @@ def warn_of_model(model: Model, durations: Sequence[float] = ()) -> None:
             model.warn("coarse ends", f"{text}: {effect}", name)
         if violation := applicability.why_not("sides"):
             model.warn(violation.key, f"{violation.reason}: what it bears is left out; {violation.remedy}", name)
+
+
+def _bond_line_remarks(layer: SeamLayer) -> Iterator[Remark]:
+    """Yield a warning (key, text) if a law has the toughness of a bond line of another thickness than the layer's."""
+    if not (thin := layer.thin_layer):
+        return
+    for fraction, law in thin.law.sublayers:
+        bond_line, eps = getattr(law, "bond_line", 0.0), fraction * float(thin.at or thin.eps)
+        if bond_line and not math.isclose(bond_line, eps, rel_tol=THICKNESS_TOLERANCE):
+            text = f"the toughness of {layer} is that of a bond line of {bond_line:.4g}, and its thickness {eps:.4g}"
+            effect = f"per area it is {eps / bond_line:.3g} times that of the tests"
+            yield "bond line", f"{text}: {effect}; give bond_line={eps:.4g}, or ThinLayer(..., at={bond_line:.4g})"
 
 
 def _model_remarks(model: Model, layer: SeamLayer, durations: Sequence[float]) -> Iterator[Remark]:
@@ -107,6 +124,7 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
     """
     model = states[0].model
     warn_of_strains(states)
+    warn_of_fracture_zones(states)
     for applicability in model.applicability.values() if model.broken else ():
         layer, tensions = applicability.layer, [_tension_ratio(applicability, state) for state in states]
         if (ratio := max(tensions)) > CAVITATION_STRESS_RATIO:
@@ -151,6 +169,17 @@ def warn_of_strains(states: Sequence[State]) -> None:
         text = f"at t = {worst_t:.4g} strains of {body} are {strains[worst_t]:.3g} (root mean square over its volume)"
         since = f"beyond {MAX_SMALL_STRAIN:g} from t = {times[0]:.4g} on: the theory is for small strains"
         model.warn("strains", f"{text}, {since}; take smaller loads, or check the moduli's units", name, states[-1].t)
+
+
+def warn_of_fracture_zones(states: Sequence[State]) -> None:
+    """Warn, once for each layer, if cracks advance in zones of fewer than two facets. Collective.
+
+    Args:
+        states: states of one model, in the order of a march.
+    """
+    for layer in states[0].model.layers.values() if states else ():
+        for key, remark in short_zone_remark(states, layer):
+            states[0].model.warn(key, remark, layer.name)
 
 
 def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | None) -> Iterator[Remark]:

@@ -9,18 +9,23 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import ufl
 from dolfinx import fem
+from scipy.spatial import cKDTree
 
 from forms.base import Array
 from forms.law import BulkLaw, Law
 from forms.tensors import MANDEL_PAIRS, mandel_tensors, mandel_vector
 from forms.traits import VARIABLE_SIZES
 from forms.work import Term, stress
+from geometry.topology import IntArray
+from thinlayer.discretisation.form_compilation import column_numbers
 from thinlayer.discretisation.key import Key
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.pointwise.quadrature import Quadrature
+from thinlayer.surface.surface_mesh import SurfaceMesh
 
 UNNAMED_MEMORY_KEY = "memory"  # name of the internal values of a law that does not name them
+CENTRE_TOLERANCE = 1e-9  # largest distance of the centres of a facet and of its column, over the size of the joint
 _QUADRATURES: WeakKeyDictionary[Model, list[Quadrature]] = WeakKeyDictionary()
 
 
@@ -137,6 +142,37 @@ def law_points(state: State) -> Iterator[LawPoints]:
         _QUADRATURES[model] = [by_term.get(id(term)) or Quadrature(model.V, term, model.origin) for term in model.terms]
     for model_term, term, quadrature in zip(model.terms, state.bodies + state.layers, _QUADRATURES[model], strict=True):
         yield LawPoints(state, term, quadrature, key_of_term.get(id(model_term), ""))
+
+
+def layer_points(surface: SurfaceMesh, state: State) -> Iterator[tuple[LawPoints, IntArray]]:
+    """Yield each layer law's quadrature points, and the facets of the surface to which they belong. Collective.
+
+    Yields:
+        Pairs of the quadrature points and an array of integers. For each facet of an interface law, or each
+        cell of a meshed layer, the array has the number of the facet on the surface, or -1. It is -1 for facets of
+        other seams, and for cells where layers meet.
+    """
+    joint = surface.joint
+    facet_of_row = np.full(len(joint.table.vertices), -1)
+    facet_of_row[joint.surface_rows[surface.rows]] = np.arange(len(surface.rows))
+    facet_of_cell = _facets_of_cells(surface, state) if not state.model.broken else None
+    for points in law_points(state):
+        if points.quadrature.region.dim < joint.dim:
+            yield points, facet_of_row[points.quadrature.entity_numbers]
+        elif points.term.n is not None and facet_of_cell is not None:
+            yield points, facet_of_cell[points.quadrature.entity_numbers]
+
+
+def _facets_of_cells(surface: SurfaceMesh, state: State) -> IntArray:
+    """Return for each cell of the joint the number of the facet on the surface from which the cell was extruded.
+
+    The number is -1 for cells of bodies, for cells where layers meet, and for cells of layers on other seams.
+    """
+    joint = surface.joint
+    column_of_cell, column_centres = column_numbers(state.model.domain.joint)
+    distance, facet_of_column = cKDTree(joint.points[surface.corners].mean(axis=1)).query(column_centres)
+    facet_of_column = np.where(distance <= CENTRE_TOLERANCE * joint.size, facet_of_column, -1)
+    return np.where(column_of_cell >= 0, facet_of_column[column_of_cell], -1)
 
 
 def unpack_memory(law: BulkLaw, memory: Array) -> dict[str, Array]:

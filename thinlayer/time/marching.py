@@ -16,7 +16,13 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.solving.history import History, Solution, column_getters
-from thinlayer.solving.ranges import warn_of_model, warn_of_states, warn_of_steps, warn_of_strains
+from thinlayer.solving.ranges import (
+    warn_of_fracture_zones,
+    warn_of_model,
+    warn_of_states,
+    warn_of_steps,
+    warn_of_strains,
+)
 from thinlayer.solving.solve import Solver, SolverChoices, comm_of
 from thinlayer.system.fingerprint import Resume, require_resume
 from thinlayer.system.folder import lock_from_root
@@ -161,6 +167,7 @@ def march(
             history = controller.run(resume, initial_states)
         except SolveError as error:
             warn_of_strains(list(error.history or ()))
+            warn_of_fracture_zones(list(error.history or ()))
             raise
         part_traits = [part.traits for part in equations.parts]  # laws that switch phases end steps at switches
         has_time_errors = any((has.remembers or has.rate) and has.nonlinear and not has.switches for has in part_traits)
