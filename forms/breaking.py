@@ -322,7 +322,8 @@ class Breaking(MixedModeDamage, IsotropicLaw):
     Example:
         >>> from forms import Breaking
         >>> from thinlayer import drive
-        >>> glue = Breaking.glue(2e3, 0.4, strength=(40, 30), toughness=(0.4, 1.6), eta=2, bond_line=0.2)
+        >>> data = {"strength": (40, 30), "toughness": (0.4, 1.6), "eta": 2}
+        >>> glue = Breaking.glue(E=2e3, nu=0.4, **data, bond_line=0.2)
         >>> history = drive(glue, [{"w_T": 0.0, "w_N": 0.5}])
         >>> print((0.2 * history.energies[:, 1]).round(6))
         [0.4]

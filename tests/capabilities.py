@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import ufl
 
-from forms import HolonomicCoulomb, KelvinVoigt, LinearElastic, Maxwell
+from forms import Breaking, HolonomicCoulomb, KelvinVoigt, LinearElastic, Maxwell
 from geometry import fibre, periodic, ring, sandwich, wall
 from geometry.joint import Joint
 from geometry.seam import Seam
@@ -179,6 +179,7 @@ def moved(k: int, x: Any, t: Any) -> Any:
 
 MARCHED = {"times": str([*TIMES]), "tractions": f"{{TOP = {{times = [0, 1], values = [[0, 0], {[*LOAD[:2]]}]}}}}"}
 OLD: dict[str, Any] = {"times": TIMES, "past": True}
+PUSHED = {"supports": "{BOTTOM = 0, TOP = {x = 0.01, y = 0.006}}", "tractions": "{}"}
 PARTS = {"parts": "[]"}
 SHIFT: dict[str, Any] = {"tractions": {},
     "supports": {"BOTTOM": 0.0, "TOP": {"x": partial(moved, 0), "y": partial(moved, 1)}}}  # fmt: skip
@@ -193,6 +194,9 @@ COLUMNS: dict[str, Callable[[], Column]] = {
     "rate": lambda: Column(layers=glue(KelvinVoigt(LMBDA, MU, 2.0, 1.5)), **OLD,
         toml=law("KelvinVoigt", ", theta_lmbda = 2, theta_mu = 1.5") | MARCHED),
     "softening": lambda: Column(layers=glue(Damaging(LMBDA, MU, 0.01, 6.0)), **OLD, toml=law("Damaging"), data=SHIFT),
+    "breaking": lambda: Column(layers=glue(Breaking(LMBDA, MU, 0.5, 0.3, 0.15, 0.2, 2.0)), **OLD, data=SHIFT,
+        statuses={"elastic", "breaking", "broken"},
+        toml=law("Breaking", ", t_N = 0.5, t_T = 0.3, G_I = 0.15, G_II = 0.2, eta = 2.0") | MARCHED | PUSHED),
     "fields": lambda: Column(layers=glue(LinearElastic(LMBDA, lambda x: MU * (1 + 0.3 * x[0]))),
         toml={"layer": f'{{lmbda = {LMBDA}, mu = "2 + 0.6 x", eps = {EPS}}}'}),
     "in time": lambda: Column(layers=glue(AgeingSpring(MU, 0.5)), toml=law("AgeingSpring")),

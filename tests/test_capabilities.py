@@ -255,14 +255,15 @@ ROWS = {
 RANKS = "two ranks"
 ESTIMATES = [name for name in ROWS if name.startswith("estimate")]
 CONTACT, LAWS = ["contact 1", "contact 2"], ["not symmetric", "softening", "in time", "law in UFL", "law in C"]
+SOFTENING = ["softening", "breaking"]
 REFUSALS = [
     (["solve"], ["rate", "inertia"], "depends on rates: no equilibrium without time"),
-    (["solve"], ["softening"], "falls as jumps grow, with several equilibria"),
+    (["solve"], SOFTENING, "falls as jumps grow, with several equilibria"),
     (["Zoom"], ["memory"], "it remembers earlier steps"),
     (["Zoom"], ["rate"], "has a rate, of which a state does not know"),
-    ([*ESTIMATES, "thin_enough", "Zoom"], ["softening"], "a stress that falls as strains grow"),
+    ([*ESTIMATES, "thin_enough", "Zoom"], SOFTENING, "a stress that falls as strains grow"),
     (["derivative"], CONTACT, "a law of contact has kinks"),
-    (["derivative"], ["softening"], "'layer' has a kink in the step to t = 1"),
+    (["derivative"], SOFTENING, "'layer' has a kink in the step to t = 1"),
     (["derivative"], ["inertia"], "the part 'inertia' remembers; define its memory_forces and pullback"),
     (["compare", *ESTIMATES, "Zoom", "sweep"], CONTACT, "a law on S, without a thickness"),
     (["thin_enough"], CONTACT, "give a ThinLayer"),
@@ -275,6 +276,7 @@ REFUSALS = [
     (["thin_enough"], ["cell"], "compliance is zero, and so has no relative error"),
     (["TOML"], [*LAWS, *CONTACT], "unknown law of strains"),
     (["TOML"], ["plates", "springs", "own form", "inertia", "periodic", "cell"], "unknown key '"),
+    (["TOML"], ["breaking"], "the path has no direction"),  # supports in files do not grow
     (["TOML"], ["tapered"], "unknown key of LinearElastic 'profile'"),
     (["TOML"], ["fields", "prestress"], "number"),
     (["TOML"], ["gaps"], "the seam 'HEAD' has no layer"),

@@ -9,6 +9,7 @@ import pytest
 
 from forms import (
     Anisotropic,
+    Breaking,
     KelvinVoigt,
     LinearElastic,
     Maxwell,
@@ -67,6 +68,12 @@ def hardening(u: Units) -> dict[str, float]:
     return {"hardening": 4.0 * u.P / u.L, "saturation": 0.2 * u.P * u.size, "saturation_strain": 0.01 * u.L * u.size}
 
 
+def breaking(u: Units, **more: str) -> Breaking:
+    strength = u.P * u.size
+    energy = strength * u.L * u.size
+    return Breaking(**moduli(u), t_N=0.8 * strength, t_T=0.6 * strength, G_I=0.05 * energy, G_II=0.1 * energy, **more)
+
+
 LAWS = {
     "elastic": lambda u: LinearElastic(**moduli(u)),
     "anisotropic, of the layer": lambda u: Anisotropic(TRICLINIC * u.P / u.L, "layer"),
@@ -76,6 +83,8 @@ LAWS = {
     "Norton 1.5": lambda u: norton(u, 1.5),
     "Norton 3": lambda u: norton(u, 3.0),
     "Norton 1.2, rest": lambda u: norton(u, 1.2, rest=1e-4 * u.L / u.T * u.size),
+    "breaking": lambda u: breaking(u),
+    "breaking, bilinear": lambda u: breaking(u, softening="bilinear", criterion="power"),
     "Mohr-Coulomb, dilatant": lambda u: mohr_coulomb(u, dilatancy_angle=12.0),
     "Mohr-Coulomb, hardening": lambda u: mohr_coulomb(u, **hardening(u)),
     "von Mises": lambda u: VonMises(
