@@ -258,8 +258,8 @@ class MixedModeDamage(Law):
         """Return the energy that breaking costs in the step, UFL; exact for steps of any length at one mode mixity.
 
         It is the mean of the energies to grow from the old to the new damage at the mixities of the end and of the
-        beginning of the step; at the end alone if the beginning is below the strength. So it lies between G_I and G_II,
-        and is >= 0.
+        beginning of the step; at the end alone if the beginning is below the strength, where a mixity is meaningless.
+        The result is never negative.
         """
         n, old, new = three_dimensional(step.n), self._old_damage(step), self._new_damage(step)
         ends = self._mode_mix(step.e, n), self._mode_mix(step.e_old, n)

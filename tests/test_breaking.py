@@ -106,6 +106,7 @@ def test_a_ray_costs_the_toughness_of_its_mode_mixity(degrees, G, in_modes):
     assert wrong.energies[0, 1] > 50 * G
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("criterion", ["BK", "power"])
 @pytest.mark.parametrize("softening", ["linear", "bilinear", "exponential"])
 def test_stress_and_energy_on_a_ray(softening, criterion):
@@ -160,6 +161,7 @@ def test_a_loop_without_growth_does_no_work():
 PLACES = np.array([[0.4, 0.3], [1.6, 2.1], [1.2, -1.4], [0.6, 0.9], [4.0, 17.0], [0.4, -0.3]])  # slip, opening over w_0
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("n", N)
 @pytest.mark.parametrize("law", [JOINT, GLUE, replace(GLUE, softening="bilinear", criterion="power"),
     replace(JOINT, softening="exponential", closure="bilateral"), made(Dugdale, JOINT)])  # fmt: skip
@@ -239,7 +241,7 @@ def test_a_long_bar_snaps_back():
     """It turns where it cracks, and goes back on a straight line to G/sigma, where nothing is left."""
     model, turn = bar(500.0, 1e4), 0.05 + 1.5e-4
     assert refused(TurningPoint, "turn back", march, model, [0.02, 0.06]).history.t.max() > 0.98 * turn
-    table = pulled(model, ArcLength(end=0.06, first=0.005), 500.0).table
+    table = pulled(model, ArcLength(end=0.06, first=0.01), 500.0).table
     t, stress = table["t"], table["stress"]
     (on_return,) = np.nonzero((np.diff(t, append=1.0) < 0) & (stress < 0.98 * SIGMA))
     assert len(on_return) >= 3
@@ -428,7 +430,7 @@ def test_results_of_a_beam(kind):
         assert sum(columns[name] for name in ("elastic", "breaking", "broken")) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(("strength", "warns"), [(1, False), (2.0, True)])
+@pytest.mark.parametrize(("strength", "warns"), [(1, False), pytest.param(2.0, True, marks=pytest.mark.long)])
 def test_a_fracture_zone_of_few_facets_is_warned_of(strength, warns):
     law = replace(BEAM_GLUE, t_N=20.0 * strength, t_T=30.0 * strength, G_II=20.0)
 
