@@ -411,6 +411,31 @@ def test_a_sublayer_that_breaks():
     refused(InputError, "Breaking and Breaking; allowed: at most one", Stack, (0.5, BLOCK), (0.5, BLOCK))
 
 
+PEELED = {
+    "3D": ({"depth": 2.0, "cell": "hexahedron"}, {}, "LEFT/UPPER"),
+    "revolution": ({"h_S": 0.5, "cell": "quadrilateral"}, {"plane": "axisymmetric"}, "RIGHT/UPPER"),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", PEELED)
+def test_peeling_in_3d_and_of_a_revolution(name):
+    """Half of the layer has gone; what remains, and what it cost, is as on S."""
+    of_joint, of_structure, side = PEELED[name]
+    supports = {"BOTTOM": 0.0, side: {"y": lambda x, t: t}} | ({"LEFT/UPPER": {"x": 0.0}} if of_structure else {})
+    joint, body = sandwich(8.0, 1.0, 1.0, h=1.0, **of_joint), LinearElastic.young(1000.0, 0.3)
+    structure = Structure(joint, body=body, supports=supports, **of_structure)
+    layer = ThinLayer(Breaking(20.0, 15.0, 2.0, 1.5, 0.4, 0.8, eta=1.5), 0.1)
+    values = []
+    for model in (structure.interface(layer), structure.full(layer, cells_through=1)):
+        history = march(model, ArcLength(end=0.2, first=0.03, largest=3))
+        row, d = history.table.rows[-1], Surface(model).internal(history.last, "d")
+        assert d.max() == 1.0 > d.min() == 0.0
+        values.append([row["broken"], history.last.prescribed_work, history.table["dissipated"].sum()])
+    assert values[1] == pytest.approx(values[0], rel=0.02)
+    assert 0.2 < values[0][0] < 0.8
+
+
 # ---------------------------------------------------------------- what results and messages say
 @pytest.mark.parametrize("kind", ["S", "meshed"])
 def test_results_of_a_beam(kind):
