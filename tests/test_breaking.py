@@ -317,6 +317,42 @@ def test_what_breaks_in_a_step_is_the_work_of_its_secants():
     assert max(wrong) > 1e-3 * P.max() * t.max()
 
 
+@cache
+def bent(h, end):
+    """An end-notched flexure test with arms of 1.5, a half span of 50 and a crack of 25 that may close."""
+    arms = sandwich(100.0, 1.5, 1.5, 0.75, h_S=h, cell="quadrilateral", structured=True)
+    ends = {(0, -1.5): {"y": 0.0}, (100, -1.5): {"x": 0.0, "y": 0.0}, (50, 1.5): {"y": lambda x, t: -t}}
+    layer = Cohesive(1e5, 1e5, 60.0, 60.0, 1.5, 1.5, cracked=lambda x: 1.0 * (x[0] < 25))
+    model = Structure(arms, body=LinearElastic.young(120e3, 0.0), supports=ends).interface(layer)
+    observe = {"P": lambda state: -25 * state.reaction((50, 1.5)).force[1]}  # width 25
+    return march(model, ArcLength(end=end, first=0.2, largest=4), observe=observe).table
+
+
+def test_a_crack_that_closes_starts_from_rest():
+    """Contact at the end of the crack alone, which Newton's method finds facet by facet."""
+    table = bent(1.0, 0.6)
+    assert table["P"][1:] / table["t"][1:] == pytest.approx(
+        874.834357 / 3.5555216 * np.ones(len(table["t"]) - 1), rel=0.1
+    )
+    assert np.ptp(table["P"][1:3] / table["t"][1:3]) < 1e-6
+
+
+@pytest.mark.long
+def test_end_notched_flexure():
+    """Against beams of Euler: crack length: force and deflection. The path turns back, and forth again."""
+    table = bent(1.0, 4.0)
+    a, P, t = 100 * table["broken"], table["P"], table["t"]
+    for length, force, deflection in [
+        (30, 750.080371, 3.4757948),
+        (35, 656.182971, 3.5396807),
+        (40, 583.039265, 3.715906),
+    ]:
+        assert np.interp(length, a, P) == pytest.approx(force, rel=0.03)
+        assert np.interp(length, a, t) == pytest.approx(deflection, rel=0.03)
+    assert len(t) <= 120
+    assert t[a < 28].max() > np.interp(31, a, t) + 0.05
+
+
 def forces(kind):
     table = opened(kind, 0.2, 0.6).table
     return [*table["P"].tolist(), float(table["dissipated"].sum())]

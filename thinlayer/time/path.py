@@ -204,7 +204,9 @@ class EquilibriumPath:
                 direction = -direction
         direction = self._unit_vector(direction)
         if check and previous is not None and increment is not None:
-            if self._crossing_sign(previous, direction, self._norm(increment)) < 0:
+            # from rest, cracks that open or close are no corner of the path: it is straight
+            is_straight = previous.at_rest and not self._memory_changes(previous, last)
+            if not is_straight and self._crossing_sign(previous, direction, self._norm(increment)) < 0:
                 raise SolveError("the path turns within the step")
             if self._prediction_error > BEND_FACTOR * self._norm(direction - self._direction) + BEND_OFFSET:
                 raise SolveError("the equilibrium is not on the path: its direction is that of the predictor")
