@@ -213,6 +213,7 @@ def steps_of(solution: State | History) -> tuple[InterfaceModel, list[tuple[Stat
         raise InputError("derivative: a full model; give a state of an interface model (structure.interface)")
     if model.contacts:
         raise InputError("derivative: a law of contact has kinks, where derivatives do not exist")
+    model.family.is_shared = True  # changed models, which follow, need the same stiffness of the bodies
     equations = Equations(model)
     try:
         equations.refuse_traits({"switches": "derivative: phases of {} switch, where derivatives do not exist"})
