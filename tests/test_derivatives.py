@@ -272,7 +272,7 @@ def test_what_has_no_derivative():
         (lambda: asked(state)().field("S.nu"), "give S.mu|one of S.mu"),
         (lambda: field(state, "load TOP"), "not act through stresses of layers alone"),
         (lambda: field(solution_of("pressure"), "S.mu"), "equations of a part"),
-        (lambda: asked(solve(wide), ["S.eps"])(), "bodies have made room"),
+        (lambda: asked(solve(wide), ["S.eps"])(), "bodies made room"),
         (lambda: asked(solve(clamped.bonded()), ["load TOP"], GOALS["traction"])(), "mean traction.* is nan"),
     ]:
         refused(InputError, message, call)

@@ -87,7 +87,7 @@ class PointLoad:
     @property
     def what(self) -> str:
         """Name of the load in error messages."""
-        return f"point load at {self.place!r}"
+        return f"point load at {at_place(np.asarray(self.place, float))}"
 
     def nodes(self, joint: Joint) -> LoadPlaces:
         """Return the vertex at which the load acts, as a place in one cell of the loaded body.

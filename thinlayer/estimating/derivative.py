@@ -239,9 +239,6 @@ def chosen_changes(
 ) -> dict[str, Change]:
     """Return the functions that change the chosen parameters, by name; see `derivative` for the arguments."""
     available = Parameters(model)
-    if model.domain.joint.parted is not None:
-        reason = "bodies have made room for the layer, and their faces would move (bodies='extended')"
-        available.reasons |= {f"{seam}.eps": reason for seam in model.layers}
     if names is None:
         doubled = {name[:-1] + p for name in available if name.endswith(".E") for p in ("lmbda", "mu")}
         names = [name for name in available if name not in {*available.reasons, *doubled}] if not of else []

@@ -144,6 +144,10 @@ class Parameters(dict[str, Datum]):
                 continue
             self._add_law(seam, layer.law, place / attribute("law"))
             self._add_value(f"{seam}.eps", layer.eps, place / attribute("eps"))
+            if model.domain.joint.parted is not None:
+                self.reasons[f"{seam}.eps"] = (
+                    "bodies made room for the layer, and their faces would move (bodies='extended')"
+                )
             if layer.at is not None:
                 self.reasons[f"{seam}.eps"] = "its moduli follow eps (at=...); give real moduli, and leave out `at`"
             if layer.eigenstrain is not None:
