@@ -5,6 +5,7 @@ This module exports the names that users import: laws, base classes for user-def
 
 # ruff: noqa: F401
 from forms.breaking import Breaking, Cohesive
+from forms.broken_friction import CohesiveFriction
 from forms.check import check
 from forms.contact import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, Tresca
 from forms.elastic import Anisotropic, LinearElastic

@@ -262,9 +262,14 @@ class MixedModeDamage(Law):
         The result is never negative.
         """
         n, old, new = three_dimensional(step.n), self._old_damage(step), self._new_damage(step)
-        ends = self._mode_mix(step.e, n), self._mode_mix(step.e_old, n)
-        end, start = (mix.onset * (mix.curve.energy(new) - mix.curve.energy(old)) for mix in ends)
-        return (end + ufl.conditional(ufl.gt(ends[1].x, 1), start, end)) / 2
+        mixes = self._mode_mix(step.e, n), self._mode_mix(step.e_old, n)
+        end, start = (mix.onset * (mix.curve.energy(new) - mix.curve.energy(old)) for mix in mixes)
+        return self._mean_of_growth(step, end, start)
+
+    def _mean_of_growth(self, step: Step, end: Expr, start: Expr) -> Expr:
+        """Return the mean of values at the end and at the start of a step; that at the end if the start is sound."""
+        is_growing = ufl.gt(self._mode_mix(step.e_old, three_dimensional(step.n)).x, 1)
+        return (end + ufl.conditional(is_growing, start, end)) / 2
 
     # ---------------------------------------------------------------- traction and energy
     def _damaged_traction(self, step: Step) -> tuple[Expr, Expr]:
