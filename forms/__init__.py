@@ -4,6 +4,7 @@ This module exports the names that users import: laws, base classes for user-def
 """
 
 # ruff: noqa: F401
+from forms.adhesion import Adhesion
 from forms.breaking import Breaking, Cohesive
 from forms.broken_friction import CohesiveFriction
 from forms.check import check

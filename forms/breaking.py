@@ -18,7 +18,7 @@ import ufl
 from forms.base import Array, require
 from forms.elastic import IsotropicLaw, LinearElastic
 from forms.law import Law, Step, choice, require_positive
-from forms.layer_results import ELASTIC, LayerPoints
+from forms.layer_results import ELASTIC, LayerPoints, LayerResults
 from forms.parameter_fields import Parameter, as_parameter_field
 from forms.tensors import Expr, three_dimensional
 from forms.traction import JumpStep, TractionLaw
@@ -133,8 +133,29 @@ class ModeMix(NamedTuple):
     curve: SofteningCurve
 
 
+class DamageResults(LayerResults):
+    """What results show of a law whose internal variable "d" is a damage from 0 (sound) to 1 (broken)."""
+
+    @property
+    def statuses(self) -> tuple[str, ...]:
+        return ELASTIC, BREAKING, BROKEN
+
+    def status_at(self, points: LayerPoints) -> npt.NDArray[np.str_]:
+        """Return "broken", "breaking" or "elastic" for each of several points, by their damage."""
+        d = points.internal["d"]
+        return np.select([d > BROKEN_DAMAGE, d > 0], [BROKEN, BREAKING], ELASTIC)
+
+    @property
+    def share_columns(self) -> tuple[str, ...]:
+        return BROKEN, BREAKING
+
+    def shares(self, internal: Mapping[str, Array]) -> dict[str, Array]:
+        is_broken = internal["d"] > BROKEN_DAMAGE
+        return {BROKEN: is_broken.astype(float), BREAKING: ((internal["d"] > 0) & ~is_broken).astype(float)}
+
+
 @dataclass(frozen=True)
-class MixedModeDamage(Law):
+class MixedModeDamage(DamageResults, Law):
     """Base of laws with one damage d for opening (mode I) and shear (mode II), of strains or of jumps.
 
     Subclasses define `stiffnesses` and `opening_and_slip`. From these follow the traction
@@ -283,24 +304,6 @@ class MixedModeDamage(Law):
         w_N, _ = self.opening_and_slip(step.e, n)
         Y_I, Y_II = self._released(step.e, n)
         return K_N * w_N**2 / 2 - d * Y_I + (1 - d) * Y_II
-
-    # ---------------------------------------------------------------- results
-    @property
-    def statuses(self) -> tuple[str, ...]:
-        return ELASTIC, BREAKING, BROKEN
-
-    def status_at(self, points: LayerPoints) -> npt.NDArray[np.str_]:
-        """Return "broken", "breaking" or "elastic" for each of several points, by their damage."""
-        d = points.internal["d"]
-        return np.select([d > BROKEN_DAMAGE, d > 0], [BROKEN, BREAKING], ELASTIC)
-
-    @property
-    def share_columns(self) -> tuple[str, ...]:
-        return BROKEN, BREAKING
-
-    def shares(self, internal: Mapping[str, Array]) -> dict[str, Array]:
-        is_broken = internal["d"] > BROKEN_DAMAGE
-        return {BROKEN: is_broken.astype(float), BREAKING: ((internal["d"] > 0) & ~is_broken).astype(float)}
 
 
 @dataclass(frozen=True)

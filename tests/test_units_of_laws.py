@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from forms import (
+    Adhesion,
     Anisotropic,
     Breaking,
+    CohesiveFriction,
     KelvinVoigt,
     LinearElastic,
     Maxwell,
@@ -74,6 +76,16 @@ def breaking(u: Units, **more: str) -> Breaking:
     return Breaking(**moduli(u), t_N=0.8 * strength, t_T=0.6 * strength, G_I=0.05 * energy, G_II=0.1 * energy, **more)
 
 
+def springs(u: Units) -> dict[str, float]:
+    return {"K_N": 150.0 * u.P / u.L, "K_T": 40.0 * u.P / u.L}
+
+
+def rubbing(u: Units) -> CohesiveFriction:
+    strength = u.P * u.size
+    toughness = {"G_I": 0.05 * strength * u.L * u.size, "G_II": 0.1 * strength * u.L * u.size}
+    return CohesiveFriction(**springs(u), t_N=0.8 * strength, t_T=0.6 * strength, **toughness, friction=0.4)
+
+
 LAWS = {
     "elastic": lambda u: LinearElastic(**moduli(u)),
     "anisotropic, of the layer": lambda u: Anisotropic(TRICLINIC * u.P / u.L, "layer"),
@@ -85,6 +97,8 @@ LAWS = {
     "Norton 1.2, rest": lambda u: norton(u, 1.2, rest=1e-4 * u.L / u.T * u.size),
     "breaking": lambda u: breaking(u),
     "breaking, bilinear": lambda u: breaking(u, softening="bilinear", criterion="power"),
+    "breaking, friction": rubbing,
+    "adhesion": lambda u: Adhesion(**springs(u), W=0.01 * (e := u.P * u.L * u.size**2), b=0.01 * e * u.T, heals=True),
     "Mohr-Coulomb, dilatant": lambda u: mohr_coulomb(u, dilatancy_angle=12.0),
     "Mohr-Coulomb, hardening": lambda u: mohr_coulomb(u, **hardening(u)),
     "von Mises": lambda u: VonMises(
@@ -130,7 +144,7 @@ def test_units_and_loads_of_any_size(name):
 JUMPS = np.array([(0.004, -0.006), (0.02, -0.01), (0.03, 0.02), (-0.03, -0.01)])
 
 
-@pytest.mark.parametrize("name", [name for name in LAWS if name != "user, jumps"])
+@pytest.mark.parametrize("name", [name for name, make in LAWS.items() if not make(Units()).traits.of_jumps])
 def test_thickness_does_not_change_the_interface_law(name):
     """Real parameters at strains w/eps give the traction and, per volume, 1/eps of the energies of those per thickness."""
     law = LAWS[name](Units())

@@ -353,7 +353,8 @@ def warn_of_no_time(model: Model) -> None:
 def _law_time_constants(model: Model) -> list[tuple[str, float]]:
     """Return pairs of a law's name and one of its time constants, for all laws whose parameters are numbers."""
     laws = [*model.body_laws.values(), *(law for layer in model.layers.values() for _, law in layer.law.sublayers)]
-    return [(type(law.law_3d).__name__, float(tau)) for law in laws if not law.fields for tau in law.relaxation_times]
+    times = ((getattr(law, "law_3d", law), tau) for law in laws if not law.fields for tau in law.relaxation_times)
+    return [(type(law).__name__, float(tau)) for law, tau in times]
 
 
 def _step_error(x: float, theta: float) -> float:
