@@ -10,6 +10,7 @@ from typing import ClassVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from dolfinx.mesh import Mesh
@@ -276,16 +277,21 @@ class MeanTraction(DirectedGoal):
     Attributes:
         direction: (d,) the direction in d dimensions, not zero; its length does not matter.
         seam: name of the seam; "S": all seams together.
+        where: function of coordinates x (d, m) of m nodes of S that is true on a stretch of the seam; None: on all of
+            it. The mean has the weight 1 there, and falls to 0 over the adjacent facets. The function's own name is part
+            of the goal's name.
     """
 
     direction: Sequence[float]
     seam: str = S
+    where: Callable[[Array], npt.ArrayLike] | None = None
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """Name of the goal, made of its seam and direction."""
+        """Name of the goal, made of its seam, stretch and direction."""
         seam_text = "" if self.seam == S else f" {self.seam}"
-        return f"mean traction{seam_text} along {vector_text(self.direction)}"
+        where_text = "" if self.where is None else f" where {getattr(self.where, '__name__', self.where)}"
+        return f"mean traction{seam_text}{where_text} along {vector_text(self.direction)}"
 
     def check(self, model: InterfaceModel) -> None:
         self.unit(model)
@@ -330,16 +336,26 @@ class MeanTraction(DirectedGoal):
             others = [nodes for other, pair in sides.items() if other != name for nodes in pair]
             n_others = nodal_sums(W, others, [np.ones(len(e))] * len(others)) + is_fixed.x.array.reshape(-1, len(e))
             w, v_on_S, surface = fem.Function(W), fem.Function(model.V), SurfaceMesh(model, name)
-            w.x.array[:] = (_reaction_factors(W, *sides[name], n_others > 0) * e).ravel()
+            at_nodes = self._in_stretch(W.tabulate_dof_coordinates()[:, : len(e)])
+            w.x.array[:] = (_reaction_factors(W, *sides[name], n_others > 0) * at_nodes[:, None] * e).ravel()
             v_on_S.interpolate(w)
             lower, upper = surface.side_values(v_on_S, model, surface.quadrature)
-            area, jump = surface.integral(1.0), surface.integral(lower - upper) @ e
-            if not jump > 0:
+            area, jump = float(surface.areas @ self._in_stretch(surface.places)), surface.integral(lower - upper) @ e
+            if area and not jump > 0:
                 raise InputError(f"{self.name}: supports, plates or other seams hold all of its nodes, on both sides")
-            v.x.array[:] += area / jump * v_on_S.x.array
+            v.x.array[:] += (area / jump if area else 0.0) * v_on_S.x.array
             total += area
+        require(total, f"{self.name}: the area of its stretch", total, "where must be true at a node of S")
         v.x.array[:] /= total
         return v
+
+    def _in_stretch(self, x: Array) -> Array:
+        """Return whether nodes at places `x` (m, d) are on the stretch, as numbers (m,) 1 or 0."""
+        try:
+            inside = True if self.where is None else np.asarray(self.where(x.T))
+            return np.broadcast_to(inside, len(x)).astype(bool).astype(float)
+        except Exception as error:
+            raise InputError(f"{self.name}: where is no numpy function of coordinates x (d, m): {error}") from error
 
 
 def _reaction_factors(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mixed: BoolArray) -> Array:
