@@ -30,6 +30,10 @@ from thinlayer.output.comparison import compare as compare
 from thinlayer.output.ensemble import ensemble as ensemble
 from thinlayer.output.homogenised import homogenised_stiffness as homogenised_stiffness
 from thinlayer.output.probe import Probe as Probe
+from thinlayer.output.strength import MohrCoulombCriterion as MohrCoulombCriterion
+from thinlayer.output.strength import QuadraticCriterion as QuadraticCriterion
+from thinlayer.output.strength import StrengthCriterion as StrengthCriterion
+from thinlayer.output.strength import strength as strength
 from thinlayer.output.surface import Surface as Surface
 from thinlayer.output.sweep import sweep as sweep
 from thinlayer.output.zooming import Zoom as Zoom
