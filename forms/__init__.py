@@ -12,6 +12,7 @@ from forms.contact import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, Tres
 from forms.elastic import Anisotropic, LinearElastic
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw
+from forms.microcracks import Microcracked
 from forms.non_monotone import NonMonotone, NonMonotoneUnrelaxed
 from forms.plastic import MohrCoulomb, MohrCoulombMonodirectional, VonMises
 from forms.rubber import Incompressible, Rubber

@@ -306,8 +306,38 @@ class MixedModeDamage(DamageResults, Law):
         return K_N * w_N**2 / 2 - d * Y_I + (1 - d) * Y_II
 
 
+class CracksAlongS(IsotropicLaw):
+    """Base of laws of an isotropic material with cracks parallel to S; subclasses define the traction across S."""
+
+    def opening_and_slip(self, deformation: Expr, n: Expr) -> tuple[Expr, Expr]:
+        """Return the opening, with which the stress across S of the sound material is M times as large, and the shear."""
+        across = ufl.dot(deformation, n)
+        e_N = ufl.dot(across, n)
+        return e_N + self._ratio * (ufl.tr(deformation) - e_N), 2 * (across - e_N * n)
+
+    @property
+    def _ratio(self) -> Expr:
+        """Ratio lmbda/(lmbda + 2 mu)."""
+        return self.lmbda / (self.lmbda + 2 * self.mu)
+
+    def _along(self, step: Step) -> tuple[Expr, Expr, Expr]:
+        """Return n (3,), the projector P on S, and the stress P (C:e) P of the strain e_S along S with no stress across."""
+        n = three_dimensional(step.n)
+        P = ufl.Identity(3) - ufl.outer(n, n)
+        e_S = ufl.dot(P, ufl.dot(step.e, P))
+        return n, P, 2 * self.mu * (e_S + self._ratio * ufl.tr(e_S) * P)
+
+    def _damaged_traction(self, step: Step) -> tuple[Expr, Expr]:
+        """Return the normal component and the tangential vector (3,) of the traction at t + theta dt."""
+        raise NotImplementedError
+
+    def stress(self, step: Step) -> Expr:
+        (n, P, along), (t_N, t_T) = self._along(step), self._damaged_traction(step)
+        return t_N * (ufl.outer(n, n) + self._ratio * P) + ufl.outer(t_T, n) + ufl.outer(n, t_T) + along
+
+
 @dataclass(frozen=True)
-class Breaking(MixedModeDamage, IsotropicLaw):
+class Breaking(MixedModeDamage, CracksAlongS):
     """Damage of an isotropic material by cracks parallel to S, which no longer bear opening and shear, but closing.
 
     With the strain e, the stress a = n.(C:e)n across S, the shear g = 2 P e n with P = I - n (x) n, the strain along S
@@ -360,29 +390,10 @@ class Breaking(MixedModeDamage, IsotropicLaw):
         G_I, G_II = (as_parameter_field(G) / bond_line for G in toughness)
         return cls(sound.lmbda, sound.mu, t_N, t_T, G_I, G_II, eta, bond_line=bond_line, **others)  # type: ignore[arg-type]
 
+    opening_and_slip = CracksAlongS.opening_and_slip
+
     def stiffnesses(self) -> tuple[Expr, Expr]:
         return self.lmbda + 2 * self.mu, self.mu
-
-    def opening_and_slip(self, deformation: Expr, n: Expr) -> tuple[Expr, Expr]:
-        across = ufl.dot(deformation, n)
-        e_N = ufl.dot(across, n)
-        return e_N + self._ratio * (ufl.tr(deformation) - e_N), 2 * (across - e_N * n)
-
-    @property
-    def _ratio(self) -> Expr:
-        """Ratio lmbda/(lmbda + 2 mu)."""
-        return self.lmbda / (self.lmbda + 2 * self.mu)
-
-    def _along(self, step: Step) -> tuple[Expr, Expr, Expr]:
-        """Return n (3,), the projector P on S, and the stress P (C:e) P of the strain e_S along S with no stress across."""
-        n = three_dimensional(step.n)
-        P = ufl.Identity(3) - ufl.outer(n, n)
-        e_S = ufl.dot(P, ufl.dot(step.e, P))
-        return n, P, 2 * self.mu * (e_S + self._ratio * ufl.tr(e_S) * P)
-
-    def stress(self, step: Step) -> Expr:
-        (n, P, along), (t_N, t_T) = self._along(step), self._damaged_traction(step)
-        return t_N * (ufl.outer(n, n) + self._ratio * P) + ufl.outer(t_T, n) + ufl.outer(n, t_T) + along
 
     def advance(self, step: Step) -> dict[str, Expr]:
         return {"d": self._new_damage(step)}

@@ -15,6 +15,7 @@ from forms import (
     KelvinVoigt,
     LinearElastic,
     Maxwell,
+    Microcracked,
     MohrCoulomb,
     MohrCoulombMonodirectional,
     NonMonotone,
@@ -99,6 +100,9 @@ LAWS = {
     "breaking, bilinear": lambda u: breaking(u, softening="bilinear", criterion="power"),
     "breaking, friction": rubbing,
     "adhesion": lambda u: Adhesion(**springs(u), W=0.01 * (e := u.P * u.L * u.size**2), b=0.01 * e * u.T, heals=True),
+    "microcracked": lambda u: Microcracked(
+        **moduli(u), Y_0=0.01 * (e := u.P * u.L * u.size**2), viscosity=0.1 * e * u.T, rho_0=0.2
+    ),
     "Mohr-Coulomb, dilatant": lambda u: mohr_coulomb(u, dilatancy_angle=12.0),
     "Mohr-Coulomb, hardening": lambda u: mohr_coulomb(u, **hardening(u)),
     "von Mises": lambda u: VonMises(
