@@ -28,6 +28,7 @@ CHECKS = {  # start of a row -> its checks, each with the column that has its nu
     },
     "Double cantilever beam": {"largest force over that of beams": VALUE},
     "The same: dissipated": {"dissipated energy over that of beams": VALUE},
+    "End-notched flexure": {"crack of 30 mm: force over that of beams": VALUE},
     "Punch": {"pressure under the punch on the finest mesh, over (2 + pi) k": VALUE},
     "Thick cylinder": {"cylinder: largest relative error of stress": DEVIATION},
     "Mohr-Coulomb layer": {"lasting friction, normal stress held": VALUE},
