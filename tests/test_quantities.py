@@ -7,6 +7,7 @@ import sys
 from dataclasses import fields
 from inspect import signature
 from math import degrees
+from operator import attrgetter
 
 import pytest
 
@@ -176,9 +177,12 @@ def test_units_of_the_cheat_sheet():
 def test_laws_of_the_cheat_sheet():
     """Parameters in their order; "..." are the moduli."""
     page = PAGES["thinlayer/docs/reference/cheat_sheet.md"].partition("## Laws")[2].partition("## Units")[0]
-    calls = re.findall(r"(\w+)\((.*?)\)(?=,? |$)", "".join(re.findall(r"^    .*\n", page, re.MULTILINE)), re.MULTILINE)
+    calls = re.findall(
+        r"([\w.]+)\((.*?)\)(?=,? |$)", "".join(re.findall(r"^    .*\n", page, re.MULTILINE)), re.MULTILINE
+    )
     assert len(calls) >= 11
     for name, arguments in calls:
         if name != "Stack":  # of tuples
-            names = arguments.replace("...", "lmbda, mu").split(", ")
-            assert names == list(signature(getattr(forms, name)).parameters)[: len(names)], name
+            names = re.sub(r"^\.\.\.", "lmbda, mu", arguments).split(", ")
+            names = [name for name in names if "=" not in name]
+            assert names == list(signature(attrgetter(name)(forms)).parameters)[: len(names)], name
