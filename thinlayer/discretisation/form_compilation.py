@@ -113,7 +113,8 @@ def zero_matrix(V: fem.FunctionSpace, form: Expr) -> PETSc.Mat:
     for integral in form.integrals():
         integrand = two_sided if integral.integral_type() == "interior_facet" else one_sided
         key = integral.integral_type(), id(integral.subdomain_data()), integral.subdomain_id()
-        integrals[key] = integral.reconstruct(integrand=integrand, metadata={})
+        # PETSc keeps zeros that are inserted, and only these: one point will do
+        integrals[key] = integral.reconstruct(integrand=integrand, metadata={"quadrature_degree": 0})
     A = assemble_matrix(compiled(ufl.Form(list(integrals.values()))))
     A.zeroEntries()
     return A
