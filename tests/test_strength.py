@@ -158,7 +158,7 @@ BAD = [
     ("no numpy", lambda: judged(StrengthCriterion())), ("cutoff is -1", lambda: MohrCoulombCriterion(1, 30, -1)),
     ("joint", lambda: strength([bars(), solve(column(1, 1))], CONE)), ("t_T is 0", lambda: QuadraticCriterion(1, 0)),
     ("cohesion is 0", lambda: MohrCoulombCriterion(0, 30)), ("angle is 90", lambda: MohrCoulombCriterion(1, 90)),
-    ("true at a node", lambda: stretch(lambda x: x[0] > 99)), ("where is no numpy", lambda: stretch(lambda: 1)),
+    ("true at one of its nodes", lambda: stretch(lambda x: x[0] > 99)), ("where is no numpy", lambda: stretch(lambda: 1)),
 ]  # fmt: skip
 
 

@@ -345,7 +345,8 @@ class MeanTraction(DirectedGoal):
                 raise InputError(f"{self.name}: supports, plates or other seams hold all of its nodes, on both sides")
             v.x.array[:] += (area / jump if area else 0.0) * v_on_S.x.array
             total += area
-        require(total, f"{self.name}: the area of its stretch", total, "where must be true at a node of S")
+        wanted = "S must have a layer, and `where` be true at one of its nodes"
+        require(total, f"{self.name}: the area of S that counts", total, wanted)
         v.x.array[:] /= total
         return v
 
