@@ -14,6 +14,7 @@ import scipy.optimize
 
 from forms.base import Array, InputError, import_optional, is_finite, is_number, require
 from geometry.seam import S
+from geometry.topology import BoolArray
 from thinlayer.discretisation.state import State
 from thinlayer.output.surface import Surface
 from thinlayer.solving.history import History
@@ -172,7 +173,7 @@ class Strength:
     t_N: Array
     t_T: Array
     values: Array
-    counts: npt.NDArray[np.bool_]
+    counts: BoolArray
     has_linear_models: bool
 
     @property
