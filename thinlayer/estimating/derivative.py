@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import reduce
 
@@ -333,17 +333,19 @@ def residual_at(equations: Equations, x: PETSc.Vec) -> PETSc.Vec:
 
 def _slope(model: InterfaceModel, steps: Sequence[AdjointStep], goal: Goal, change: Change) -> float:
     """Return p dQ/dp for the goal Q and the parameter p of a model that `change` multiplies. Collective."""
-    slope = 0.0
-    with ExitStack() as stack:
-        ends = [stack.enter_context(equations_of(changed_model(model, change, factor))) for factor in FACTORS]
-        for step in steps:
-            (plus, residual), (minus, other_residual) = (_lagrangian(equations, step, goal) for equations in ends)
-            slope += (plus - minus) / (2 * STEP)
-            difference, bend = residual - other_residual, residual + other_residual
-            bend.array[:] -= 2 * step.residual
-            sizes = [ends[0].relative_norm(vector) for vector in (bend, difference)]
-            if sizes[0] > BEND_TOLERANCE * max(sizes[1], SLOPE_ROUNDING):
-                raise InputError(BEND_MESSAGE.format(step.interval.t))
+    slope, residuals = 0.0, list[PETSc.Vec]()
+    for factor in FACTORS:  # one after the other, as only one at a time has the matrices that models share
+        with equations_of(changed_model(model, change, factor)) as equations:
+            for k, step in enumerate(steps):
+                value, residual = _lagrangian(equations, step, goal)
+                slope += (value if factor > 1 else -value) / (2 * STEP)
+                residuals.append(residual)
+                if len(residuals) > len(steps):
+                    difference, bend = residuals[k] - residual, residuals[k] + residual
+                    bend.array[:] -= 2 * step.residual
+                    sizes = [equations.relative_norm(vector) for vector in (bend, difference)]
+                    if sizes[0] > BEND_TOLERANCE * max(sizes[1], SLOPE_ROUNDING):
+                        raise InputError(BEND_MESSAGE.format(step.interval.t))
     if not math.isfinite(slope):
         raise InputError("derivative: a law fails at a changed parameter")
     return float(slope)
