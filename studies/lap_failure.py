@@ -16,7 +16,7 @@ import numpy as np
 from forms import Breaking, LinearElastic
 from geometry import sandwich
 from studies.dropped import ignore_range_warnings
-from thinlayer import ArcLength, Structure, Surface, Table, ThinLayer, march, plotting
+from thinlayer import ArcLength, QuadraticCriterion, Structure, Table, ThinLayer, march, plotting, strength
 from thinlayer.discretisation.supports import Place, Support
 from thinlayer.output.plotting.curves import LAW_COLOUR, MESHED_COLOUR
 from thinlayer.running.record import Record
@@ -33,7 +33,6 @@ END = 0.4  # mm, largest displacement of the grip
 ON_S, MESHED, WRONG, ELASTIC = "law on S", "meshed layer", f"law of {BOND_LINE:g} mm", "strength of an elastic layer"
 YIELDS = "shear strength everywhere"
 COLOURS = {ON_S: LAW_COLOUR, MESHED: MESHED_COLOUR, WRONG: "#009E73", ELASTIC: "0.5", YIELDS: "black"}
-
 STYLES = {ON_S: "o-", MESHED: "s--", WRONG: "^-.", ELASTIC: "v:", YIELDS: "-"}
 
 
@@ -62,10 +61,7 @@ def pull(structure: Structure, eps: float, *, kind: str) -> History:
 def elastic_strength(structure: Structure, eps: float) -> float:
     """Return the force per width at which the largest traction of an elastic layer fulfils the criterion of strength."""
     state = march(structure.interface(ThinLayer(LinearElastic.young(E, NU), eps)), [END]).last
-    surface = Surface(state.model)
-    t_T, t_N = surface.frame(surface.traction(state))
-    shares = np.maximum(t_N, 0.0) / STRENGTHS[0], t_T / STRENGTHS[1]
-    return float(-state.reaction("LEFT/UPPER").force[0] / np.hypot(*shares).max())
+    return float(-state.reaction("LEFT/UPPER").force[0]) / strength(state, QuadraticCriterion(*STRENGTHS)).largest
 
 
 def run(record: Record, *, quick: bool = False) -> None:

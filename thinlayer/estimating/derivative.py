@@ -153,7 +153,8 @@ def derivative(
         solution: a state of an interface model; or a history from rest with theta = 1 and all states, as laws with
             memory need.
         goal: the goal, one of `thinlayer.goals`. In a history it is taken at the last state.
-        parameters: names of parameters, see `Parameters`; None: all of the model's by which there are derivatives.
+        parameters: names of parameters, such as "S.mu", "S.eps", "LOWER.E", "load TOP", "support TOP x", "body force",
+            "eigenstrain UPPER"; None: all of the model's by which there are derivatives, but moduli once, as E and nu.
         of: name -> names of parameters that change together, such as those of the same glue in two layers; or, for
             parameters without a name, a function of a factor that returns layers, as for `Structure.interface`. At the
             factor 1 it must return those of the model.

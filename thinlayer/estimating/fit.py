@@ -397,8 +397,12 @@ def fit(
     logs = seen @ result.x
     fitted_model, solution, fitted = solve_at(tuple(logs))
     factors, errors = dict(zip(names, np.exp(logs).tolist(), strict=True)), _law_errors(solution, data)
+    try:
+        latest = linearise_at(tuple(logs))[-1]
+    except InputError as error:
+        warn("fit", f"fit: the intervals are those of a step before the last: {error}", model.comm)
     end = solution, int(result.nfev), bool(result.success)
-    return Fit(fitted_model, factors, data, fitted, jacobian(logs), errors, *end)
+    return Fit(fitted_model, factors, data, fitted, latest, errors, *end)
 
 
 def split_directions(J: Array, deviations: Array) -> tuple[Array, Array, Array]:
