@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from forms import Breaking, LinearElastic
 from forms.base import InputError
-from geometry import block, sandwich
+from geometry import block, ring, sandwich
 from tests.on_ranks import on_ranks
+from tests.own_laws import Cubic
 from tests.refused import refused
 from thinlayer import (
     MohrCoulombCriterion,
@@ -21,7 +22,6 @@ from thinlayer import (
     Structure,
     Surface,
     ThinLayer,
-    estimate,
     goals,
     march,
     solve,
@@ -29,6 +29,7 @@ from thinlayer import (
 )
 
 LAW, GLUE, EPS = LinearElastic(60.0, 40.0), LinearElastic(15.0, 7.0), 0.1
+BREAKING = Breaking(15.0, 7.0, 3.0, 2.0, 3.0, 4.0)
 QUADRATIC, CONE = QuadraticCriterion(3.0, 2.0), MohrCoulombCriterion(2.0, 30.0, 1.5)
 
 
@@ -75,7 +76,7 @@ def test_what_no_factor_and_any_factor_breaks():
 
 def test_laws_begin_to_break_at_the_safety_factor():
     factor = strength(solve(column(0.8, 1.2), 1.0), QUADRATIC).safety_factor
-    history = march(column(0.8, 1.2, law=Breaking(15.0, 7.0, 3.0, 2.0, 3.0, 4.0)), [0.999 * factor, 1.001 * factor])
+    history = march(column(0.8, 1.2, law=BREAKING), [0.999 * factor, 1.001 * factor])
     damage = [Surface(history.model).internal(state, "d").max() for state in history]
     assert damage[-2] == 0.0 < damage[-1]
     result = strength(history, QUADRATIC)
@@ -126,29 +127,37 @@ def test_envelope_of_load_cases():
 
 
 # ---------------------------------------------------------------- an interval of `estimate`
-MEANS = [goals.MeanTraction(direction, where=lambda x: x[0] < 5.2) for direction in ((0, 1), (1, 0))]
-
-
 def numbers_of_bars():
     result = strength({"half": bars(P / 2), "whole": bars()}, CONE, ends=0.5)
-    bounds = [(error.lower, error.upper) for error in estimate(bars(), goals=MEANS).goals.values()]
-    return [result.largest, result.table["to_ends"][-1], result.share, result.safety_factor, *CONE.interval(*bounds)]
+    numbers = [result.largest, result.table["to_ends"][-1], result.share, result.safety_factor]
+    return numbers, result.place[0], result.interval(4.0)
 
 
 @on_ranks(numbers_of_bars, 2)
 def test_an_interval_contains_the_criterion_of_the_meshed_layer(there):
     """The mean is that of the bodies' traction, with the weight 1 on the stretch, which falls to 0 beyond it."""
-    *_, lower, upper = here = numbers_of_bars()
+    numbers, middle, (lower, upper) = numbers_of_bars()
+    near = lambda x: abs(x - middle) <= 2.0
+    means = [goals.MeanTraction(direction, where=lambda x: near(x[0])) for direction in ((0, 1), (1, 0))]
     meshed, surface = bars(meshed=True), Surface(bars().model)
-    mean = np.array([goal.value(meshed, surface.model) for goal in MEANS])
-    weight = surface.at_points((surface.places[:, 0] < 5.2).astype(float))
+    mean = np.array([goal.value(meshed, surface.model) for goal in means])
+    weight = surface.at_points(near(surface.places[:, 0]).astype(float))
     exact = surface.integral(surface.reaction(meshed) * weight) / surface.integral(weight)
     assert mean == pytest.approx(exact[::-1], abs=1e-8)
     assert lower <= CONE.value(mean[:1], np.abs(mean[1:]))[0] <= upper < 1.001 * lower
-    assert there == pytest.approx(here, rel=1e-6, abs=1e-9)
+    assert np.append(there[0], there[2]) == pytest.approx(np.append(numbers, (lower, upper)), rel=1e-6, abs=1e-9)
     assert QUADRATIC.interval((-1.0, 1.5), (-0.4, 1.0)) == pytest.approx((0.0, math.hypot(0.5, 0.5)))
 
 
+def test_an_interval_of_turned_columns_in_space():
+    """It does not change with the axes, and both tangential components count: .57 without the second."""
+    intervals = [strength(solve(column(0.8, 1.2, angle, 3.0), 1.0), QUADRATIC).interval(9.0) for angle in (0.0, 0.7)]
+    assert intervals[0] == pytest.approx(intervals[1], rel=1e-6)
+    assert intervals[0] == pytest.approx([math.hypot(1.2 / 3, math.hypot(0.8, 0.9) / 2)] * 2, rel=0.05)
+
+
+CUBIC = Structure(block(1, 1, 0.5), body=LAW, supports={"TOP": {"y": 0.1}}).interface(ThinLayer(Cubic(2, 300), EPS))
+BENT = Structure(ring(1.0, 1.5, 2.0, 0.5, angle=1.2), body=LAW, supports={"OUTSIDE": {"x": 1}, "INSIDE": 0})
 judged = lambda criterion=QUADRATIC, **options: strength(bars(), criterion, **options)
 stretch = lambda where: goals.MeanTraction((0, 1), where=where).value(bars(), bars().model)
 BAD = [
@@ -158,7 +167,10 @@ BAD = [
     ("no numpy", lambda: judged(StrengthCriterion())), ("cutoff is -1", lambda: MohrCoulombCriterion(1, 30, -1)),
     ("joint", lambda: strength([bars(), solve(column(1, 1))], CONE)), ("t_T is 0", lambda: QuadraticCriterion(1, 0)),
     ("cohesion is 0", lambda: MohrCoulombCriterion(0, 30)), ("angle is 90", lambda: MohrCoulombCriterion(1, 90)),
-    ("true at one of its nodes", lambda: stretch(lambda x: x[0] > 99)), ("where is no numpy", lambda: stretch(lambda: 1)),
+    ("true at one of its nodes", lambda: judged().interval(1e-3)), ("length is 0", lambda: judged().interval(0)),
+    ("length is 9", lambda: strength(solve(BENT.interface(ThinLayer(GLUE, EPS))), CONE).interval(9)),
+    ("all laws must be linear", lambda: strength(solve(CUBIC, 1), CONE).interval(1)),
+    ("where is no numpy", lambda: stretch(lambda: 1)),
 ]  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -15,13 +15,17 @@ import scipy.optimize
 from forms.base import Array, InputError, import_optional, is_finite, is_number, require
 from geometry.seam import S
 from geometry.topology import BoolArray
+from thinlayer.discretisation.contact_nodes import normal_frames
 from thinlayer.discretisation.state import State
+from thinlayer.estimating.estimate import estimate
+from thinlayer.estimating.goals import MeanTraction
 from thinlayer.output.surface import Surface
 from thinlayer.solving.history import History
 from thinlayer.system.ranks import errors_on_all
 from thinlayer.system.table import Row, Table
 
 SCALING_FACTORS = 2.0 ** np.arange(-40, 41)  # factors of tractions between which the first failure is searched
+FLATNESS_TOLERANCE = 1e-6  # 1 - cosine of the angle between normals of S that counts as flat
 UNRELIABLE_THICKNESSES = 3.0  # distance from free ends, over the thickness, within which tractions on S are wrong
 
 
@@ -55,17 +59,17 @@ class StrengthCriterion:
                 return math.inf if k is None else 0.0
             return float(scipy.optimize.brentq(excess, SCALING_FACTORS[k - 1], SCALING_FACTORS[k], rtol=1e-14))
 
-    def interval(self, t_N: tuple[float, float], t_T: tuple[float, float]) -> tuple[float, float]:
+    def interval(self, t_N: tuple[float, float], *t_T: tuple[float, float]) -> tuple[float, float]:
         """Return the smallest and the largest value for tractions between bounds, such as those of goals of `estimate`.
 
         The value must not decrease as t_N or |t_T| grows.
 
         Args:
             t_N: lower and upper bound of the normal traction.
-            t_T: lower and upper bound of one tangential component, whose sign may differ.
+            t_T: lower and upper bound of each tangential component, whose signs may differ: one in 2D, two in 3D.
         """
-        least_shear = 0.0 if t_T[0] < 0 < t_T[1] else min(np.abs(t_T))
-        lower, upper = self.value(np.array(t_N, float), np.array([least_shear, max(np.abs(t_T))]))
+        shear = [(0.0 if low < 0 < high else min(abs(low), abs(high)), max(abs(low), abs(high))) for low, high in t_T]
+        lower, upper = self.value(np.array(t_N, float), np.hypot.reduce(np.array(shear)))
         return float(lower), float(upper)
 
 
@@ -97,7 +101,7 @@ class QuadraticCriterion(ScalableCriterion):
 
     def value(self, t_N: Array, t_T: Array) -> Array:
         """Return the value for each of several tractions."""
-        return np.hypot(np.maximum(t_N, 0.0) / self.t_N, t_T / self.t_T)
+        return np.asarray(np.hypot(np.maximum(t_N, 0.0) / self.t_N, t_T / self.t_T))
 
 
 @dataclass(frozen=True)
@@ -127,7 +131,7 @@ class MohrCoulombCriterion(ScalableCriterion):
     def value(self, t_N: Array, t_T: Array) -> Array:
         """Return the value for each of several tractions."""
         shear = (t_T + t_N * math.tan(math.radians(self.friction_angle))) / self.cohesion
-        return np.maximum(np.maximum(shear, t_N / self.tension_cutoff), 0.0)
+        return np.asarray(np.maximum(np.maximum(shear, t_N / self.tension_cutoff), 0.0))
 
 
 @dataclass(frozen=True)
@@ -158,6 +162,7 @@ class Strength:
 
     Attributes:
         surface: S, or a seam.
+        states: (c) states of the c load cases.
         criterion: the criterion.
         cases: names of the c load cases: of the user, "state 1" and so on, or "" for a single state.
         t_N, t_T: (c, n, q) normal tractions, and magnitudes of the tangential ones.
@@ -168,6 +173,7 @@ class Strength:
     """
 
     surface: Surface
+    states: Sequence[State]
     criterion: StrengthCriterion
     cases: tuple[str, ...]
     t_N: Array
@@ -184,7 +190,7 @@ class Strength:
     @property
     def governing(self) -> npt.NDArray[np.str_]:
         """Name (n, q) of the load case that has the largest value."""
-        return np.array(self.cases)[self.values.argmax(axis=0)]
+        return np.asarray(np.array(self.cases)[self.values.argmax(axis=0)])
 
     @cached_property
     def table(self) -> Table:
@@ -202,9 +208,10 @@ class Strength:
     def _row(self, case: str, values: Array, factor: float) -> Row:
         """Return the table's row of a load case, from its values (n, q) and its safety factor."""
         surface, areas = self.surface, self.surface.weights * self.counts
-        at = np.unravel_index(np.where(self.counts, values, -math.inf).argmax(), values.shape)
-        place = dict(zip("xyz", surface.x[(slice(None), *at)].tolist(), strict=False))  # type: ignore[arg-type]
-        entries = {"case": case, "largest": float(values[at]), **place, "to_ends": float(surface.distance_to_ends[at])}
+        at = self._argmax(values)
+        place = dict(zip("xyz", surface.x.reshape(len(surface.x), -1)[:, at].tolist(), strict=False))
+        distance = float(surface.distance_to_ends.ravel()[at])
+        entries = {"case": case, "largest": float(values.ravel()[at]), **place, "to_ends": distance}
         return entries | {"share": float((areas * (values > 1)).sum() / areas.sum()), "safety_factor": factor}
 
     @property
@@ -226,6 +233,47 @@ class Strength:
     def safety_factor(self) -> float:
         """Smallest factor of the tractions of a load case at which a point that counts fails."""
         return float(self.table["safety_factor"][-1])
+
+    def interval(self, length: float, **options: Any) -> tuple[float, float]:
+        """Bound the criterion with the layer meshed, for the mean traction near the point of the largest value. Collective.
+
+        The bounds are those of `estimate` for components of the mean traction: they hold for the given cells, and for
+        laws that are linear. The criterion must not decrease as t_N or |t_T| grows.
+
+        Args:
+            length: length of the stretch of S whose mean counts, > 0: in 3D the diameter of a disc. The point of the
+                largest value is in its middle; at nodes beyond it the weight of tractions falls to 0 over a facet.
+            options: other arguments of `estimate`.
+
+        Returns:
+            Lower and upper bound.
+
+        Raises:
+            InputError: a stretch that is too short or not flat, or models that `estimate` gives no bounds for.
+        """
+        surface, at = self.surface, self._argmax(self.envelope)
+        require(is_finite(length) and length > 0, "interval: length", length, "allowed: > 0, a length along S")
+        middle, n = (field.reshape(len(field), -1)[:, at] for field in (surface.x, surface.n))
+        within = np.linalg.norm(surface.x - middle[:, None, None], axis=0) <= length / 2
+        flatness = float((np.einsum("d,dfq->fq", n, surface.n)[within]).min())
+        advice = "S must be flat there, so that its directions are those along and across S: take less"
+        require(flatness > 1 - FLATNESS_TOLERANCE, "interval: length", length, advice)
+
+        def near_largest_value(x: Array) -> BoolArray:
+            return np.asarray(np.linalg.norm(x - middle[:, None], axis=0) <= length / 2)
+
+        *tangents, normal = normal_frames(n[None])[0]
+        goals = [MeanTraction(e, surface.seam, near_largest_value) for e in (normal, *tangents)]
+        errors = estimate(
+            self.states[int(self.values.reshape(len(self.states), -1)[:, at].argmax())], goals=goals, **options
+        ).goals
+        wanted = "all laws must be linear, as estimate has no bounds for others"
+        require(all(error.bounded for error in errors.values()), "interval: the tractions", "without bounds", wanted)
+        return self.criterion.interval(*((error.lower, error.upper) for error in errors.values()))
+
+    def _argmax(self, values: Array) -> int:
+        """Return the number of the point with the largest of `values` (n, q) among those that count."""
+        return int(np.where(self.counts, values, -math.inf).argmax())
 
     def __str__(self) -> str:
         place, distance = ", ".join(f"{x:.4g}" for x in self.place), float(self.table["to_ends"][-1])
@@ -309,4 +357,5 @@ def strength(
         require(counts.any(), "strength: ends", ends, f"allowed: at most {farthest:.4g}, as no point is farther away")
         criterion = criterion if isinstance(criterion, StrengthCriterion) else FunctionCriterion(criterion)
         values = FunctionCriterion(criterion.value).value(t_N, t_T)
-    return Strength(surface, criterion, names, t_N, t_T, values, counts, all(state.model.linear for state in several))
+    are_linear = all(state.model.linear for state in several)
+    return Strength(surface, several, criterion, names, t_N, t_T, values, counts, are_linear)
