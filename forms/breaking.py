@@ -6,8 +6,7 @@ and the shear (mode II) would store without damage. It never decreases, and is t
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -15,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
-from forms.base import Array, require
+from forms.base import Array, InputError, is_finite, is_number, require
 from forms.elastic import IsotropicLaw, LinearElastic
 from forms.law import Law, Step, choice, require_positive
+from forms.law_tangents import evaluate
 from forms.layer_results import ELASTIC, LayerPoints, LayerResults
 from forms.parameter_fields import Parameter, as_parameter_field
 from forms.tensors import Expr, three_dimensional
@@ -26,6 +26,8 @@ from forms.traction import JumpStep, TractionLaw
 BREAKING, BROKEN = "breaking", "broken"
 BROKEN_DAMAGE = 0.999  # damage beyond which a point counts as broken
 MIN_BRITTLENESS = 1e-9  # k - 1 of a law that breaks at once where its toughness does not suffice for any softening
+SAMPLED_SOFTENING = np.geomspace(1e-3, 1e2, 61)  # (x - 1)/(k - 1) at which softening curves are checked
+CURVE_TOLERANCE = 1e-6  # error of damages, stresses and energies, relative to their largest values, in these checks
 SAMPLED_MIXITIES = np.linspace(0.0, 1.0, 101)  # mode mixities at which the toughness is checked
 MIN_MIXITY = 1e-12  # share of a mode that is raised to a power, whose slope at 0 may be infinite
 MIN_STRESS_LEFT = 1e-290  # 1 - d of a broken point, of which a logarithm is taken
@@ -45,14 +47,37 @@ class SofteningCurve:
 
     def damage(self, x: Expr) -> Expr:
         """Return the damage at x >= 1: 1 minus the stress over that of the sound material."""
-        raise NotImplementedError
+        raise InputError(f"{type(self).__name__} has no damage; a softening curve needs a method damage(x)")
 
     def energy(self, d: Expr) -> Expr:
         """Return the energy dissipated up to the damage `d`, over the elastic energy at the strength; k at d = 1.
 
         It is the integral over the damage of x^2, where x is the jump ratio at which the damage is d.
         """
-        raise NotImplementedError
+        raise InputError(f"{type(self).__name__} has no energy; a softening curve needs a method energy(d)")
+
+    def check(self) -> None:
+        """Raise InputError unless the stress falls from the strength, and the energy is that below its curve.
+
+        `k` must be a number. Both methods are evaluated at many x. Between two, the energy must grow by the growth of the
+        damage times a number from x^2 at the first to x^2 at the second.
+        """
+        x = 1 + (self.k - 1) * np.append(0.0, SAMPLED_SOFTENING)
+        d = np.array([float(evaluate(ufl.as_ufl(self.damage(value)))) for value in x])
+        energy = np.array([float(evaluate(ufl.as_ufl(self.energy(value)))) for value in d])
+        stress, growth, gain, rounding = (1 - d) * x, np.diff(d), np.diff(energy), CURVE_TOLERANCE * self.k
+        is_integral = (x[:-1] ** 2 * growth - rounding <= gain) & (gain <= x[1:] ** 2 * growth + rounding)
+        for name, values, is_bad, allowed in (
+            ("damage", d, (x == 1) & ~(abs(d) <= CURVE_TOLERANCE), "0, as the stress is the strength there"),
+            ("damage", d, np.append(0, growth) < -CURVE_TOLERANCE, "no less than before"),
+            ("damage", d, ~(d <= 1 + CURVE_TOLERANCE), "at most 1"),
+            ("stress over strength", stress, stress > 1 + CURVE_TOLERANCE, "at most 1"),
+            ("energy", energy, (x == 1) & ~(abs(energy) <= rounding), "0, as nothing is dissipated before"),
+            ("energy", energy, np.append(False, ~is_integral), "the integral of x^2 over the damage"),
+        ):
+            for i in np.flatnonzero(is_bad)[:1]:
+                place = f"at x = {x[i]:.6g}, where the damage is {d[i]:.6g} and k is {self.k:.4g}"
+                raise InputError(f"{type(self).__name__}: {name} is {values[i]:.6g} {place}; allowed: {allowed}")
 
 
 class LinearSoftening(SofteningCurve):
@@ -240,6 +265,9 @@ class MixedModeDamage(DamageResults, Law):
         worst = int(np.argmin(k))
         needs = f"the elastic energy at the strength: it is {k[worst]:.3g} times that at the mode mixity {B[worst]:g}"
         self.require(k[worst] > 1, "toughness", f"more than {needs}", f"({self.G_I:.4g}, {self.G_II:.4g})")
+        if type(self).softening_curve is not MixedModeDamage.softening_curve:
+            for extreme in (k.min(), k.max()):
+                self.softening_curve(float(extreme)).check()
 
     @property
     def _onset_energies(self) -> tuple[Expr, Expr]:
@@ -350,8 +378,8 @@ class Breaking(MixedModeDamage, CracksAlongS):
 
     Attributes:
         lmbda, mu: Lame moduli of the sound material, stresses; lmbda > -2 mu/3, mu > 0.
-        bond_line: thickness for which the energies per volume hold, for a warning in a layer of another one; 0: not
-            known.
+        bond_line: thickness for which the energies per volume hold, for a warning in a layer of another one; a number,
+            or a function of places; 0: not known.
         t_N, t_T, G_I, G_II, eta, cracked, knee_jump, knee_stress, softening, criterion, closure: see `MixedModeDamage`.
 
     Raises:
@@ -373,7 +401,7 @@ class Breaking(MixedModeDamage, CracksAlongS):
     @classmethod
     def glue(
         cls, E: Parameter, nu: Parameter, strength: tuple[Parameter, Parameter], toughness: tuple[Parameter, Parameter],
-        eta: Parameter = 1.0, *, bond_line: float, **others: Any,
+        eta: Parameter = 1.0, *, bond_line: Parameter, **others: Any,
     ) -> Self:  # fmt: skip
         """Return the law of an adhesive as data sheets describe it.
 
@@ -382,13 +410,19 @@ class Breaking(MixedModeDamage, CracksAlongS):
             strength: strengths in opening and in shear, stresses.
             toughness: toughness in modes I and II, energies per area, measured at this bond line.
             eta: exponent of the criterion.
-            bond_line: thickness of the layer in the tests that gave the toughness.
+            bond_line: thickness of the layer in the tests that gave the toughness; in a layer of variable thickness, if
+                the toughness per area does not depend on it, that thickness as a function of places.
             others: further parameters by name, such as `cracked`.
         """
-        require(0 < bond_line < math.inf, "bond_line", bond_line, "allowed: > 0, the thickness of the layer in tests")
+        what, thickness = "Breaking.glue:", as_parameter_field(bond_line)
+        is_thickness = callable(thickness) or (is_finite(thickness) and thickness > 0)
+        require(is_thickness, f"{what} bond_line", bond_line, "allowed: > 0, the thickness of the layer in tests")
+        for name, pair in {"strength": strength, "toughness": toughness}.items():
+            is_pair = isinstance(pair, Sequence) and len(pair) == 2 and all(callable(x) or is_number(x) for x in pair)
+            require(is_pair, f"{what} {name}", pair, "allowed: two values, in opening and in shear")
         sound, (t_N, t_T) = LinearElastic.young(E, nu), strength
-        G_I, G_II = (as_parameter_field(G) / bond_line for G in toughness)
-        return cls(sound.lmbda, sound.mu, t_N, t_T, G_I, G_II, eta, bond_line=bond_line, **others)  # type: ignore[arg-type]
+        G_I, G_II = (as_parameter_field(G) / thickness for G in toughness)
+        return cls(sound.lmbda, sound.mu, t_N, t_T, G_I, G_II, eta, bond_line=thickness, **others)  # type: ignore[arg-type]
 
     opening_and_slip = CracksAlongS.opening_and_slip
 
@@ -402,8 +436,15 @@ class Breaking(MixedModeDamage, CracksAlongS):
         return self._damaged_energy(step) + ufl.inner(self._along(step)[2], step.e) / 2
 
     def plane_stress(self) -> Self:
-        """Return the law whose sound material is in plane stress; strengths and toughnesses stay."""
-        return self.with_parameters({"lmbda": 2 * self.mu * self._ratio})
+        """Return the law whose sound material is in plane stress; strengths and toughnesses stay.
+
+        Raises:
+            InputError: a toughness is below the elastic energy at the strength, which is larger than in plane strain.
+        """
+        law = self.with_parameters({"lmbda": 2 * self.mu * self._ratio})
+        if not law.fields:
+            law.check()
+        return law
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import dataclass, fields, replace
+from functools import cache, partial
 from typing import ClassVar
 
 import numpy as np
@@ -13,7 +13,7 @@ import ufl
 
 from forms import Breaking, Cohesive, LinearElastic, Stack
 from forms.base import InputError
-from forms.breaking import SofteningCurve
+from forms.breaking import BilinearSoftening, ExponentialSoftening, LinearSoftening, SofteningCurve
 from geometry import block, sandwich
 from tests.at_points import respond
 from tests.on_ranks import on_ranks
@@ -515,6 +515,10 @@ def test_glue_knows_its_bond_line():
     assert run(ThinLayer(glue, 0.2)) == run(ThinLayer(glue, 0.1, at=0.2)) == []
     (warning,) = run(ThinLayer(glue, 0.1))
     assert "per area it is 0.5 times that of the tests; give bond_line=0.1, or ThinLayer(..., at=0.2)" in warning
+    wedge = lambda x: 1 + x[0] / x[0].max()
+    tapered = [Breaking.glue(2e3, 0.4, **DATA, bond_line=line) for line in (0.2, lambda x: 0.2 * wedge(x))]
+    (warning,), silence = (run(ThinLayer(law, 0.2, profile=wedge)) for law in tapered)
+    assert ("its thickness 0.4 at (" in warning, silence) == (True, [])
 
 
 REFUSED = [
@@ -529,6 +533,35 @@ REFUSED = [
 @pytest.mark.parametrize(("changes", "words"), REFUSED)
 def test_parameters_out_of_range(changes, words):
     refused(InputError, words, replace, JOINT, **changes)
+
+
+def test_data_of_glue_out_of_range():
+    glue = partial(Breaking.glue, 2e3, 0.45, bond_line=0.2)
+    for name, pair in (("strength", 40.0), ("strength", "40"), ("toughness", (1, 2, 3))):
+        refused(InputError, f"{name} is .*; allowed: two values, in opening and in shear", glue, **DATA | {name: pair})
+    refused(InputError, "bond_line is '0.2'", glue, **DATA, bond_line="0.2")
+    brittle = glue((40.0, 40.0), (0.05, 1.6))
+    refused(InputError, "it is 0.784 times that at the mode mixity 0", brittle.plane_stress)
+
+
+WRONG_CURVES = {
+    "damage is 0.1 at x = 1,": {"damage": lambda curve, x: 1 - 0.9 / x},
+    "stress over strength is 1.00.*; allowed: at most 1": {"damage": lambda curve, x: 1 - ufl.sqrt(ufl.as_ufl(1 / x))},
+    "damage is 1.*; allowed: at most 1": {"damage": lambda curve, x: 1.2 * LinearSoftening.damage(curve, x)},
+    "damage is .* allowed: no less than before": {"damage": lambda curve, x: (x - 1) * (3 - x) / 4 / x},
+    "allowed: the integral of x.2 over": {"energy": lambda curve, d: d * curve.k},
+}
+
+
+@pytest.mark.parametrize("words", WRONG_CURVES)
+def test_softening_curves_are_checked(words):
+    """Stress falls from the strength, and the energy is the area below; those of the package pass from k = 1 to 1e4."""
+    curve = type("Mine", (LinearSoftening,), WRONG_CURVES[words])
+    law = type("Curved", (Cohesive,), {"softening_curve": lambda self, k: curve(k)})
+    refused(InputError, words, law, **{f.name: getattr(JOINT, f.name) for f in fields(JOINT)})
+    for k in (1.001, 3.0, 1e4):
+        for right in (LinearSoftening(k), ExponentialSoftening(k), BilinearSoftening(k, 0.4, 1 / 3)):
+            right.check()
 
 
 def test_uses_that_are_refused():

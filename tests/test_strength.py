@@ -161,10 +161,12 @@ BENT = Structure(ring(1.0, 1.5, 2.0, 0.5, angle=1.2), body=LAW, supports={"OUTSI
 judged = lambda criterion=QUADRATIC, **options: strength(bars(), criterion, **options)
 stretch = lambda where: goals.MeanTraction((0, 1), where=where).value(bars(), bars().model)
 BAD = [
-    ("a state is None", lambda: strength([], QUADRATIC)), ("a state is 3", lambda: strength(3, QUADRATIC)),
+    ("give at least one state", lambda: strength([], QUADRATIC)), ("a state is 3", lambda: strength(3, QUADRATIC)),
     ("ends is -1", lambda: judged(ends=-1)), ("at most 9", lambda: judged(ends=11)), ("seam", lambda: judged(seam="GLUE")),
     ("no numpy function of", lambda: judged(lambda a: a)), ("is nan", lambda: judged(lambda a, b: math.nan)),
-    ("no numpy", lambda: judged(StrengthCriterion())), ("cutoff is -1", lambda: MohrCoulombCriterion(1, 30, -1)),
+    ("no numpy", lambda: judged(StrengthCriterion())), ("the criterion is 40", lambda: judged(40)),
+    ("criterion is <class", lambda: judged(QuadraticCriterion)), ("complex128", lambda: judged(lambda a, b: a + 1j * b)),
+    ("the lower one first", lambda: QUADRATIC.interval((2, 1))),  ("cutoff is -1", lambda: MohrCoulombCriterion(1, 30, -1)),
     ("joint", lambda: strength([bars(), solve(column(1, 1))], CONE)), ("t_T is 0", lambda: QuadraticCriterion(1, 0)),
     ("cohesion is 0", lambda: MohrCoulombCriterion(0, 30)), ("angle is 90", lambda: MohrCoulombCriterion(1, 90)),
     ("true at one of its nodes", lambda: judged().interval(1e-3)), ("length is 0", lambda: judged().interval(0)),

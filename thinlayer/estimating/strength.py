@@ -13,6 +13,7 @@ import numpy.typing as npt
 import scipy.optimize
 
 from forms.base import Array, InputError, import_optional, is_finite, is_number, require
+from forms.parameter_fields import real_values
 from geometry.seam import S
 from geometry.topology import BoolArray
 from thinlayer.discretisation.contact_nodes import normal_frames
@@ -68,6 +69,8 @@ class StrengthCriterion:
             t_N: lower and upper bound of the normal traction.
             t_T: lower and upper bound of each tangential component, whose signs may differ: one in 2D, two in 3D.
         """
+        for low, high in (t_N, *t_T):
+            require(low <= high, "interval: bounds", (low, high), "allowed: the lower one first, no nan")
         shear = [(0.0 if low < 0 < high else min(abs(low), abs(high)), max(abs(low), abs(high))) for low, high in t_T]
         lower, upper = self.value(np.array(t_N, float), np.hypot.reduce(np.array(shear)))
         return float(lower), float(upper)
@@ -147,7 +150,7 @@ class FunctionCriterion(StrengthCriterion):
             InputError: the function raises an error, or its result has another shape or is nan.
         """
         try:
-            values = np.broadcast_to(np.asarray(self.function(t_N, t_T), float), np.shape(t_N))
+            values = np.broadcast_to(real_values(self.function(t_N, t_T)), np.shape(t_N))
             require(not np.isnan(values).any(), "a value", math.nan, "it must be a number")
             return values
         except Exception as error:
@@ -346,8 +349,12 @@ def strength(
         in_time = isinstance(states, History)
         states = {f"state {k}" + (f", t = {state.t:g}" if in_time else ""): state for k, state in enumerate(states, 1)}
     names, several = tuple(map(str, states)), [*states.values()]
-    for state in several or [None]:
+    require(several, "strength: states", states, "give at least one state")
+    for state in several:
         require(isinstance(state, State), "strength: a state", state, "give what solve or march returns")
+    wanted = "give a criterion, such as QuadraticCriterion(t_N=40, t_T=30), or a function of t_N and |t_T|"
+    is_criterion = isinstance(criterion, StrengthCriterion) or (callable(criterion) and not isinstance(criterion, type))
+    require(is_criterion, "strength: the criterion", criterion, wanted)
     surface = Surface(several[0].model, seam)
     tractions = np.array([surface.frame(surface.traction(state)) for state in several])
     t_N, t_T = tractions[:, -1], np.linalg.norm(tractions[:, :-1], axis=1)
@@ -356,6 +363,7 @@ def strength(
         farthest, counts = float(surface.distance_to_ends.max()), surface.distance_to_ends >= ends
         require(counts.any(), "strength: ends", ends, f"allowed: at most {farthest:.4g}, as no point is farther away")
         criterion = criterion if isinstance(criterion, StrengthCriterion) else FunctionCriterion(criterion)
-        values = FunctionCriterion(criterion.value).value(t_N, t_T)
+        checked = criterion if isinstance(criterion, FunctionCriterion) else FunctionCriterion(criterion.value)
+        values = checked.value(t_N, t_T)
     are_linear = all(state.model.linear for state in several)
     return Strength(surface, several, criterion, names, t_N, t_T, values, counts, are_linear)

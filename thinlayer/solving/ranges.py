@@ -12,6 +12,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from forms.law_tangents import in_plane_modulus
+from forms.parameter_fields import ParameterField, as_parameter_field
 from forms.tensors import average_lame
 from geometry.parallel import on_root
 from geometry.refusals import place_text
@@ -68,7 +69,7 @@ def warn_of_model(model: Model, durations: Sequence[float] = ()) -> None:
             why = "a block of 10 by 5 cells is 4 % too stiff at 0.45, 18 % at 0.49, and three times at 0.4995"
             model.warn("locking", f"{text}: {why}; use {remedy}", law)
     for layer in model.layers.values():
-        for key, remark in _bond_line_remarks(layer):
+        for key, remark in _bond_line_remarks(model, layer):
             model.warn(key, remark, layer.name)
     for layer in _strain_layers(model):
         for key, remark in _model_remarks(model, layer, durations):
@@ -83,16 +84,29 @@ def warn_of_model(model: Model, durations: Sequence[float] = ()) -> None:
             model.warn(violation.key, f"{violation.reason}: what it bears is left out; {violation.remedy}", name)
 
 
-def _bond_line_remarks(layer: SeamLayer) -> Iterator[Remark]:
+def _bond_line_remarks(model: Model, layer: SeamLayer) -> Iterator[Remark]:
     """Yield a warning (key, text) if a law has the toughness of a bond line of another thickness than the layer's."""
     if not (thin := layer.thin_layer):
         return
+    joint = model.structure.joint
+    vertices = np.unique(joint.table.vertices[joint.rows_of(layer.name)])
+    thickness = float(thin.at or thin.eps) * joint.relative_thickness(thin.profile, layer.name)[vertices]
     for fraction, law in thin.law.sublayers:
-        bond_line, eps = getattr(law, "bond_line", 0.0), fraction * float(thin.at or thin.eps)
-        if bond_line and not math.isclose(bond_line, eps, rel_tol=THICKNESS_TOLERANCE):
-            text = f"the toughness of {layer} is that of a bond line of {bond_line:.4g}, and its thickness {eps:.4g}"
-            effect = f"per area it is {eps / bond_line:.3g} times that of the tests"
-            yield "bond line", f"{text}: {effect}; give bond_line={eps:.4g}, or ThinLayer(..., at={bond_line:.4g})"
+        bond_line = as_parameter_field(getattr(law, "bond_line", 0.0))
+        tested = bond_line(joint.points[vertices].T) if isinstance(bond_line, ParameterField) else bond_line
+        if not np.any(tested):
+            continue
+        ratio = fraction * thickness / tested
+        k = int(abs(np.log(ratio)).argmax())
+        if abs(ratio[k] - 1) > THICKNESS_TOLERANCE:
+            eps, bond_line = fraction * thickness[k], float(np.broadcast_to(tested, ratio.shape)[k])
+            place = "" if np.ptp(ratio) <= THICKNESS_TOLERANCE else f" at {place_text(joint.points[vertices[k]])}"
+            text = f"the toughness of {layer} is that of a bond line of {bond_line:.4g}, and its thickness {eps:.4g}{place}"
+            effect = f"per area it is {ratio[k]:.3g} times that of the tests"
+            remedy = "bond_line=, the thickness as a function of places"
+            if not place:
+                remedy = f"bond_line={eps:.4g}, or ThinLayer(..., at={bond_line:.4g})"
+            yield "bond line", f"{text}: {effect}; give {remedy}"
 
 
 def _model_remarks(model: Model, layer: SeamLayer, durations: Sequence[float]) -> Iterator[Remark]:
