@@ -276,6 +276,11 @@ class MixedModeDamage(DamageResults, Law):
         return self.t_N**2 / (2 * K_N), self.t_T**2 / (2 * K_T)
 
     # ---------------------------------------------------------------- damage
+    has_modes = True
+
+    def mode_energies(self, step: Step) -> tuple[Expr, Expr]:
+        return self._released(step.e, three_dimensional(step.n))
+
     def _released(self, deformation: Expr, n: Expr) -> tuple[Expr, Expr]:
         """Return the energies Y_I and Y_II that damage releases."""
         (K_N, K_T), (w_N, w_T) = self.stiffnesses(), self.opening_and_slip(deformation, n)

@@ -9,7 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.base import Array
+from forms.tensors import Expr
 from forms.traits import Traits
+
+if TYPE_CHECKING:
+    from forms.law import Step
 
 ELASTIC, SLIDING, CRUSHED, TORN, OPEN = "elastic", "sliding", "crushed", "torn", "open"
 YIELD_STATUSES = (ELASTIC, SLIDING, CRUSHED, TORN, OPEN)
@@ -85,6 +89,16 @@ class LayerResults:
             internal: name of an internal variable -> values, (points, ...) with the variable's shape.
         """
         return internal.get("plastic") if self.internal.get("plastic") == (3, 3) else None
+
+    # ---------------------------------------------------------------- modes of fracture
+    @property
+    def has_modes(self) -> bool:
+        """Whether the law has energies of modes I and II, `mode_energies`."""
+        return False
+
+    def mode_energies(self, step: Step) -> tuple[Expr, Expr]:
+        """Return the energies Y_I and Y_II that damage releases in opening and in shear, UFL, at the end of a step."""
+        raise NotImplementedError
 
     # ---------------------------------------------------------------- shares of material
     @property

@@ -115,6 +115,13 @@ class TractionAsBulkLaw(WrappedLaw):
     def dissipated(self, step: Step) -> Expr:
         return self.law.dissipated(JumpStep.of_step(step))
 
+    @property
+    def has_modes(self) -> bool:
+        return self.law.has_modes
+
+    def mode_energies(self, step: Step) -> tuple[Expr, Expr]:
+        return self.law.mode_energies(JumpStep.of_step(step))
+
 
 @cache
 def _make_bulk_law_class(cls: type) -> type[TractionAsBulkLaw]:

@@ -20,6 +20,7 @@ from thinlayer.errors import SolveError as SolveError
 from thinlayer.errors import ThinlayerError as ThinlayerError
 from thinlayer.estimating.derivative import derivative as derivative
 from thinlayer.estimating.estimate import estimate as estimate
+from thinlayer.estimating.failure_load import failure_load as failure_load
 from thinlayer.estimating.fit import Fit as Fit
 from thinlayer.estimating.fit import Measurement as Measurement
 from thinlayer.estimating.fit import fit as fit

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from forms.base import Array, InputError, unknown_name_message
+from forms.base import Array, InputError, is_finite, require, unknown_name_message
+from forms.breaking import BROKEN_DAMAGE
 from forms.law import Law
 from forms.layer_results import ELASTIC, YIELD_STATUSES, LayerPoints
 from geometry.topology import IntArray
@@ -15,8 +16,11 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, balance_errors, contact_values
+from thinlayer.output.layer_energies import dissipated_in_steps, mode_mix
 from thinlayer.output.tractions import consistent_tractions, layer_tractions, match_law_points
+from thinlayer.solving.history import History
 from thinlayer.surface.law_points import LawPoints, layer_points, layer_shares
+from thinlayer.surface.lines import level_points
 from thinlayer.surface.pressure_excess import sublayer_moduli, times_too_stiff
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.table import Row, Table
@@ -165,14 +169,71 @@ class Surface(SurfaceMesh):
         Raises:
             InputError: no layer of the model has the variable.
         """
+        return self._facet_means(state, name, self._internal_shape(state, name))
+
+    def _internal_shape(self, state: State, name: str) -> tuple[int, ...]:
         laws = [law for layer in state.model.layers.values() for _, law in layer.law.sublayers]
         shapes = {variable: shape for law in laws for variable, shape in law.internal.items()}
         if name not in shapes:
             raise InputError(unknown_name_message("internal variable", name, shapes))
-        return self._facet_means(state, name, shapes[name])
+        return shapes[name]
 
-    def _facet_means(self, state: State, name: str, shape: tuple[int, ...]) -> Array:
-        """Return the means (*shape, n, 1) over each of n facets of an internal variable; nan where a law lacks it."""
+    # ---------------------------------------------------------------- fracture
+    def mode_mix(self, state: State) -> Array:
+        """Return the mode mixity B (n, 1) on each of n facets, from 0 (opening) to 1 (shear). Collective.
+
+        B is Y_II/(Y_I + Y_II) for the energies that damage releases in shear and in opening, both integrated over the
+        facet. Where all is broken, it is that of the open crack. nan: facets that neither open nor slide, or whose law
+        has no modes.
+
+        Args:
+            state: a state of a full or an interface model with a layer of `Breaking` or `Cohesive`.
+
+        Raises:
+            InputError: no layer has modes, or one is a sublayer of a `Stack`.
+        """
+        self._require_same_joint(state)
+        return mode_mix(self, state)
+
+    def dissipated(self, history: History) -> Array:
+        """Return the energy per area (rows, n, 1) that layers dissipate on n facets in the step of each row of a table.
+
+        Its integral is the column "dissipated", without what bodies dissipate. `dissipated(history).sum(axis=0)` is what
+        breaking has cost at each place. It is zero in the row of a state with which a march begins. Collective.
+
+        Args:
+            history: a history with all states.
+
+        Raises:
+            InputError: states are missing; a contact law, or a law whose phases switch, which have no such field.
+        """
+        require(isinstance(history, History), "dissipated", history, "give a history, as march returns it")
+        self._require_same_joint(history.last)
+        return dissipated_in_steps(self, history)
+
+    def crack_front(self, state: State, d: float = BROKEN_DAMAGE) -> Array:
+        """Return the points (k, dim) of the edge of the broken area: in 2D its ends, in 3D in order along lines.
+
+        The edge is interpolated between facets by their broken shares. Where S ends there is none. Collective.
+
+        Args:
+            state: a state of a full or an interface model with a layer that has a damage "d".
+            d: damage beyond which a point belongs to the area; 0: the edge of what has begun to break.
+
+        Raises:
+            InputError: d is not from 0 to below 1, or no layer has a damage.
+        """
+        require(is_finite(d) and 0 <= d < 1, "crack_front: d", d, "allowed: from 0 to below 1")
+        share = self._facet_means(state, "d", self._internal_shape(state, "d"), above=d)
+        heights = self.lumped(self.moments(np.nan_to_num(share)))[self.nodes] - 0.5
+        seams = [self.seams == name for name in dict.fromkeys(self.seams.tolist())]
+        return np.concatenate([level_points(self.joint, self.seam, self.rows[k], heights[k]) for k in seams])
+
+    def _facet_means(self, state: State, name: str, shape: tuple[int, ...], above: float | None = None) -> Array:
+        """Return the means (*shape, n, 1) over each of n facets of an internal variable; nan where a law lacks it.
+
+        With `above`, the shares of the facets where it is larger than this number.
+        """
         self._require_same_joint(state)
         integrals, size = np.zeros((1 + math.prod(shape), len(self.rows))), math.prod(shape)
         for points, facets in layer_points(self, state):
@@ -181,6 +242,7 @@ class Surface(SurfaceMesh):
                 if name in law.internal:
                     weights = fraction * points.quadrature.weights[cells]
                     values = internal[name].reshape(len(internal[name]), size)[cells]
+                    values = values if above is None else (values > above).astype(float)
                     np.add.at(integrals[0], facets_here, weights.sum(axis=1))
                     for integral, component in zip(integrals[1:], np.moveaxis(values, -1, 0), strict=True):
                         np.add.at(integral, facets_here, (weights * component).sum(axis=1))

@@ -185,7 +185,7 @@ class CompiledPart(Part):
         """
         response, interval = self._response, self.interval
         before = interval.old.stored[self.key] if self.key in interval.old.stored else self._initial_stored_energy()
-        after, dissipated, remainder = map(float, self.comm.allreduce(response.energies))
+        after, dissipated, remainder = map(float, self.comm.allreduce(self.points.weights @ response.energies))
         supplied = self.comm.allreduce(float(self.points.weights @ (response.stress * self._e_increment).sum(axis=1)))
         if self.points.material.varies:
             if interval.t != self._t:
@@ -198,6 +198,14 @@ class CompiledPart(Part):
         if interval.theta < 1:  # extrapolate from old.t + theta dt to the end of the step
             stress = np.asarray((stress - (1 - interval.theta) * interval.old.stresses[self.key]) / interval.theta)
         return StepOutcome(before, after, dissipated, remainder, response.memory, supplied=supplied, stress=stress)
+
+    def strain_in(self, state: Configuration) -> Array:
+        """Return the strains (points, m) in a state, prescribed ones included, as Mandel components. Collective."""
+        return np.asarray(self.points.strain(state.u.x.petsc_vec) + self._strain_at(state.t))
+
+    def dissipated(self) -> Array:
+        """Return the energies (points,) that are dissipated in the step around each point, for the last `evaluate`."""
+        return np.asarray(self.points.weights * self._response.energies[:, 1])
 
     def _initial_stored_energy(self) -> float:
         """Return the energy stored at the start of the first step by strains that are prescribed from the outset.

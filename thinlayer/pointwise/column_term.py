@@ -89,15 +89,21 @@ class ColumnTerm(CompiledTerm):
         response, deviation = super().respond(mean, old, memory, dt, theta), e - mean
         elastic_stress = np.einsum("pij,pj->pi", self._C_start, deviation)
         stress = self._mean_projection(response.full_stress - elastic_stress) + elastic_stress
-        energies = response.energies + np.array([self._energy(deviation), 0.0, self._energy(deviation - e_old + old)])
+        energies = response.energies.copy()
+        energies[:, 0] += self._energies(deviation)
+        energies[:, 2] += self._energies(deviation - e_old + old)
         return replace(response, full_stress=stress, stress=stress[:, self.mandel], energies=energies)
 
-    def _energy(self, deviation: Array) -> float:
-        """Return the elastic energy, over this rank's points, of `deviation` (points, m).
+    def driving_strain(self, e: Array) -> Array:
+        """Return the means of strains (points, m) over columns, to which the law responds."""
+        return self._mean_projection(e)
+
+    def _energies(self, deviation: Array) -> Array:
+        """Return the elastic energies (points,) per volume of `deviation` (points, m).
 
         These are the strains minus their means over columns, as m Mandel components.
         """
-        return float(np.einsum("p,pi,pij,pj->", self.weights, deviation, self._C_start[:, self.mandel], deviation) / 2)
+        return np.asarray(np.einsum("pi,pij,pj->p", deviation, self._C_start[:, self.mandel], deviation) / 2)
 
     def stored_energy(self, e: Array, memory: Array, dt: float) -> float:
         """Return the stored energy on this rank: that of the mean strains plus that of the deviations from them.
@@ -110,7 +116,7 @@ class ColumnTerm(CompiledTerm):
             dt: length of the step.
         """
         mean = self._mean_projection(e)
-        return super().stored_energy(mean, memory, dt) + self._energy(e - mean)
+        return super().stored_energy(mean, memory, dt) + float(self.weights @ self._energies(e - mean))
 
     def stiffness(self, tangent: Array, relative_residual: float = 0.0, into: PETSc.Mat | None = None) -> PETSc.Mat:
         """Return the tangent matrix of the law at the mean strains over columns.

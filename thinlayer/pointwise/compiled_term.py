@@ -38,8 +38,8 @@ class Response:
         stress: (points, m) those m components of `full_stress` for which strains are computed.
         tangent: (points, m, m) derivative of `stress` by the strains at the end of the step.
         memory: (points, values) internal variables at the end of the step.
-        energies: (3,) stored energy at the end, energy dissipated in the step, and remainder of the energy balance
-            (error of the time scheme). They are integrated over this rank's points; NaN if the law declares no energy.
+        energies: (points, 3) energies per volume, on S for a weight of 1: stored at the end, dissipated in the step, and
+            remainder of the energy balance (error of the time scheme); NaN if the law declares no energy.
         n_failed: number of points of this rank where the law failed.
     """
 
@@ -144,8 +144,13 @@ class CompiledTerm(Quadrature):
         """
         s, C, new, energies, n_failed = self.material.update(self.mandel, e, e_old, memory, self.n, dt, theta)
         s[:, self._zero_indices] = 0.0
-        energy_sums = self.weights @ energies if self.term.law.traits.has_energy else np.full(3, np.nan)
-        return Response(s, s[:, self.mandel], C, new, energy_sums, n_failed)
+        if not self.term.law.traits.has_energy:
+            energies[:] = np.nan
+        return Response(s, s[:, self.mandel], C, new, energies, n_failed)
+
+    def driving_strain(self, e: Array) -> Array:
+        """Return the strains (points, m) to which the law responds at strains `e` (points, m): these themselves."""
+        return e
 
     def stored_energy(self, e: Array, memory: Array, dt: float) -> float:
         """Return the stored energy, integrated over this rank's points; NaN if the law declares no energy.

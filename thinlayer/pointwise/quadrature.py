@@ -260,11 +260,11 @@ class Quadrature:
         return f
 
     def region_function(self, values: Array) -> fem.Function:
-        """Return a function on the mesh of the region that has `values` (points,) at the points. Collective.
+        """Return a function on the mesh of the region with `values`, (points,) or (points, m), at the points. Collective.
 
         It can be integrated with measures of the quadrature degree `degree`.
         """
-        return set_owned_values(fem.Function(self._space(())), values)
+        return set_owned_values(fem.Function(self._space(values.shape[1:])), values.ravel())
 
     @cached_property
     def entity_numbers(self) -> IntArray:

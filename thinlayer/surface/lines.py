@@ -183,6 +183,26 @@ def cut_segments(joint: Joint, nodes: IntArray, values: Array, plane: Plane) -> 
     return segments if len(segments.end_numbers) else _cut_facets(ring_nodes, x, values, heights, heights > 0)
 
 
+def level_points(joint: Joint, seam: str, facet_rows: IntArray, heights: Array) -> Array:
+    """Return the points (k, d) of a seam where numbers at corners, linear on facets, change sign; in 3D along lines.
+
+    Args:
+        joint: the joint, the undistributed mesh of the bodies.
+        seam: name of the seam.
+        facet_rows: (n,) positions of the seam's facets in `joint.surface`.
+        heights: (n, k) numbers at the k corners of each facet.
+    """
+    order = [0, 1] if joint.dim == 2 else [0, 1, 3, 2] if is_tensor(joint.cell_type) else [0, 1, 2]
+    nodes, heights = joint.surface[facet_rows][:, order], heights[:, order]
+    x, is_above = joint.points[nodes], heights >= 0
+    if joint.dim == 3:
+        segments = _cut_facets(nodes, x, np.zeros((*heights.shape, 1)), heights, is_above)
+        return np.concatenate([np.empty((0, 3)), *(line.x for line in segments.join_to_lines(seam, joint.size))])
+    (x_0, x_1), (h_0, h_1) = (np.moveaxis(values[is_above[:, 0] != is_above[:, 1]], 1, 0) for values in (x, heights))
+    points = x_0 + (h_0 / (h_0 - h_1))[:, None] * (x_1 - x_0)
+    return np.asarray(points[place_order(points, joint.size)])
+
+
 def _cut_facets(ring_nodes: IntArray, x: Array, values: Array, heights: Array, is_above: BoolArray) -> Segments:
     next_corner = np.roll(np.arange(ring_nodes.shape[1]), -1)
     is_cut = is_above != is_above[:, next_corner]

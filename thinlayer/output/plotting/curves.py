@@ -15,6 +15,7 @@ from matplotlib.ticker import LogLocator
 
 from forms.base import Array, InputError, require
 from thinlayer.output.plotting.picture import GivenAxes, Picture, entry_by_label, finish_picture, make_panels, typeset
+from thinlayer.solving.history import History
 from thinlayer.system.table import Table
 
 CurvesByLabel = Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike]]  # label -> (x, y)
@@ -174,6 +175,51 @@ def curves(
             axes.set_yticks(range(len(levels[name])), map(typeset, levels[name]))
     handles = [*plotted.values()] if len(plotted) > 1 else []
     return finish_picture(axes_list, save, title if has_panels else "", handles, math.ceil(len(plotted) / legend_rows))
+
+
+def load_displacement(
+    paths: Mapping[str, History | Table] | History | Table,
+    displacement: str,
+    load: str | Mapping[str, str],
+    xlabel: str,
+    ylabel: str = "",
+    **options: Any,
+) -> Picture | None:
+    """Draw loads over displacements: the states of histories as dots on lines, and tables, as of closed forms, as lines.
+
+    Args:
+        paths: a history or a table; for several, label of a curve -> history or table.
+        displacement: column of the tables with the displacements; "t" if the time of a march is one.
+        load: column with the loads; for several panels, title of a panel -> its column. A path without it is left out.
+        xlabel, ylabel: labels of the axes, units included.
+        options: further options of `curves`, such as save, title, styles, colours, xlim and ax.
+
+    Returns:
+        The new picture; None if `ax` is given.
+
+    Raises:
+        InputError: a path is neither a history nor a table, or no path has the columns.
+
+    Example:
+        >>> from thinlayer import Table, plotting
+        >>> beams = Table.of({"opening": [0, 1, 2], "force": [0, 6, 5]})
+        >>> axes = "opening (mm)", "force (N/mm)"
+        >>> picture = plotting.load_displacement(
+        ...     {"beams": beams}, "opening", "force", *axes
+        ... )
+    """
+    sources: dict[str, History | Table] = entry_by_label("load_displacement: paths", paths, "history or table")
+    for label, path in sources.items():
+        require(isinstance(path, History | Table), f"load_displacement: {label}", path, "give a history or a table")
+    tables = {label: path.table if isinstance(path, History) else path for label, path in sources.items()}
+    panels = dict[str, CurvesByLabel]()
+    for title, column in (load if isinstance(load, Mapping) else {"": load}).items():
+        by_label = {label: table for label, table in tables.items() if column in table.columns}
+        require(by_label, "load_displacement: load", column, "no path has this column")
+        panels[title] = {label: (table[displacement], table[column]) for label, table in by_label.items()}
+    styles = {label: ".-" if isinstance(path, History) else "-" for label, path in sources.items()}
+    lines = panels if isinstance(load, Mapping) else panels[""]
+    return curves(lines, xlabel, ylabel, **{"styles": styles, **options})
 
 
 def as_fraction(x: float) -> str:
