@@ -20,7 +20,7 @@ from forms.law import Law, Step, choice, require_positive
 from forms.law_tangents import evaluate
 from forms.layer_results import ELASTIC, LayerPoints, LayerResults
 from forms.parameter_fields import Parameter, as_parameter_field
-from forms.tensors import Expr, three_dimensional
+from forms.tensors import Expr
 from forms.traction import JumpStep, TractionLaw
 
 BREAKING, BROKEN = "breaking", "broken"
@@ -305,7 +305,7 @@ class MixedModeDamage(DamageResults, Law):
         return ufl.max_value(step.q["d"], self.cracked)
 
     def _new_damage(self, step: Step) -> Expr:
-        mix = self._mode_mix(step.e, three_dimensional(step.n))
+        mix = self._mode_mix(step.e, step.n)
         return ufl.max_value(self._old_damage(step), mix.curve.damage(mix.x))
 
     def dissipated(self, step: Step) -> Expr:
@@ -315,25 +315,25 @@ class MixedModeDamage(DamageResults, Law):
         beginning of the step; at the end alone if the beginning is below the strength, where a mixity is meaningless.
         The result is never negative.
         """
-        n, old, new = three_dimensional(step.n), self._old_damage(step), self._new_damage(step)
+        n, old, new = step.n, self._old_damage(step), self._new_damage(step)
         mixes = self._mode_mix(step.e, n), self._mode_mix(step.e_old, n)
         end, start = (mix.onset * (mix.curve.energy(new) - mix.curve.energy(old)) for mix in mixes)
         return self._mean_of_growth(step, end, start)
 
     def _mean_of_growth(self, step: Step, end: Expr, start: Expr) -> Expr:
         """Return the mean of values at the end and at the start of a step; that at the end if the start is sound."""
-        is_growing = ufl.gt(self._mode_mix(step.e_old, three_dimensional(step.n)).x, 1)
+        is_growing = ufl.gt(self._mode_mix(step.e_old, step.n).x, 1)
         return (end + ufl.conditional(is_growing, start, end)) / 2
 
     # ---------------------------------------------------------------- traction and energy
     def _damaged_traction(self, step: Step) -> tuple[Expr, Expr]:
         """Return the normal component and the tangential vector (3,) of the traction."""
         (K_N, K_T), d = self.stiffnesses(), self._new_damage(step)
-        w_N, w_T = self.opening_and_slip(step.e, three_dimensional(step.n))
+        w_N, w_T = self.opening_and_slip(step.e, step.n)
         return K_N * (w_N - d * self._parting(w_N)), (1 - d) * K_T * w_T
 
     def _damaged_energy(self, step: Step) -> Expr:
-        (K_N, _), n, d = self.stiffnesses(), three_dimensional(step.n), step.q["d"]
+        (K_N, _), n, d = self.stiffnesses(), step.n, step.q["d"]
         w_N, _ = self.opening_and_slip(step.e, n)
         Y_I, Y_II = self._released(step.e, n)
         return K_N * w_N**2 / 2 - d * Y_I + (1 - d) * Y_II
@@ -355,7 +355,7 @@ class CracksAlongS(IsotropicLaw):
 
     def _along(self, step: Step) -> tuple[Expr, Expr, Expr]:
         """Return n (3,), the projector P on S, and the stress P (C:e) P of the strain e_S along S with no stress across."""
-        n = three_dimensional(step.n)
+        n = step.n
         P = ufl.Identity(3) - ufl.outer(n, n)
         e_S = ufl.dot(P, ufl.dot(step.e, P))
         return n, P, 2 * self.mu * (e_S + self._ratio * ufl.tr(e_S) * P)

@@ -25,7 +25,7 @@ ASYMMETRY_MESSAGE = "{}: the tangent is not symmetric (by {:.1e} of its size); d
 _CHECKED_LAWS: set[tuple[object, ...]] = set()  # laws that have passed, with their parameter values
 
 
-def check(law: Law, d: int | None = 3) -> None:
+def check(law: Law) -> None:
     """Raise InputError unless a law, with its parameter values, agrees with the declarations of its class.
 
     Models and `drive` call this once for each law and its parameter values. Contact laws and laws of this package are
@@ -43,8 +43,6 @@ def check(law: Law, d: int | None = 3) -> None:
 
     Args:
         law: the law.
-        d: number of components, 2 or 3, of the layer's unit normal that the law gets as `step.n`; None if it gets no
-            normal, as in a body. Laws with internal variables or a rate always get 3 components.
 
     Example:
         >>> from forms import LinearElastic, check
@@ -58,21 +56,19 @@ def check(law: Law, d: int | None = 3) -> None:
     for _, sublayer in law.as_bulk_law().sublayers:
         law_3d: BulkLaw = sublayer.law_3d
         value_bytes = [np.asarray(_numeric_value(value)).tobytes() for value in law_3d.parameters().values()]
-        key = (type(law_3d), d, repr(law_3d.choices()), *value_bytes)
+        key = (type(law_3d), repr(law_3d.choices()), *value_bytes)
         if equations_key(law_3d) is None and key not in _CHECKED_LAWS:
-            require_consistent(law_3d, d)
+            require_consistent(law_3d)
             _CHECKED_LAWS.add(key)
 
 
-def require_consistent(law: BulkLaw, d: int | None = 3) -> None:
+def require_consistent(law: BulkLaw) -> None:
     """Check a law as `check` does, even if the same law has passed the check before.
 
     Nothing is checked if the law is not written in UFL.
 
     Args:
         law: the law.
-        d: number of components, 2 or 3, of the layer's unit normal that the law gets as `step.n`; None: it gets no
-            normal.
 
     Raises:
         InputError: the law does not agree with the declarations of its class.
@@ -80,10 +76,9 @@ def require_consistent(law: BulkLaw, d: int | None = 3) -> None:
     if not law.traits.in_ufl:
         return
     numeric_law, name, method = law.mapped(_numeric_value), type(law).__name__, law.methods[0]
-    d = 3 if law.traits.compiled else d
-    symbolic = symbolic_law(numeric_law, d=d)
+    symbolic = symbolic_law(numeric_law)
     expressions = _method_expressions(symbolic.law, symbolic.step)
-    if isinstance(expressions[method], Zero) and not law.traits.compiled:
+    if isinstance(expressions[method], Zero) and not (law.traits.rate or law.internal):
         raise InputError(f"{name}.{method} is zero, whatever the strain; a law of this kind needs a stiffness")
     stress_vector = mandel_vector(expressions[method])
     all_expressions: dict[str, Expr] = {**expressions, "tangent": ufl.diff(stress_vector, symbolic.strain)}
@@ -96,8 +91,8 @@ def require_consistent(law: BulkLaw, d: int | None = 3) -> None:
         return _evaluated(all_expressions[key], {symbolic.symbols: inputs})
 
     for strain_size in STRAIN_SIZES:
-        e, sample = _random_inputs(numeric_law, strain_size, d or 3)
-        _require_no_branches(law, d, sample, value_at)
+        e, sample = _random_inputs(numeric_law, strain_size)
+        _require_no_branches(law, sample, value_at)
         for key in expressions:
             tensor = value_at(key, sample)
             if tensor is not None and tensor.ndim == 2 and (skew := _relative_difference(tensor, tensor.T)):
@@ -144,27 +139,26 @@ def _method_expressions(law: BulkLaw, step: Step) -> dict[str, Expr]:
     return expressions
 
 
-def _random_inputs(law: BulkLaw, strain_size: float, d: int) -> tuple[Array, Array]:
+def _random_inputs(law: BulkLaw, strain_size: float) -> tuple[Array, Array]:
     """Return a random strain, a Mandel vector (6,), and a random vector of all inputs of `law` with this strain.
 
     The vector contains, in this order: strain, strain at the beginning of the step, internal variables, unit normal
     (3,), dt = 0.1, theta = 1, parameters. `SymbolicLaw.symbols` has the same order. The strain components are normally
-    distributed with standard deviation `strain_size`. Only the first `d` components of the normal are not zero.
+    distributed with standard deviation `strain_size`.
     """
     rng = np.random.default_rng(3)
-    e, n = strain_size * rng.normal(size=6), np.pad(rng.normal(size=d), (0, 3 - d))
+    e, n = strain_size * rng.normal(size=6), rng.normal(size=3)
     old_state = 0.1 * strain_size * rng.normal(size=6), strain_size * rng.random(law.memory)
     return e, np.concatenate([e, *old_state, n / np.linalg.norm(n), [0.1, 1.0], law.parameter_values()])
 
 
-def _require_no_branches(law: BulkLaw, d: int | None, sample: Array, value_at: Callable[..., Array | None]) -> None:
+def _require_no_branches(law: BulkLaw, sample: Array, value_at: Callable[..., Array | None]) -> None:
     """Raise InputError if a law gives other values for numeric parameters than for symbols in their place.
 
     This happens if a Python condition in the law depends on a parameter.
 
     Args:
         law: the law.
-        d: number of components of the layer's unit normal; None: the law gets no normal.
         sample: vector of all inputs of the law, in the order of `SymbolicLaw.symbols`.
         value_at: function of a method's name and a vector of inputs. It evaluates the method of the law with symbols,
             and returns None where this is impossible.
@@ -176,7 +170,7 @@ def _require_no_branches(law: BulkLaw, d: int | None, sample: Array, value_at: C
         numeric_law = law.mapped(partial(_numeric_value, field_value=field_value))
         inputs = np.concatenate([sample[: normal_offset + 3], [dt, theta], numeric_law.parameter_values()])
         try:
-            symbolic = symbolic_law(numeric_law, inputs, d)
+            symbolic = symbolic_law(numeric_law, inputs)
             expressions = _method_expressions(symbolic.law, symbolic.step)
         except Exception:  # for example a division by zero
             continue

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 import ufl
+from ufl.classes import Zero
 
 from forms.base import Array, InputError, require
 from forms.ends.weights import EndStrips, EndWeights
@@ -49,9 +50,8 @@ class Step(NamedTuple):
     Attributes:
         e: strain at the end of the step, (3, 3). A law without rate and internal variables gets the strain at t + theta
             dt instead, when its stress is computed.
-        n: unit normal of the layer, from the lower to the upper body; None inside a body. Compiled laws
-            (`Traits.compiled`) get 3 components, of which the last is zero in 2D. Laws whose stress is part of a UFL
-            form get as many as there are dimensions. `forms.tensors.three_dimensional(n)` has 3 in both cases.
+        n: unit normal (3,) of the layer, from the lower to the upper body; None inside a body. In 2D its last component
+            is zero.
         e_old: strain at the beginning, (3, 3). None in problems without time, and for laws without rate and internal
             variables.
         q: internal variables at the beginning, by name.
@@ -202,7 +202,7 @@ class Law(LayerResults):
 
     def _traits_of_methods(self) -> dict[str, bool]:
         """Return the traits that follow from the methods and internal variables of the class, name -> value."""
-        return {"remembers": bool(self.internal)}
+        return {"remembers": bool(self.internal), "proportional": False}
 
     def as_bulk_law(self) -> BulkLaw:
         """Return the same law as a function of strains, which weak forms and compiled code need.
@@ -371,13 +371,25 @@ class BulkLaw(Law):
 
     def _traits_of_methods(self) -> dict[str, bool]:
         cls, declared_traits = type(self), Traits.of_law(self)
+        is_instantaneous = not (declared_traits.rate or self.internal)
+        is_proportional = declared_traits.linear and is_instantaneous and self._stress_starts_at_zero()
         return super()._traits_of_methods() | {
             "has_energy": cls.energy is not BulkLaw.energy,
             "has_homotopy": cls.homotopy is not BulkLaw.homotopy,
             "stackable": not (declared_traits.constrained or declared_traits.switches),
             "in_ufl": True,
-            "compiled": declared_traits.rate or bool(self.internal) or declared_traits.varies,
+            "proportional": is_proportional,
+            "compiled": declared_traits.varies or not is_proportional,
         }
+
+    def _stress_starts_at_zero(self) -> bool:
+        """Return whether the stress is zero without strain, as far as UFL sees it."""
+        law = copy.copy(self)
+        vars(law).update(dict.fromkeys(self.fields, 1.0))
+        try:
+            return isinstance(law.stress(Step(ufl.zero(3, 3), ufl.as_vector([0.0, 1.0, 0.0]))), Zero)
+        except Exception:  # `forms.check` explains it
+            return False
 
     def as_bulk_law(self) -> BulkLaw:
         return self
@@ -650,7 +662,7 @@ def explained_errors(law: Law, method: str) -> Iterator[None]:
         raise InputError(
             f"{type(law).__name__}.{method}: {type(error).__name__}: {error!s:.200}. Laws are UFL, of tensors (3, 3): "
             "ufl.exp, ufl.conditional(ufl.lt(a, b), c, d); step.dt, e_old and rate need rate = True or internal variables; "
-            f"step.n is (d,), three_dimensional(step.n) is (3,); step.q has {sorted(law.internal) or 'nothing'}"
+            f"step.n is (3,); step.q has {sorted(law.internal) or 'nothing'}"
         ) from error
 
 

@@ -83,13 +83,12 @@ def _symbols(length: int) -> Expr:
     return ufl.Constant(_SYMBOL_MESH, shape=(length,))
 
 
-def symbolic_law(law: BulkLaw, values: Array | None = None, d: int | None = 3) -> SymbolicLaw:
+def symbolic_law(law: BulkLaw, values: Array | None = None) -> SymbolicLaw:
     """Return a law and a time step at one point with symbols in place of all their numbers.
 
     Args:
         law: the law.
         values: numbers, in the order of `SymbolicLaw.symbols`, to use instead of symbols; None: symbols.
-        d: number of components, 2 or 3, of the layer's unit normal that the law gets; None: no normal.
     """
     shapes = {name: _parameter_shape(value) for name, value in law.parameters().items()}
     n_symbols = 6 + 6 + law.memory + 3 + 2 + sum(int(np.prod(shape)) for shape in shapes.values())
@@ -102,8 +101,7 @@ def symbolic_law(law: BulkLaw, values: Array | None = None, d: int | None = 3) -
     new_e, old_e = variable(read((6,))), read((6,))
     q = {name: mandel_tensor(read((6,))) if shape == (3, 3) else read(shape) for name, shape in law.internal.items()}
     normal, dt, theta = read((3,)), read(()), read(())
-    n = None if d is None else normal if d == 3 else ufl.as_vector([normal[0], normal[1]])
-    step = Step(mandel_tensor(new_e), n, mandel_tensor(old_e), q, dt, theta, law.traits.rate)
+    step = Step(mandel_tensor(new_e), normal, mandel_tensor(old_e), q, dt, theta, law.traits.rate)
     return SymbolicLaw(law.with_parameters({name: read(shape) for name, shape in shapes.items()}), step, new_e, symbols)
 
 
@@ -318,7 +316,7 @@ def _first_step_tangent(law: BulkLaw, n: Array, dt: float) -> Array | None:
         return None
     try:
         numeric_law = law_3d.mapped(lambda value, _: np.asarray(getattr(value, "value", value), float))
-        symbolic = symbolic_law(numeric_law, d=3 if law_3d.traits.compiled else len(n))
+        symbolic = symbolic_law(numeric_law)
         stress = in_mandel(symbolic.law.stress(symbolic.law.law_step(symbolic.step)))
         tangent: Expr = expand_derivatives(ufl.diff(stress, symbolic.strain))
         with warnings.catch_warnings(action="ignore"):  # UFL warns of roots of negative numbers

@@ -10,7 +10,7 @@ import ufl
 
 from forms.breaking import CracksAlongS
 from forms.law import BulkLaw, Step, require_nonnegative, require_positive
-from forms.tensors import Expr, three_dimensional
+from forms.tensors import Expr
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Microcracked(CracksAlongS):
 
     def _opening_and_slip_at(self, step: Step, e: Expr) -> tuple[Expr, Expr, Expr]:
         """Return the opening, the closing, and the shear (3,) at a strain e."""
-        w_N, w_T = self.opening_and_slip(e, three_dimensional(step.n))
+        w_N, w_T = self.opening_and_slip(e, step.n)
         opening = ufl.conditional(ufl.ge(w_N, 0), w_N, 0.0)
         return opening, w_N - opening, w_T
 

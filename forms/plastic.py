@@ -13,7 +13,7 @@ from forms.elastic import IsotropicLaw, LinearElastic, lame_stress
 from forms.kernel import KernelLaw
 from forms.law import Step, choice, require_nonnegative, require_positive
 from forms.parameter_fields import Parameter
-from forms.tensors import Expr, three_dimensional
+from forms.tensors import Expr
 from forms.traits import warn_of_range
 from forms.viscous import isotropic_energy
 
@@ -204,7 +204,7 @@ class MohrCoulombMonodirectional(Plastic):
 
         It is that of a law without elastic fraction.
         """
-        e, n = step.mid - step.q["plastic"], three_dimensional(step.n)
+        e, n = step.mid - step.q["plastic"], step.n
         stress = lame_stress(self.lmbda, self.mu, e)
         if not self.unilateral:
             return stress
@@ -215,7 +215,7 @@ class MohrCoulombMonodirectional(Plastic):
         e = step.e - step.q["plastic"]
         stored = isotropic_energy(self.lmbda, self.mu, e)
         if self.unilateral:
-            stored -= self._tension(e, three_dimensional(step.n)) ** 2 / (2 * (self.lmbda + 2 * self.mu))
+            stored -= self._tension(e, step.n) ** 2 / (2 * (self.lmbda + 2 * self.mu))
         elastic_energy = isotropic_energy(self.lmbda, self.mu, step.e)
         return (1 - self.elastic_fraction) * stored + self.elastic_fraction * elastic_energy
 
@@ -225,7 +225,7 @@ class MohrCoulombMonodirectional(Plastic):
         Both are UFL. The increments are those from the beginning of the step, t. The plastic strain does not change the
         volume.
         """
-        n, p = three_dimensional(step.n), step.q["accumulated"]
+        n, p = step.n, step.q["accumulated"]
         e = step.mid - step.q["plastic"]  # needs only the traction: compiles 50 times faster than with _trial_stress
         e_N = ufl.dot(n, ufl.dot(e, n))
         t_N, t_T = self.lmbda * ufl.tr(e) + 2 * self.mu * e_N, 2 * self.mu * (ufl.dot(e, n) - e_N * n)

@@ -112,12 +112,10 @@ def average_lame(C: Array) -> tuple[float, float]:
 def layer_frame(n: Expr) -> Expr:
     """Return the rotation (3, 3), UFL, whose columns are the axes of a layer with the unit normal `n`.
 
-    The second axis is n. In 2D the first axis is the tangent (n_2, -n_1). In 3D the rotation is that by the smallest
-    angle which takes the second coordinate axis e_2 to n. For n = -e_2 this is not unique; the half turn about the
-    third axis is taken.
+    The second axis is n (3,). The rotation is that by the smallest angle which takes the second coordinate axis e_2 to
+    n. For n = -e_2 this is not unique; the half turn about the third axis is taken. In 2D the first axis is the tangent
+    (n_2, -n_1, 0).
     """
-    if n.ufl_shape[0] == 2:
-        return ufl.as_tensor([[n[1], n[0], 0], [-n[0], n[1], 0], [0, 0, 1]])
     opposite = ufl.lt(n[1], -1 + 1e-12)
     tangential_squared = n[0] * n[0] + n[2] * n[2]
     s_if_downward = (1 - n[1]) / ufl.conditional(opposite, 1, tangential_squared)  # = 1/(1 + n_2) without cancellation

@@ -238,7 +238,10 @@ class Traits:
         in_ufl: the equations are written in UFL.
         of_jumps: the law is a function of jumps, not of strains, and has no thickness.
         nodal: the law acts at the nodes of S.
-        compiled: the law is compiled and evaluated on arrays of points; otherwise its stress is a part of a UFL form.
+        proportional: the stress is proportional to the strain at the time at which forces balance: the law is linear,
+            has neither rate nor internal variables, and its stress is zero without strain.
+        compiled: the law is compiled and evaluated on arrays of points. Other laws are proportional, and models
+            assemble their stiffness matrix once.
     """
 
     linear: bool = trait_field(all)
@@ -261,6 +264,7 @@ class Traits:
     in_ufl: bool = trait_field(all)
     of_jumps: bool = trait_field(any)
     nodal: bool = trait_field(any)
+    proportional: bool = trait_field(all)
     compiled: bool = trait_field(lambda _: True)  # every Stack is compiled
 
     @property

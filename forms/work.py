@@ -11,7 +11,6 @@ from functools import partial
 from typing import Self
 
 import ufl
-from ufl.classes import Zero
 
 from forms.base import InputError
 from forms.ends.weights import EndWeights
@@ -209,21 +208,12 @@ class Term:
     def step(self, u: Expr) -> Step:
         """Return the input of the law for a displacement `u`: a step that has only a strain and the normal."""
         e = self.strain(u)
-        return Step(e if self.prescribed_strain is None else self.prescribed_strain + e, self.n)
+        return Step(e if self.prescribed_strain is None else self.prescribed_strain + e, self.normal)
 
     @property
-    def is_proportional(self) -> bool:
-        """Whether the stress is proportional to the strain, so that the virtual work is a bilinear form.
-
-        It is not if the law has internal variables, a rate, or a stress at zero strain.
-        """
-        traits = self.law.traits
-        if not traits.linear or traits.remembers or traits.rate:
-            return False
-        laws = [law.law_3d for _, law in self.law.sublayers]
-        numeric_laws = [law.with_parameters(dict.fromkeys(law.fields, 1.0)) for law in laws]
-        n = three_dimensional(self.n) if self.n is not None and traits.compiled else self.n
-        return all(isinstance(checked_stress(law, Step(ufl.zero(3, 3), n)), Zero) for law in numeric_laws)
+    def normal(self) -> Expr:
+        """Unit normal (3,) of the layer, which laws get; None in a body."""
+        return None if self.n is None else three_dimensional(self.n)
 
 
 def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, degree: int | None = None) -> Term:

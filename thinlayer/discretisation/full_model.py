@@ -115,7 +115,7 @@ class FullModel(Model):
             sublayers = law_with_numbers(seam_layer.layer, self.kinematics).sublayers
             for (_, law), region in zip(sublayers, band.regions_of_seam[name], strict=True):
                 if law.traits.softens:  # at points as dense along S as on S in an interface model
-                    law, rule = law if law.traits.compiled else law.compiled_copy(), self._metadata(ufl.dS, always=True)
+                    rule = self._metadata(ufl.dS, always=True)
                 else:  # UFL would take degree 100 for the square root of the director
                     rule = self._metadata(self.dx, always=depends_on_normal(law))
                 measure = self.dx(self.domain.region_tags(region, *self._junction_regions(name)), **rule)

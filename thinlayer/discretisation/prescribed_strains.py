@@ -97,7 +97,7 @@ class MeanStress(MeanStrain):
         if np.linalg.matrix_rank(joint.periods.vectors(joint.points)) < (d := joint.dim):
             raise InputError(f"a mean stress needs a joint periodic in {d} directions; load free sides by tractions")
         for p in bodies:
-            if not p.is_proportional:
+            if not p.law.traits.proportional:
                 raise InputError(f"mean stress needs linear bodies without stress at rest, not {p.law!r}; give strain")
 
     def voigt_components(self, t: float) -> Array:

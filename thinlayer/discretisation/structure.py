@@ -353,7 +353,7 @@ def require_body_law(name: str, law: Law) -> None:
         reason = "its pressure is a field of its own; take LinearElastic with nu = 0.4999, say, in elements of degree 2"
     elif traits.phases:
         reason = "its phases are those of a layer's columns"
-    elif traits.compiled:  # others raise errors themselves, as n is None in a body
+    else:
         with explained_errors(law, law.methods[0]):
             if depends_on_normal(law):
                 reason = "its stress depends on the normal of S, which a body has not"

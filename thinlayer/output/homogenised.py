@@ -72,7 +72,7 @@ def _require_linear_periodic(model: Model) -> None:
     if not model.kinematics.has_rigid_rotations:
         raise InputError(f"homogenised_stiffness, plane={model.plane!r}: a body of revolution has no mean strain")
     model.require("mean strain")
-    for law in (p.law for p in model.terms if not p.is_proportional):
+    for law in (p.law for p in model.terms if not p.law.traits.proportional):
         remedy = "march under Structure(..., strain=...), and take State.mean_stress"
         raise InputError(f"{law!r} is not linear, or has stresses without strains; {remedy}")
     if not model.linear:

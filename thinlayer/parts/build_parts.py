@@ -17,7 +17,7 @@ from thinlayer.discretisation.form_compilation import compiled_terms
 from thinlayer.discretisation.model import Model
 from thinlayer.parts.compiled_part import CompiledPart
 from thinlayer.parts.contact_part import ContactPart
-from thinlayer.parts.form_part import LawFormPart
+from thinlayer.parts.form_part import LinearPart
 from thinlayer.parts.mean_stress_part import MeanStressPart
 from thinlayer.parts.part import Part
 from thinlayer.parts.pressure_part import PressurePart, flows_along_surface
@@ -34,7 +34,7 @@ def body_parts(model: Model) -> list[Part]:
     The first part is that of the laws in UFL forms, even if there are none. In a model with bodies its matrix `K` has
     the nonzero pattern of the bodies' stiffness.
     """
-    form_part = LawFormPart("forms", model.V, model.bodies, model.layer_terms)
+    form_part = LinearPart("forms", model.V, model.bodies, model.layer_terms)
     parts: list[Part] = [form_part, *_compiled_parts(model, model.bodies)]
     if model.stress:
         parts.append(MeanStressPart(model.V, model.cell_terms, model.stress, model.volume, model.comm))
@@ -55,7 +55,7 @@ def layer_parts(model: Model, bc_dofs: Indices, from_bodies: Sequence[Part]) -> 
     """
     ufl_terms = [p for p in model.layer_terms if not p.law.traits.compiled]
     terms_by_key = {key: [p for p in ufl_terms if p.key == key] for key in dict.fromkeys(p.key for p in ufl_terms)}
-    parts: list[Part] = [LawFormPart(f"{key}/forms", model.V, key_terms) for key, key_terms in terms_by_key.items()]
+    parts: list[Part] = [LinearPart(f"{key}/forms", model.V, key_terms) for key, key_terms in terms_by_key.items()]
     parts += _compiled_parts(model, model.layer_terms)
     if constrained := [p for p in model.layer_terms if p.law.traits.constrained]:
         scale = _largest_stiffness(model, parts) or _largest_stiffness(model, from_bodies) or 1.0
@@ -70,12 +70,10 @@ def layer_parts(model: Model, bc_dofs: Indices, from_bodies: Sequence[Part]) -> 
 def _largest_stiffness(model: Model, parts: Sequence[Part]) -> float:
     """Return the largest diagonal entry of the stiffness of `parts` before loading, force per displacement. Collective.
 
-    Non-linear laws in UFL count, too. It is 0 if no part has any stiffness then.
+    It is 0 if no part has any stiffness then.
     """
     diagonal_sums = fem.Function(model.V)  # must outlive its PETSc vector
-    largest = float(sum_diagonals_at_rest(parts, diagonal_sums.x.petsc_vec).max()[1])
-    largest_entries = [part.largest_nonlinear_stiffness() for part in parts if isinstance(part, LawFormPart)]
-    return max([largest, *largest_entries])
+    return max(0.0, float(sum_diagonals_at_rest(parts, diagonal_sums.x.petsc_vec).max()[1]))
 
 
 def _compiled_parts(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:

@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property, reduce
 from operator import or_
 
 import dolfinx.fem.petsc
-import numpy as np
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 from ufl.algorithms.check_arities import ArityMismatch
 
-from forms.base import Array, InputError
+from forms.base import InputError
 from forms.check import check
-from forms.law import BulkLaw, Step
+from forms.law import Step
 from forms.law_tangents import equations_key
 from forms.tensors import Expr
-from forms.work import Term, energy, stress, work
+from forms.work import Term, stress, work
 from thinlayer.discretisation.form_compilation import compiled, compiled_summands, zero_matrix
 from thinlayer.discretisation.state import Configuration
 from thinlayer.discretisation.time_functions import StepStrains, with_strains
 from thinlayer.errors import make_module_getattr
-from thinlayer.parts.compiled_part import find_softening, prescribed_strain_function
-from thinlayer.parts.part import Block, Part, PartTraits, Softening, StepOutcome, TimeStep
-from thinlayer.pointwise.compiled_term import CompiledTerm
+from thinlayer.parts.part import Block, Part, PartTraits, StepOutcome, TimeStep
 from thinlayer.pointwise.quadrature import add_assembled_forces, add_integral_to_nodes, assemble_matrix
 from thinlayer.system.ranks import communicator, destroy
 
@@ -180,11 +177,11 @@ def assemble_plain_matrix(form: Expr) -> PETSc.Mat:
     return assemble_matrix(compiled(form))
 
 
-class LawFormPart(FormPart):
-    """Nodal forces of those laws of bodies or layers that are UFL forms: K u of linear laws, F(u) of the others.
+class LinearPart(FormPart):
+    """Nodal forces K u of those laws of bodies or layers whose stress is proportional to the strain.
 
-    If there are bodies but no linear law, K is zero with the nonzero pattern of the bodies' tangent. Prescribed strains
-    of linear laws cause forces g that do not depend on u. Prescribed strains of all laws do work as they grow.
+    If there are bodies but no such law, K is zero with the nonzero pattern of the bodies' tangent. Prescribed strains
+    cause forces g that do not depend on u, and do work as they grow.
 
     Args:
         key: name of the part in states and files.
@@ -198,33 +195,21 @@ class LawFormPart(FormPart):
         body_terms = [p for p in terms if p.n is None]
         self._terms = terms = [p for p in terms if not p.law.traits.compiled]
         for p in terms:
-            check(p.law, None if p.n is None else p.n.ufl_shape[0])
-        terms_and_linearity = [(p, p.is_proportional) for p in terms]
-        linear = [p for p, is_linear in terms_and_linearity if is_linear]
-        nonlinear = [p for p, is_linear in terms_and_linearity if not is_linear]
-        prestrained = [p for p in linear if p.prescribed_strain is not None]
-        self._step_strain = step_strains = StepStrains(V.mesh, terms)
-        self._has_prescribed_strains, stored_energy = any(p.prescribed_strain is not None for p in terms), None
-        u, v = fem.Function(V), ufl.TestFunction(V)
-        if (nonlinear or prestrained) and all(p.law.traits.has_energy for p in nonlinear + prestrained):
-            # prescribed strains of linear laws add energy to u.K u/2
-            strain_energies = [_strain_energy(p, u) for p in with_strains(prestrained, step_strains.now)]
-            stored_energy = energy(with_strains(nonlinear, step_strains.now), u) + sum(strain_energies)
-        K = _linear_stiffness(V, linear, body_terms, other_terms) if linear or body_terms else None
-        F = work(with_strains(nonlinear, step_strains.at_balance_time), u, v) if nonlinear else None
-        strained_terms = with_strains(prestrained, step_strains.at_balance_time)
-        g = sum(strain_work(p, p.prescribed_strain, p.strain(v)) for p in strained_terms) if prestrained else None
-        super().__init__(key, u, K, F, stored_energy, g=g)
-        strained_bodies = [p for p in nonlinear if p.n is None and p.prescribed_strain is not None]
-        self._scale_forms = _strain_force_integrals(with_strains(strained_bodies, step_strains.at_balance_time), u)
-        traits = reduce(or_, map(_form_traits, terms), PartTraits())
+            check(p.law)
+        self._strained = strained = [p for p in terms if p.prescribed_strain is not None]
+        self._step_strains = step_strains = StepStrains(V.mesh, strained)
+        u, v, stored_energy = fem.Function(V), ufl.TestFunction(V), None
+        if strained and all(p.law.traits.has_energy for p in strained):  # it adds to u.K u/2
+            stored_energy = sum(_strain_energy(p, u) for p in with_strains(strained, step_strains.now))
+        K = _linear_stiffness(V, terms, body_terms, other_terms) if terms or body_terms else None
+        strained_terms = with_strains(strained, step_strains.at_balance_time)
+        g = sum(strain_work(p, p.prescribed_strain, p.strain(v)) for p in strained_terms) if strained else None
+        super().__init__(key, u, K, None, stored_energy, g=g)
+        traits = reduce(or_, (PartTraits.of(p.law) for p in terms), PartTraits())
         self.traits = replace(traits, within_bodies=all(p.n is None for p in terms))
 
     def law_traits(self) -> dict[str, PartTraits]:
-        traits_by_name: dict[str, PartTraits] = {}
-        for name, traits in ((type(p.law).__name__, _form_traits(p)) for p in self._terms):
-            traits_by_name[name] = traits_by_name.get(name, PartTraits()) | traits
-        return traits_by_name
+        return {type(p.law).__name__: PartTraits.of(p.law) for p in self._terms}
 
     # ---------------------------------------------------------------- prescribed strains
     @cached_property
@@ -234,105 +219,31 @@ class LawFormPart(FormPart):
         The stresses are those of the last call of `evaluate`. The strains are the increments of prescribed strains over
         the step.
         """
-        strains, terms = self._step_strain, [p for p in self._terms if p.prescribed_strain is not None]
-        pairs = zip([stress(p, self._u) for p in with_strains(terms, strains.at_balance_time)], terms, strict=True)
+        strains = self._step_strains
+        stresses = [stress(p, self._u) for p in with_strains(self._strained, strains.at_balance_time)]
+        pairs = zip(stresses, self._strained, strict=True)
         return compiled(sum(ufl.inner(s, strains.growth(p.prescribed_strain)) * p.weight * p.measure for s, p in pairs))
 
     def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
-        self._step_strain.begin(interval.old.t, interval.t, interval.theta, at_rest=interval.old.at_rest)
+        self._step_strains.begin(interval.old.t, interval.t, interval.theta, at_rest=interval.old.at_rest)
 
     def _supplied_work(self) -> float:
-        strains_grow = self._has_prescribed_strains and self._step_strain.has_increment
+        strains_grow = self._strained and self._step_strains.has_increment
         return float(self.comm.allreduce(fem.assemble_scalar(self._supplied_work_form))) if strains_grow else 0.0
-
-    def add_forces(self, out: PETSc.Vec) -> float:
-        return max(super().add_forces(out), self._strain_force_scale())
-
-    def _strain_force_scale(self) -> float:
-        """Return a reference force, with which residuals are compared, of non-linear bodies with prescribed strains e.
-
-        It is a mean stress times V^(1 - 1/d), with the volume V of these bodies and the number d of dimensions. The
-        mean stress is |int stress : e|/sqrt(V int e : e), or 0 if e is zero. Nodal forces give no reference force, as
-        they cancel if stresses are uniform. K gives none either, as it contains no stiffness of non-linear bodies.
-        """
-        if not self._scale_forms:
-            return 0.0
-        work, square, volume = self.comm.allreduce(np.array([fem.assemble_scalar(form) for form in self._scale_forms]))
-        strain_scale = np.sqrt(square * volume) * volume ** (1 / self._u.function_space.mesh.geometry.dim) / volume
-        return float(abs(work) / strain_scale) if strain_scale > 0 and np.isfinite(work) else 0.0
 
     def add_work_in(self, z: fem.Function, out: PETSc.Vec) -> None:
         copy_of_z = fem.Function(self._u.function_space)
         for u, target in ((z, copy_of_z), (self._u_mid, self._u)):
             self._copy_u(u.x.petsc_vec, target)
-        for p in with_strains(self._terms, self._step_strain.at_balance_time):
+        for p in with_strains(self._terms, self._step_strains.at_balance_time):
             density = ufl.inner(stress(p, self._u), p.strain(copy_of_z)) * p.weight
             add_integral_to_nodes(density, copy_of_z.function_space, p.measure, out)
 
     def _energy_at(self, u: PETSc.Vec, interval: TimeStep, *, at_start: bool = False) -> float:
         old = interval.old
-        self._step_strain.set_now(old.t if at_start else interval.t, at_rest=at_start and old.at_rest)
+        self._step_strains.set_now(old.t if at_start else interval.t, at_rest=at_start and old.at_rest)
         return super()._energy_at(u, interval, at_start=at_start)
-
-    def largest_nonlinear_stiffness(self) -> float:
-        """Return the largest diagonal entry of the non-linear laws' tangent before loading. Collective.
-
-        It is a force per displacement. The result is 0 if there is no non-linear law, or if that entry is not a
-        positive finite number.
-        """
-        self._u.x.array[:] = 0.0
-        diagonals = [A.getDiagonal() for A in self._assembled_tangents()]
-        largest = max((float(diagonal.max()[1]) for diagonal in diagonals), default=0.0)
-        destroy(*diagonals)
-        return largest if 0 < largest < np.inf else 0.0
-
-    @cached_property
-    def _softening_terms(self) -> list[tuple[CompiledTerm, Callable[[float], Array]]]:
-        """Those laws of layers that may soften, each compiled at its quadrature points.
-
-        Each entry is a pair: the compiled law, and a function of the time that returns the prescribed strains (points,
-        m) at the points. Laws with a parameter that is a function of the place are left out.
-        """
-        terms = [p for p in self._terms if p.n is not None and p.law.traits.may_soften and _is_homogeneous(p.law)]
-        compiled_terms = [CompiledTerm(self._u.function_space, replace(p, law=_to_compiled_law(p.law))) for p in terms]
-        return [(compiled_term, prescribed_strain_function(compiled_term)) for compiled_term in compiled_terms]
-
-    def undeclared_softening(self) -> Softening | None:
-        old = self.interval.old
-        step_ends = (self._u_end, self.interval.t), (old.u, old.t)
-        for points, prescribed_strain_at in self._softening_terms:
-            e, e_old = (points.strain(u.x.petsc_vec) + prescribed_strain_at(t) for u, t in step_ends)
-            response = points.respond(e, e_old, points.rest(), 0.0, 1.0)
-            if softening := find_softening(points, e, e_old, points.rest(), response):
-                return softening
-        return None
-
-    def destroy(self) -> None:
-        super().destroy()
-        destroy(*(points for points, _ in vars(self).get("_softening_terms", ())))
-
-
-def _is_homogeneous(law: BulkLaw) -> bool:
-    """Tell whether all parameters of `law`, or of its sublayers, are numbers or DOLFINx Constants."""
-    parameters = [value for _, sublayer in law.sublayers for value in sublayer.parameters().values()]
-    return all(isinstance(value, fem.Constant) or not isinstance(value, ufl.core.expr.Expr) for value in parameters)
-
-
-def _to_compiled_law(law: BulkLaw) -> BulkLaw:
-    """Return the law in UFL `law` as a compiled law, with the present values of its DOLFINx Constants as numbers."""
-    return law.mapped(lambda value, _: np.asarray(getattr(value, "value", value), float)).compiled_copy()
-
-
-def _form_traits(term: Term) -> PartTraits:
-    """Return the traits of a law in a UFL form, from its virtual work `term`.
-
-    They are the traits of the law, without those that only compiled laws have. A law in a UFL form has no homotopy, and
-    its tangent is not regularised. In bodies the trait `weakens` is set to False.
-    """
-    traits = PartTraits.of(term.law)
-    weakens, unchecked_stresses = traits.weakens and term.n is not None, not term.is_proportional
-    return replace(traits, singular=False, has_homotopy=False, weakens=weakens, unchecked_stresses=unchecked_stresses)
 
 
 def strain_work(p: Term, strain: Expr, virtual_strain: Expr) -> Expr:
@@ -340,7 +251,7 @@ def strain_work(p: Term, strain: Expr, virtual_strain: Expr) -> Expr:
 
     The work is done in the strain `virtual_strain` (3, 3).
     """
-    return ufl.inner(p.law.stress(Step(strain, p.n)), virtual_strain) * p.weight * p.measure
+    return ufl.inner(p.law.stress(Step(strain, p.normal)), virtual_strain) * p.weight * p.measure
 
 
 def _strain_energy(p: Term, u: fem.Function) -> Expr:
@@ -348,21 +259,8 @@ def _strain_energy(p: Term, u: fem.Function) -> Expr:
 
     The energy of the displacements `u` alone is u.K u/2.
     """
-    energy_of_strain = p.law.energy(Step(p.prescribed_strain, p.n)) * p.weight * p.measure
+    energy_of_strain = p.law.energy(Step(p.prescribed_strain, p.normal)) * p.weight * p.measure
     return strain_work(p, p.prescribed_strain, p.strain(u)) + energy_of_strain
-
-
-def _strain_force_integrals(strained: Sequence[Term], u: fem.Function) -> list[fem.Form]:
-    """Return three compiled integrals over bodies with prescribed strains e: of stress : e, of e : e, and of 1.
-
-    Args:
-        strained: virtual works of these bodies' laws; without any, the result is an empty list.
-        u: displacements, from which and from e the stress follows.
-    """
-    unity = fem.Constant(u.function_space.mesh, 1.0)
-    densities = [(ufl.inner(stress(p, u), e), ufl.inner(e, e), unity) for p in strained for e in [p.prescribed_strain]]
-    forms_of_terms = [[f * p.weight * p.measure for f in row] for p, row in zip(strained, densities, strict=True)]
-    return [compiled(sum(summands)) for summands in zip(*forms_of_terms, strict=True)]
 
 
 def _linear_stiffness(

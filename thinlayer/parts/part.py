@@ -69,7 +69,6 @@ class PartTraits:
         has_homotopy: the part has laws for homotopy continuation, which its method `set_homotopy` selects.
         switches: quadrature points have phases, which are fixed while an equilibrium is computed, and change after it.
         within_bodies: the part acts within bodies alone, so that rigid motions of a whole body cause no forces.
-        unchecked_stresses: stresses are not checked at each quadrature point; a NaN appears only in the nodal forces.
     """
 
     rate: bool = False
@@ -84,7 +83,6 @@ class PartTraits:
     has_homotopy: bool = False
     switches: bool = False
     within_bodies: bool = False
-    unchecked_stresses: bool = False
 
     def __or__(self, other: PartTraits) -> PartTraits:
         return PartTraits(*(a or b for a, b in zip(astuple(self), astuple(other), strict=True)))

@@ -151,7 +151,7 @@ def _normal_and_frame(n: Sequence[float]) -> tuple[Array, Array]:
     if (normal := finite_values(n, (2,), (3,))) is None or not normal.any():
         raise InputError(f"the normal n is {n!r}; allowed: 2 or 3 numbers, not all zero")
     normal = normal / np.linalg.norm(normal)
-    frame = evaluate(layer_frame(ufl.as_vector(normal.tolist())))
+    frame = evaluate(layer_frame(ufl.as_vector(np.pad(normal, (0, 3 - len(normal))).tolist())))
     if len(normal) == 2:
         return normal, frame[:, :2]
     tangents = frame[:, [0, 2]]

@@ -268,7 +268,7 @@ class NewtonSolver(EquilibriumSolver):
             norm: its norm.
         """
         if not math.isfinite(norm):
-            names = " or ".join(sorted({*self.equations.names_with_trait("unchecked_stresses")}))
+            names = " or ".join(sorted({*self.equations.names_with_trait("nonlinear")}))
             advice = "at rest the strain e is zero: write ufl.sqrt(ufl.inner(e, e) + small), or a ufl.conditional"
             raise SolveError(f"the {quantity} of {names} is not finite at the start of the step", advice=advice)
 

@@ -52,7 +52,7 @@ def _is_linear(model: Model) -> bool:
 
     The only unknowns must then be displacements, with a constant and symmetric stiffness from UFL forms.
     """
-    if model.constraints.T is not None or not all(term.is_proportional for term in model.terms):
+    if model.constraints.T is not None:
         return False  # with T the unknowns are not the displacements
     traits = [term.law.traits for term in model.terms]
     by_laws = all(each.symmetric and not (each.constrained or each.compiled) for each in traits)
