@@ -88,7 +88,7 @@ def unknown_name_message(kind: str, name: object, allowed: Iterable[str]) -> str
     starting = [key for key in lowered if key.startswith(prefix)]
     matches = difflib.get_close_matches(prefix, lowered, n=1) or (starting if len(starting) == 1 and prefix else [])
     suggestion = f", did you mean {lowered[matches[0]]!r}?" if matches else ""
-    return f"unknown {kind} {name!r}{suggestion}; known: {', '.join(allowed)}"
+    return f"unknown {kind} {name!r}{suggestion}; known: {', '.join(allowed) or 'none'}"
 
 
 def is_number(value: object) -> TypeGuard[float]:

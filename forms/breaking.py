@@ -279,7 +279,7 @@ class MixedModeDamage(DamageResults, Law):
     has_modes = True
 
     def mode_energies(self, step: Step) -> tuple[Expr, Expr]:
-        return self._released(step.e, three_dimensional(step.n))
+        return self._released(step.e, step.n)
 
     def _released(self, deformation: Expr, n: Expr) -> tuple[Expr, Expr]:
         """Return the energies Y_I and Y_II that damage releases."""

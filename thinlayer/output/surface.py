@@ -172,9 +172,10 @@ class Surface(SurfaceMesh):
         return self._facet_means(state, name, self._internal_shape(state, name))
 
     def _internal_shape(self, state: State, name: str) -> tuple[int, ...]:
+        self._require_same_joint(state)
         laws = [law for layer in state.model.layers.values() for _, law in layer.law.sublayers]
         shapes = {variable: shape for law in laws for variable, shape in law.internal.items()}
-        if name not in shapes:
+        if not isinstance(name, str) or name not in shapes:
             raise InputError(unknown_name_message("internal variable", name, shapes))
         return shapes[name]
 
