@@ -177,7 +177,8 @@ class NewtonSolver(EquilibriumSolver):
             d: work vector.
             bc_step: increments of the prescribed displacements, zero at all other unknowns.
         """
-        equations, reference = self.equations, float(self.equations.scale.forces[0])
+        equations, scale = self.equations, self.equations.scale
+        reference = 0.0 if scale.are_rounding else float(scale.forces[0])
         self._require_finite("stress", self._unconstrained_norm(r))
         r.scale(-1.0)
         self._prepare_ksp(bc_step, r)
@@ -225,7 +226,8 @@ class NewtonSolver(EquilibriumSolver):
             r: residual at `x`; overwritten.
             d: the increment; overwritten.
             bc_step: increments of the prescribed displacements, zero at all other unknowns.
-            reference: reference force. The residual must be at most `OVERSHOOT_RESIDUAL` times as large.
+            reference: reference force. The residual must be at most `OVERSHOOT_RESIDUAL` times as large; 0: any residual
+                is allowed.
         """
         d.axpy(-1.0, bc_step)
         for _ in range(40):

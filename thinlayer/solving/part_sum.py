@@ -116,11 +116,16 @@ class ForceScale:
         Args:
             stress_norms: (k,) norms of the nodal forces of its stresses, in k blocks of unknowns.
         """
-        rounding = FORCE_ROUNDING * self.stiffness * self.max_displacement
-        self.least_forces = np.maximum(np.maximum(self._loads, self._initial_residual), rounding / ACCEPTED_RESIDUAL)
+        self._least_by_rounding = FORCE_ROUNDING / ACCEPTED_RESIDUAL * self.stiffness * self.max_displacement
+        self.least_forces = np.maximum(np.maximum(self._loads, self._initial_residual), self._least_by_rounding)
         self.forces: Array = np.fmax(self.least_forces, stress_norms)
         if self._nesting is not None:
             self.forces = np.maximum(self.forces, FORCE_ROUNDING / ACCEPTED_RESIDUAL * (self._nesting.T @ self.forces))
+
+    @property
+    def are_rounding(self) -> bool:
+        """Whether the reference force of the whole model is only that of rounding errors, as where supports move."""
+        return bool(self.forces[0] <= self._least_by_rounding[0])
 
     def force_rounding(self, largest_displacement: float) -> Array:
         """Return the norms (k,) of the rounding errors of the forces in k blocks of unknowns.
