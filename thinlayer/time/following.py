@@ -21,6 +21,10 @@ IDEAL_NEWTON_STEPS = 4  # number of Newton steps at which the length of the next
 MIN_LENGTH_RATIO, MAX_LENGTH_RATIO = 0.5, 2.0  # bounds of the ratio of the lengths of two steps
 MAX_CORNER_LENGTH = 0.125  # largest length, relative to the first step, of a failed step that may contain a corner
 MANY_STEPS = 10**6
+FAILURE_ADVICE = (
+    "support bodies that come loose as all that bears them breaks; else take a smaller first step, a finer mesh, or "
+    "more toughness; the states so far are in the error's history"
+)
 
 
 @dataclass(eq=False)
@@ -65,7 +69,7 @@ class ArcLengthController(Controller):
                 self._set_direction()
         except SolveError as error:
             raise self.failure(1.0, [error]) from error
-        return min(pace.step or 1.0, settings.largest)
+        return min(pace.step or 1.0, settings.largest or math.inf)
 
     def _set_direction(self, *, forward: bool = False) -> None:
         """Compute the direction of the path at the last state.
@@ -124,8 +128,11 @@ class ArcLengthController(Controller):
             SolveError: the step fails.
         """
         last, target, arc_length = self.last, self.target, self._arc_length(length)
-        state = None
-        if last.t + arc_length * self._path.t_slope >= target - self.time_slack:
+        self._path.must_be_straight, state = length > 1 and self.plan.largest is None, None
+        predicted_t = last.t + arc_length * self._path.t_slope
+        if self._path.must_be_straight and predicted_t < self.plan.lowest(self.start):
+            raise SolveError("a step longer than the first would end too far back")
+        if predicted_t >= target - self.time_slack:
             with suppress(SolveError):  # the path may turn back before the target
                 state = self._path.solve_at_time(last, None, target)
         if state is None:
@@ -133,7 +140,11 @@ class ArcLengthController(Controller):
             state = self._path.solve_at_time(last, state, target) if state.t > target - self.time_slack else state
         return self._accept_state(state, length)
 
+    def shorter_length(self, length: float, error: SolveError) -> float:
+        return super().shorter_length(length, error) if length <= 1 else max(length / 2, 1.0)
+
     def _step_through_corner(self, length: float) -> list[State]:
+        self._path.must_be_straight = False
         return self._accept_state(self._path.step(self.last, self._arc_length(length), turn=True), length)
 
     def _accept_state(self, state: State, length: float) -> list[State]:
@@ -156,7 +167,7 @@ class ArcLengthController(Controller):
 
     def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:
         step_text = f"step {len(self.journal.history)} of the path, from t = {self.last.t:g}"
-        return self.error(f"{step_text}, failed, and so did longer ones: {errors[0]}")
+        return self.error(f"{step_text}, failed, and so did longer ones: {errors[0]}", FAILURE_ADVICE)
 
 
 class PathToTimesController(ArcLengthController):

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 import time
+from contextlib import suppress
 
 import numpy as np
 from petsc4py import PETSc
@@ -43,11 +44,16 @@ SHORT_STEP = 0.18  # arc length; that of the first step is sqrt(2)
 MAX_TURN_ERROR = 3.0  # the same for a step that turns
 MAX_ITERATE_DISTANCE = 9.0  # largest distance of Newton's iterates from the predictor, relative to the step
 MEMORY_TOLERANCE = 1e-9  # change of memory in a step, over the memory, that counts as none
+STRAIGHT_RESIDUAL = 1e-4  # largest relative residual at the predictor of a step that counts as straight
 CORNER_DISTANCE = 0.5  # distance beyond a corner at which a step that turns ends, relative to the step
 # Bound of the distance from the predictor, relative to the step: factor * (change of direction) + offset.
 BEND_FACTOR, BEND_OFFSET = 2.0, 0.01
 PATH_QUOTIENT_STEP = 1e-6  # step of difference quotients along the path, relative to the step
 TIME_QUOTIENT_STEP = 1e-3  # step of difference quotients in t, relative to the unit of t
+BRANCH_STEP = 1e-3  # distance from a state at which its branches are compared, relative to the last step
+STRAIGHT_COSINE = 1 - 1e-6  # least cosine of the angle between directions that count as equal
+RETRACED_MESSAGE = "the path would lead back to rest: all that has softened unloads"
+BEND_MESSAGE = "the path is not straight, and longer steps than the first are for straight stretches"
 FORCE_CHANGE_TOLERANCE = 1e-7  # change of forces in a step, relative to the forces, that counts as zero
 
 
@@ -68,10 +74,13 @@ class EquilibriumPath:
             arc length of the first step depends on t only.
         inner_time: a time between those at which loads and supports are evaluated. Difference quotients by t take
             their second value on its side, so that they stay between these times.
+        must_be_straight: whether a step fails unless path, loads and supports are straight along it, as where all is
+            elastic.
     """
 
     def __init__(self, equations: Equations, t_unit: float, options: Options) -> None:
         self.equations, self.t_unit, self.length_weight, self.inner_time = equations, t_unit, 0.0, 0.0
+        self.must_be_straight = False
         linear_options = {name: value for name, value in options.items() if not name.startswith("snes_")}
         self._options = {**direct_solver_options(equations.model), **linear_options}
         self._factorisation = Factor()
@@ -131,8 +140,8 @@ class EquilibriumPath:
         if self.equations.failed:
             raise SolveError(self.equations.failure_text())
 
-    def _linearise(self, last: State, t: float) -> tuple[Array, Array]:
-        """Linearise the equations at the point of the last residual.
+    def _linearise(self, last: State, t: float) -> Array:
+        """Linearise the equations at the point of the last residual, and return the derivative of the path by t.
 
         Derivatives by t are difference quotients.
 
@@ -141,8 +150,7 @@ class EquilibriumPath:
             t: value of t at the point.
 
         Returns:
-            (n + 1,) Newton's increment at fixed t, and (n + 1,) derivative of the path's point by t. Both have the n
-            unknowns of this rank, then t.
+            (n + 1,) derivative of the path's point by t: the n unknowns of this rank, then t.
 
         Raises:
             SolveError: a law fails, loads or supports are not finite, or the matrix cannot be factorised.
@@ -159,8 +167,12 @@ class EquilibriumPath:
         self._matrix.zeroRowsColumns(equations.bc_rows, 1.0, du_dt, dR)
         mark_symmetry(self._matrix, equations.model, is_saddle=True)
         self._solve(dR, du_dt)
+        return np.append(du_dt.array_r, 1.0)
+
+    def _newton_increment(self) -> Array:
+        """Return Newton's increment (n + 1,) at fixed t, from the last residual, with the matrix of `_linearise`."""
         self._solve(self._r, self._newton_step)
-        return np.append(-self._newton_step.array_r, 0.0), np.append(du_dt.array_r, 1.0)
+        return np.append(-self._newton_step.array_r, 0.0)
 
     def _solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
         with set_options(self._options):
@@ -178,8 +190,9 @@ class EquilibriumPath:
     def set_direction(self, previous: State | None, last: State, *, check: bool = False) -> None:
         """Compute the direction of the path at a state.
 
-        The direction is tangent to the path, and leads away from the state before. Without such a state, t increases
-        along it. If the stiffness is singular, the direction is that from the state before to `last`.
+        The direction is tangent to the path, and leads away from the state before, or where the memory of laws goes on
+        changing, see `_must_turn`. Without a state before, t increases along it. If the stiffness is singular, the
+        direction is that from the state before to `last`.
 
         Args:
             previous: the state before `last`; None: `last` is the first state.
@@ -187,14 +200,14 @@ class EquilibriumPath:
             check: whether to compare the new direction with the present one, that at `previous`.
 
         Raises:
-            SolveError: with `check`, the path turns between the two states, or `last` is on another path; the present
-                direction is kept. Or the direction at the first state cannot be computed.
+            SolveError: with `check`, the path turns between the two states, `last` is on another path, or all unloads up
+                to it; the present direction is kept. Or the direction at the first state cannot be computed.
         """
         point = self._point(last)
         increment = None if previous is None else point - self._point(previous)
         try:
             self._residual_size(previous or last, point)
-            _, direction = self._linearise(previous or last, last.t)
+            direction = self._linearise(previous or last, last.t)
         except SolveError:
             if increment is None:
                 raise
@@ -203,14 +216,44 @@ class EquilibriumPath:
             if increment is not None and self._scalar_product(direction, increment) < 0:
                 direction = -direction
         direction = self._unit_vector(direction)
+        changes = previous is not None and self._memory_changes(previous, last)
+        if changes and increment is not None and self._must_turn(last, direction, self._norm(increment)):
+            direction = -direction
         if check and previous is not None and increment is not None:
+            if not changes and self._leads_back(direction, point) and not self._leads_back(self._direction, point):
+                raise SolveError(RETRACED_MESSAGE)
             # from rest, cracks that open or close are no corner of the path: it is straight
-            is_straight = previous.at_rest and not self._memory_changes(previous, last)
+            is_straight = previous.at_rest and not changes
             if not is_straight and self._crossing_sign(previous, direction, self._norm(increment)) < 0:
                 raise SolveError("the path turns within the step")
             if self._prediction_error > BEND_FACTOR * self._norm(direction - self._direction) + BEND_OFFSET:
                 raise SolveError("the equilibrium is not on the path: its direction is that of the predictor")
         self._direction = direction
+
+    def _leads_back(self, direction: Array, point: Array) -> bool:
+        """Return whether a direction leads straight back from a point to rest, with t decreasing. Collective."""
+        return bool(self._scalar_product(direction, point) < -STRAIGHT_COSINE * self._norm(point) and direction[-1] < 0)
+
+    def _must_turn(self, last: State, direction: Array, arc_length: float) -> bool:
+        """Return whether the path leaves a state, up to which the memory of laws has changed, in the opposite direction.
+
+        The direction is that of the branch where memory goes on changing. On it forces balance to second order of the
+        distance, and in the opposite direction, where laws unload, to first order. Where nothing changes any more, as
+        all that softened has broken, the path does not lead back to rest.
+
+        Args:
+            last: the state.
+            direction: (n + 1,) direction of the path but for its sign: the n unknowns of this rank, then t.
+            arc_length: arc length of the last step.
+        """
+        point, step = self._point(last), BRANCH_STEP * arc_length * direction
+        with suppress(SolveError):  # loads may not be defined beyond their last time
+            if self._residual_size(last, point + step) is None:
+                ahead = self._r.norm()
+                self._residual_size(last, point - step)
+                if self._r.norm() < ahead / 10:
+                    return True
+        return self._leads_back(direction, point)
 
     def _crossing_sign(self, last: State, new_direction: Array, arc_length: float) -> float:
         """Return a number whose sign says whether a new direction of the path must be reversed beyond a kink of a law.
@@ -311,12 +354,15 @@ class EquilibriumPath:
         """
         start_time, offset, iterations, point = time.perf_counter(), 0.0, 0, predictor.copy()
         most, smallest, n_futile = MAX_TURN_STEPS if turn else MAX_NEWTON_STEPS, math.inf, 0
-        while (residual := self._residual_size(last, point)) is None:
+        residual = self._residual_size(last, point)
+        while residual is None:
             size = self.equations.relative_norm(self._r)
+            if self.must_be_straight and iterations == 0 and size > STRAIGHT_RESIDUAL:
+                raise SolveError(BEND_MESSAGE)
             smallest, n_futile = (size, 0) if size < smallest else (smallest, n_futile + 1)
             if iterations == most or n_futile > MAX_FUTILE_STEPS:
                 raise SolveError(f"Newton's method for the arc length has not converged in {iterations} steps")
-            newton, tangent = self._linearise(last, float(point[-1]))
+            tangent, newton = self._linearise(last, float(point[-1])), self._newton_increment()
             if turn and iterations == 0:
                 normal, offset = self._corner_direction(last, tangent, step)
             deficit = offset - self._scalar_product(normal, point - predictor) - self._scalar_product(normal, newton)
@@ -324,7 +370,7 @@ class EquilibriumPath:
             if not tangent_normal or not math.isfinite(deficit / tangent_normal):
                 raise SolveError("the tangent is singular along the path")
             increment = newton + deficit / tangent_normal * tangent
-            point += increment if iterations < FULL_STEPS else self._shortened(last, point, increment)
+            point, residual = self._advance(last, point, increment, search=iterations >= FULL_STEPS)
             iterations += 1
             if not self._norm(point - predictor) <= MAX_ITERATE_DISTANCE * step:
                 raise SolveError("Newton's method for the arc length runs away")
@@ -334,28 +380,34 @@ class EquilibriumPath:
         is_corner = not turn and step < SHORT_STEP and self._memory_changes(last, state)
         if distance > step * (MAX_TURN_ERROR if turn else MAX_CORNER_ERROR if is_corner else MAX_PREDICTION_ERROR):
             raise SolveError("the equilibrium at this arc length is far from the predictor")
+        if self.must_be_straight and not self.equations.is_linear_in_time(last.t, state.t):
+            raise SolveError(BEND_MESSAGE)
         self._prediction_error = 0.0 if turn else distance / step
         return state
 
-    def _shortened(self, last: State, point: Array, increment: Array) -> Array:
-        """Return an increment of Newton's method, shorter if it overshoots, as where it cycles between branches of laws.
+    def _advance(self, last: State, point: Array, increment: Array, *, search: bool) -> tuple[Array, float | None]:
+        """Add an increment of Newton's method to a point, and compute the residual there, see `_residual_size`.
 
-        The residual forces do work in the increment. Where this work is positive before and negative after it, the
-        increment ends where linear interpolation gives zero.
+        With `search`, an increment that overshoots is shortened, as where it cycles between branches of laws. The
+        residual forces do work in the increment. Where this work is positive before and negative after it, the increment
+        ends where linear interpolation gives zero.
 
         Args:
             last: the last state, with the memory of laws.
             point: (n + 1,) the point of the last residual: the n unknowns of this rank, then t.
             increment: (n + 1,) the increment.
+            search: whether the increment may be shortened.
 
         Raises:
             SolveError: a law fails, or loads or supports are not finite.
         """
-        before = self._work(increment)
-        self._residual_size(last, point + increment)
+        before, end = self._work(increment), point + increment
+        residual = self._residual_size(last, end)
         after = self._work(increment)
-        overshoots = before * after < 0 and abs(after) > OVERSHOOT * abs(before)
-        return increment * (before / (before - after)) if overshoots else increment
+        if search and before * after < 0 and abs(after) > OVERSHOOT * abs(before):
+            end = point + increment * (before / (before - after))
+            residual = self._residual_size(last, end)
+        return end, residual
 
     def _work(self, increment: Array) -> float:
         """Return the work of the last residual in an increment, times -1. Collective."""

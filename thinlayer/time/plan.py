@@ -232,14 +232,16 @@ class ArcLength(Plan):
 
     The length of a step is sqrt(|du|^2/U^2 + dt^2/T^2). Here |du| is the Euclidean norm of the change of nodal
     displacements, and dt the change of t. T is `first`, and U is |du| of the first step, scaled to a change `first` of
-    t. Step lengths adapt to the number of Newton steps; steps that fail are halved.
+    t. Step lengths adapt to the number of Newton steps; steps that fail are halved. Where laws have memory, the path
+    goes on where it changes: steps on which all unloads, back to rest, fail.
 
     Attributes:
         end: value of t > start at which the march ends; the last step ends there.
         first: change of t in the first step, > 0.
         smallest: length, relative to the first step, below which a step is not shortened further (default: 1e-6).
-        largest: length of the longest step, relative to the first step (default: 1; longer steps may pass over loops of
-            the path).
+        largest: length of the longest step, relative to the first step; steps longer than 1 may pass over loops of the
+            path. None: steps are longer than the first only where path, loads and supports are straight, as before and
+            after breaking.
         steps: largest number of steps; if the path has not reached `end` then, the march raises a SolveError.
         back: value of t < start; the march also ends, without an error, when t falls below it. None: the march raises a
             SolveError when t falls below 2 start - end. Loads and supports must be defined down to this value.
@@ -259,13 +261,13 @@ class ArcLength(Plan):
         >>> path = ArcLength(end=2.0, first=0.5)
         >>> history = march(plates.interface(ThinLayer(glue, eps=0.05)), path)
         >>> history.t
-        array([0. , 0.5, 1. , 1.5, 2. ])
+        array([0. , 0.5, 1.5, 2. ])
     """
 
     end: float
     first: float
     smallest: float = 1e-6
-    largest: float = 1.0
+    largest: float | None = None
     steps: int = 1000
     back: float | None = None
     is_path = True
@@ -275,7 +277,7 @@ class ArcLength(Plan):
         require(is_integer(self.steps, 1), "ArcLength: steps", self.steps, "allowed: a whole number > 0")
         object.__setattr__(self, "steps", int(self.steps))
         allowed = f"allowed: >= smallest = {self.smallest:g}"
-        require(self.largest >= self.smallest, "ArcLength: largest", self.largest, allowed)
+        require(self.largest is None or self.largest >= self.smallest, "ArcLength: largest", self.largest, allowed)
 
     def lowest(self, start: float) -> float:
         """Return the value of t below which the march ends: `back`, or 2 start - end if `back` is None.
