@@ -6,8 +6,10 @@ and the shear (mode II) would store without damage. It never decreases, and is t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -29,7 +31,7 @@ MIN_BRITTLENESS = 1e-9  # k - 1 of a law that breaks at once where its toughness
 SAMPLED_SOFTENING = np.geomspace(1e-3, 1e2, 61)  # (x - 1)/(k - 1) at which softening curves are checked
 CURVE_TOLERANCE = 1e-6  # error of damages, stresses and energies, relative to their largest values, in these checks
 SAMPLED_MIXITIES = np.linspace(0.0, 1.0, 101)  # mode mixities at which the toughness is checked
-MIN_MIXITY = 1e-12  # share of a mode that is raised to a power, whose slope at 0 may be infinite
+MIN_MIXITY = 1e-12  # share of a mode below which the toughness is linear, as the slope of powers at 0 may be infinite
 MIN_STRESS_LEFT = 1e-290  # 1 - d of a broken point, of which a logarithm is taken
 
 
@@ -78,6 +80,12 @@ class SofteningCurve:
             for i in np.flatnonzero(is_bad)[:1]:
                 place = f"at x = {x[i]:.6g}, where the damage is {d[i]:.6g} and k is {self.k:.4g}"
                 raise InputError(f"{type(self).__name__}: {name} is {values[i]:.6g} {place}; allowed: {allowed}")
+
+
+@cache
+def _check_curve(curve: SofteningCurve) -> None:
+    """Check a curve once, as laws whose parameters vary ask for it at many places."""
+    curve.check()
 
 
 class LinearSoftening(SofteningCurve):
@@ -248,6 +256,12 @@ class MixedModeDamage(DamageResults, Law):
             return (((1 - B) / self.G_I) ** self.eta + (B / self.G_II) ** self.eta) ** (-1 / self.eta)
         return self.G_I + (self.G_II - self.G_I) * B**self.eta
 
+    def _toughness_near_pure_modes(self, B: Expr) -> Expr:
+        """Return the toughness at a mixity B, UFL, linear where its slope may be infinite: next to B = 0 and B = 1."""
+        pure = ufl.conditional(ufl.lt(B, 0.5), self.G_I, self.G_II)
+        share = ufl.min_value(ufl.min_value(B, 1 - B) / MIN_MIXITY, 1.0)
+        return pure + share * (self.toughness(ufl.min_value(ufl.max_value(B, MIN_MIXITY), 1 - MIN_MIXITY)) - pure)
+
     # ---------------------------------------------------------------- parameters
     def check(self) -> None:
         super().check()
@@ -267,7 +281,9 @@ class MixedModeDamage(DamageResults, Law):
         self.require(k[worst] > 1, "toughness", f"more than {needs}", f"({self.G_I:.4g}, {self.G_II:.4g})")
         if type(self).softening_curve is not MixedModeDamage.softening_curve:
             for extreme in (k.min(), k.max()):
-                self.softening_curve(float(extreme)).check()
+                curve = self.softening_curve(1 + 2.0 ** round(math.log2(extreme - 1)))
+                self.require(isinstance(curve, SofteningCurve), "softening_curve", "a SofteningCurve", curve)
+                _check_curve(curve)
 
     @property
     def _onset_energies(self) -> tuple[Expr, Expr]:
@@ -296,8 +312,7 @@ class MixedModeDamage(DamageResults, Law):
         least = Y_I0 * Y_II0 / (Y_I0 + Y_II0)  # below it there is no damage, and the mixity does not count
         B = Y_II / ufl.max_value(Y_I + Y_II, least)
         onset = 1 / ((1 - B) / Y_I0 + B / Y_II0)
-        bounded_B = ufl.min_value(ufl.max_value(B, MIN_MIXITY), 1 - MIN_MIXITY)
-        k = ufl.max_value(self.toughness(bounded_B) / onset, 1 + MIN_BRITTLENESS)
+        k = ufl.max_value(self._toughness_near_pure_modes(B) / onset, 1 + MIN_BRITTLENESS)
         x = ufl.sqrt(ufl.max_value(Y_I / Y_I0 + Y_II / Y_II0, 1.0))
         return ModeMix(x, onset, self.softening_curve(k))
 
@@ -423,7 +438,11 @@ class Breaking(MixedModeDamage, CracksAlongS):
         is_thickness = callable(thickness) or (is_finite(thickness) and thickness > 0)
         require(is_thickness, f"{what} bond_line", bond_line, "allowed: > 0, the thickness of the layer in tests")
         for name, pair in {"strength": strength, "toughness": toughness}.items():
-            is_pair = isinstance(pair, Sequence) and len(pair) == 2 and all(callable(x) or is_number(x) for x in pair)
+            is_pair = (
+                isinstance(pair, Sequence | np.ndarray)
+                and len(pair) == 2
+                and all(callable(x) or is_number(x) for x in pair)
+            )
             require(is_pair, f"{what} {name}", pair, "allowed: two values, in opening and in shear")
         sound, (t_N, t_T) = LinearElastic.young(E, nu), strength
         G_I, G_II = (as_parameter_field(G) / thickness for G in toughness)

@@ -48,9 +48,10 @@ class History:
             (`Audit`) and observed values.
         states: number of a table row -> state, for the states that are kept.
         theta: fraction of each time step after which forces balance.
-        step_errors: "displacements", "jumps" or "forces" -> relative error of the last state, estimated, that is due to
-            the length of the time steps. It is 0 if no energy was dissipated, and NaN if it is unknown. The dictionary
-            is empty for laws that are linear or have no history, for adaptive steps and for arc-length continuation.
+        step_errors: "displacements", "jumps" or "forces" -> largest error of the kept states, estimated, that is due to
+            the length of the time steps, over the largest norm. It is 0 if no energy was dissipated, and NaN if it is
+            unknown. The dictionary is empty for laws that are linear or have no history, for adaptive steps and for
+            arc-length continuation.
         begun: True: the march began at a given state, which is its first one. False: it began at rest.
 
     Example:

@@ -220,12 +220,13 @@ def _check(model: Model, theta: float, keep: str, out: object, resume: Resume, o
 
 # ---------------------------------------------------------------- errors of planned steps
 def warn_of_step_errors(controller: Controller, theta: float, initial_states: Sequence[State]) -> None:
-    """Estimate the errors at the end of a march with steps to given times, and warn if they are large. Collective.
+    """Estimate the errors of a march with steps to given times, and warn if they are large. Collective.
 
     The march is repeated with half as many steps, which adds half as many solves. Fewer than eight steps are repeated
-    as 8 to 14. The difference of the final states gives the error of the whole march to leading order, which no single
-    halved step would give. A march that has dissipated nothing is not repeated, and its errors are set to 0. The errors
-    are stored in `History.step_errors`.
+    as 8 to 14. The differences of states at common times give the errors of the whole march to leading order, which no
+    single halved step would give. They are relative to the largest norms of all these states, so that what fails during
+    the march counts. A march that has dissipated nothing is not repeated, and its errors are set to 0. The errors are
+    stored in `History.step_errors`.
 
     Args:
         controller: controller of the march, which has ended.
@@ -241,19 +242,23 @@ def warn_of_step_errors(controller: Controller, theta: float, initial_states: Se
     remedy = "take more steps, or times=Adaptive(end=..., first=..., tolerance=...)"
     try:
         with report("error of the steps"):
-            journal = Journal(solver.equations, {"start": controller.start, "theta": theta})
-            coarse = PlannedTimes(targets).controller(solver, journal, targets, {}).run(initial=initial_states).last
+            keep = "all" if len(history.states) > 1 else "last"
+            journal = Journal(solver.equations, {"start": controller.start, "theta": theta}, keep=keep)
+            coarse = PlannedTimes(targets).controller(solver, journal, targets, {}).run(initial=initial_states)
     except SolveError as error:
         history.step_errors = dict.fromkeys(COMPARED_QUANTITIES, np.nan)
         text = f"the error of the march's steps is not known: with {len(targets)} steps {error.reason}; {remedy}"
         solver.model.warn("no step error", text, *controller.targets)
         return
     error_ratio = abs((n / len(targets)) ** (2 if theta == 0.5 else 1) - 1)
-    relative_errors = ErrorEstimate(solver.equations).differences(coarse, history.last) / error_ratio
+    by_time, estimate = {state.t: state for state in coarse.states.values()}, ErrorEstimate(solver.equations)
+    pairs = [(by_time[state.t], state) for state in history.states.values() if state.t in by_time and not state.at_rest]
+    largest = np.max([estimate.state_norms(state) for _, state in pairs], axis=0)
+    relative_errors = np.max([estimate.differences(*pair, largest) for pair in pairs], axis=0) / error_ratio
     history.step_errors = dict(zip(COMPARED_QUANTITIES, map(float, relative_errors), strict=True))
     if relative_errors.max() > WARN_STEP_ERROR:
         errors_text = ", ".join(f"{error:.2g} in {name}" for name, error in history.step_errors.items())
-        text = f"the {n} steps of this march leave estimated relative errors of {errors_text} at its end"
+        text = f"the {n} steps of this march leave estimated relative errors of {errors_text}"
         solver.model.warn("step error", f"{text} (march with {len(targets)} steps); {remedy}", *controller.targets)
 
 
