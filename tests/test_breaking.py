@@ -15,14 +15,13 @@ from forms import Breaking, Cohesive, LinearElastic, Stack
 from forms.base import InputError
 from forms.breaking import BilinearSoftening, ExponentialSoftening, LinearSoftening, SofteningCurve
 from geometry import block, sandwich
+from studies import enf
 from tests.at_points import respond
 from tests.on_ranks import on_ranks
 from tests.ranges_told import with_warnings
 from tests.refused import refused
 from thinlayer import Adaptive, ArcLength, Structure, Surface, ThinLayer, drive, march, solve
 from thinlayer.errors import TurningPoint
-from thinlayer.output.tractions import match_law_points
-from thinlayer.surface.law_points import layer_points
 
 JOINT = Cohesive(K_N=1e4, K_T=6e3, t_N=20.0, t_T=30.0, G_I=0.3, G_II=0.9, eta=2.0)
 GLUE = Breaking(lmbda=700.0, mu=500.0, t_N=20.0, t_T=30.0, G_I=3.0, G_II=9.0, eta=2.0)
@@ -303,68 +302,13 @@ def test_trapezoidal_work_of_a_beam():
     assert ratios[0] > 3.0 > 2.5 > ratios[1]
 
 
-def damage_and_jumps(state):
-    """(facets, points) damage, and jumps (d, facets, points), at the law's points."""
-    surface = Surface(state.model)
-    ((points, facets),) = layer_points(surface, state)
-    rule = surface.rule(points.quadrature.degree)
-    lower, upper = surface.side_values(state.u, state.model, rule)
-    return points.internal()[0]["d"][match_law_points(rule, facets, points)], upper - lower, rule.weights
-
-
-def test_what_breaks_in_a_step_is_the_work_of_its_secants():
-    """(F_0 u_1 - F_1 u_0)/2 = u_0.(K_0 - K_1) u_1, as bodies are linear and each damage is a secant, in any step.
-
-    Wrong twin: the energies at the end of the step in place of the mixed ones.
-    """
-    history = opened("S", 0.1)
-    P, t, K = history.table["P"], history.table["t"], np.array([5e3, 1e4])
-    errors, wrong = [], []
-    for k in range(1, len(t)):
-        (d, w, _), (d_new, w_new, weights) = (damage_and_jumps(history.states[i]) for i in (k - 1, k))
-        lost = [np.array([d * np.ones_like(a[0]), d * (a[1] >= 0)]) for d, a in ((d, w), (d_new, w_new))]
-        mixed, late = (np.einsum("i,ifq,ifq,ifq,fq", K, a, w_new, lost[1] - lost[0], weights) / 2 for a in (w, w_new))
-        work = P[k - 1] * t[k] - P[k] * t[k - 1]
-        errors.append(abs(mixed - work))
-        wrong.append(abs(late - work))
-    assert max(errors) < 1e-10 * P.max() * t.max()
-    assert max(wrong) > 1e-3 * P.max() * t.max()
-
-
-@cache
-def bent(h, end):
-    """An end-notched flexure test with arms of 1.5, a half span of 50 and a crack of 25 that may close."""
-    arms = sandwich(100.0, 1.5, 1.5, 0.75, h_S=h, cell="quadrilateral", structured=True)
-    ends = {(0, -1.5): {"y": 0.0}, (100, -1.5): {"x": 0.0, "y": 0.0}, (50, 1.5): {"y": lambda x, t: -t}}
-    layer = Cohesive(1e5, 1e5, 60.0, 60.0, 1.5, 1.5, cracked=lambda x: 1.0 * (x[0] < 25))
-    model = Structure(arms, body=LinearElastic.young(120e3, 0.0), supports=ends).interface(layer)
-    observe = {"P": lambda state: -25 * state.reaction((50, 1.5)).force[1]}  # width 25
-    return march(model, ArcLength(end=end, first=0.2, largest=4), observe=observe).table
-
-
-def test_a_crack_that_closes_starts_from_rest():
+def test_a_crack_that_closes_starts_from_rest(monkeypatch):
     """Contact at the end of the crack alone, which Newton's method finds facet by facet."""
-    table = bent(1.0, 0.6)
-    assert table["P"][1:] / table["t"][1:] == pytest.approx(
-        874.834357 / 3.5555216 * np.ones(len(table["t"]) - 1), rel=0.1
-    )
-    assert np.ptp(table["P"][1:3] / table["t"][1:3]) < 1e-6
-
-
-@pytest.mark.long
-def test_end_notched_flexure():
-    """Against beams of Euler: crack length: force and deflection. The path turns back, and forth again."""
-    table = bent(1.0, 4.0)
-    a, P, t = 100 * table["broken"], table["P"], table["t"]
-    for length, force, deflection in [
-        (30, 750.080371, 3.4757948),
-        (35, 656.182971, 3.5396807),
-        (40, 583.039265, 3.715906),
-    ]:
-        assert np.interp(length, a, P) == pytest.approx(force, rel=0.03)
-        assert np.interp(length, a, t) == pytest.approx(deflection, rel=0.03)
-    assert len(t) <= 120
-    assert t[a < 28].max() > np.interp(31, a, t) + 0.05
+    monkeypatch.setattr(enf, "END", 0.6)
+    table, beams = enf.bend(1.0).table, enf.HALVES.envelope(enf.CRACK)
+    stiffness = table["force"][1:] / table["t"][1:]
+    assert stiffness == pytest.approx(beams["force"][1] / beams["displacement"][1] * np.ones(len(stiffness)), rel=0.01)
+    assert np.ptp(stiffness[:2]) < 1e-6
 
 
 def forces(kind):

@@ -8,12 +8,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from forms import Cohesive, CohesiveFriction, LinearElastic
+from forms import Cohesive, CohesiveFriction
 from forms.base import InputError
-from geometry import block
+from studies import pull_out
 from tests.at_points import respond
 from tests.refused import refused
-from thinlayer import Structure, drive, march
+from thinlayer import drive
 
 PARAMETERS = {"K_N": 1e4, "K_T": 6e3, "t_N": 20.0, "t_T": 30.0, "G_I": 0.3, "G_II": 0.9, "eta": 2.0}
 JOINT = CohesiveFriction(**PARAMETERS, friction=0.5)
@@ -122,26 +122,17 @@ def test_the_tangent_is_the_derivative_of_the_stress(n):
     assert slid.tolist() == [True, True, False, True, True, True]
 
 
-def pulled_out(friction, times):
-    """A bar on a rough base, of 8 x .1, EA = 1000, under the pressure 1: end displacements, forces, and energies."""
-    layer = CohesiveFriction(100.0, 100.0, 1.0, 1.0, 1.0, 0.05, friction=friction, closure="bilateral")
-    structure = Structure(
-        block(8.0, 0.1, 0.1, cell="quadrilateral", structured=True), body=LinearElastic.young(1e4, 0.0),
-        supports={"RIGHT": {"x": lambda x, t: t}}, tractions={"TOP": (0.0, -1.0)})  # fmt: skip
-    observe = {"force": lambda state: state.reaction("RIGHT").force[0]}
-    return march(structure.interface(layer), [1e-9, *times], observe=observe).table
-
-
 PULLED = {0.0: (7.09807771, 0.0395975, 4.735019, 0.4), 0.2: (7.77213634, 0.0419290, 6.504278, 0.595651)}
-PULLED_TIMES = [0.01, 0.02, 0.03, *np.linspace(0.036, 0.044, 9), 0.048, 0.054, *np.linspace(0.06, 0.15, 10)]
 
 
 @pytest.mark.parametrize("friction", PULLED)
 def test_a_bar_that_is_pulled_out(friction):
     """Largest force and that at .06, plateau f p l, and energies, of a bar on springs by Runge and Kutta's method."""
     largest, at_largest, later, spent = PULLED[friction]
-    table = pulled_out(friction, PULLED_TIMES)
+    table, exact = pull_out.pull(friction).table, pull_out.bar(friction)
     t, force = table["t"], table["force"]
+    assert exact["force"].max() == pytest.approx(largest, rel=5e-5)
+    assert np.interp(0.06, exact["displacement"], exact["force"]) == pytest.approx(later, rel=1e-5)
     k = int(force.argmax())
     assert (force[k], t[k]) == (pytest.approx(largest, rel=3e-3), pytest.approx(at_largest, abs=1e-3))
     assert np.interp(0.06, t, force) == pytest.approx(later, rel=1e-3)
