@@ -16,7 +16,7 @@ from forms import Cohesive, LinearElastic
 from geometry import sandwich
 from studies.delamination import BEAMS, LOOK, ON_S, ROWS, SHARP, Beams, compare, path_table
 from studies.enf import ARM, CRACK, HALF_SPAN, RTOL, E, K
-from thinlayer import ArcLength, PointLoad, Probe, Structure, Table, march, plotting
+from thinlayer import ArcLength, PointLoad, Probe, Structure, march, plotting
 from thinlayer.discretisation.state import State
 from thinlayer.discretisation.supports import Place, Support
 from thinlayer.errors import SolveError
@@ -62,14 +62,6 @@ def bend(c: float, h_S: float, first: float, steps: int) -> History:
         return error.history
 
 
-def softening(path: Table) -> Table:
-    """Return a path up to its largest force, and beyond as long as damage grows: the rest unloads."""
-    peak, steady = path["force"].argmax(), np.diff(path["dissipated"]) <= 0
-    steady[:peak] = False
-    end = 1 + (steady.argmax() if steady.any() else len(steady))
-    return Table.of({name: path[name][:end] for name in path.columns})
-
-
 def run(record: Record, *, quick: bool = False) -> None:
     """Load levers of several lengths, and compare the paths with beams on glue that softens.
 
@@ -85,7 +77,7 @@ def run(record: Record, *, quick: bool = False) -> None:
         beams = halves(c).envelope(LONGEST)
         first = FIRST * beams["force"].max()
         history = bend(c, 1.0 if quick else 0.5, first, STEPS[0 if quick else 1])
-        path = softening(path_table(record.add_report(history), 2 * HALF_SPAN))
+        path = path_table(record.add_report(history), 2 * HALF_SPAN)
         for name, curve in ((BEAMS, beams), (ON_S, path)):
             table.extend({"lever": c, "curve": name, **row} for row in curve.rows)
         compare(record, path, beams, RTOL, f"lever of {c:g} mm: ")
