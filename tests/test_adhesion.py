@@ -132,7 +132,7 @@ def test_a_block_is_torn_off_in_time():
 
 def test_uses_that_are_refused_or_warned_of():
     model = lifted().interface(TAPE)
-    refused(InputError, "Adhesion creeps or relaxes, and t is not a time on a path: march in time", march, model,
+    refused(InputError, "and t is not a time on a path; march in time, with a list", march, model,
         ArcLength(end=1.0, first=0.1))  # fmt: skip
     refused(InputError, "dt is missing: Adhesion depends on the length", drive, TAPE, [{"w_T": 0.1, "w_N": 0.0}])
     refused(InputError, "Adhesion is a law on S", lifted().full, TAPE)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from forms import (
+    Cohesive,
     HolonomicCoulomb,
     Incompressible,
     KelvinVoigt,
@@ -17,6 +18,7 @@ from forms import (
     Maxwell,
     MohrCoulomb,
     NonMonotoneUnrelaxed,
+    VonMises,
 )
 from forms.base import InputError
 from forms.traction import TractionLaw
@@ -83,4 +85,15 @@ def test_models_that_have_no_path():
     with pytest.raises(InputError, match="Incompressible is incompressible: paths have displacements alone"):
         march(soft, ArcLength(1.0, 0.1))
     contact = Structure(strip, element="Q1", **setup).interface(HolonomicCoulomb(7.0, 3.0, friction=0.4))
-    refused(InputError, "HolonomicCoulomb is a contact law: march in time", lambda: march(contact, ArcLength(1.0, 0.1)))
+    refused(
+        InputError, "HolonomicCoulomb is a contact law: .*; march in time", lambda: march(contact, ArcLength(1.0, 0.1))
+    )
+
+
+def test_what_breaks_beside_what_yields():
+    """Neither a path nor a march in time suits; the message names both laws."""
+    body, joint = VonMises.young(70e3, 0.3, 200.0), block(1.0, 0.5, 0.25)
+    structure = Structure(joint, body=body, supports={"TOP": {"x": 0, "y": lambda x, t: t}})
+    model = structure.interface(Cohesive(1e4, 1e4, 20, 20, 0.3, 0.3))
+    for times in ([0.01], ArcLength(0.01, 0.001)):
+        refused(InputError, "VonMises bounds .*; Cohesive softens, which", march, model, times)

@@ -99,7 +99,8 @@ class ArcLengthController(Controller):
         """
         u_unit = float((last.u.x.petsc_vec - before.u.x.petsc_vec).norm()) * self.plan.first / (last.t - before.t)
         if not u_unit:
-            raise self.error(f"nothing moves from t = {before.t:g} to {last.t:g}: the path has no direction")
+            advice = "loads or supports must change with t from the start on; begin where they do, with start="
+            raise self.error(f"nothing moves from t = {before.t:g} to {last.t:g}: the path has no direction", advice)
         return 1 / u_unit**2
 
     @property

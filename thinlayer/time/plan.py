@@ -25,10 +25,10 @@ MIN_RELATIVE_LENGTH = 1e-3  # length of the shortest step before a turning point
 THETA_HINT = "theta = 1"  # the last words of errors
 NO_ERROR_MESSAGE = "Adaptive is for laws that depend on time; steps of {} have no error: give the times to stop at"
 NO_PATH_REASONS = {
-    "releases": "{} is a contact law: march in time instead of ArcLength",
-    "bounded": "{} bounds stresses: on a path loads stay at their limit; march in time, which finds the limit",
-    "switches": "{} has pure phases: its equilibria do not form one curve; march in time, which finds the snaps",
-    "rate": "{} depends on rates, and t is not a time on a path: march in time",
+    "releases": "{} is a contact law: a path does not follow contact",
+    "bounded": "{} bounds stresses: on a path loads stay at their limit",
+    "switches": "{} has pure phases: its equilibria do not form one curve",
+    "rate": "{} depends on rates, and t is not a time on a path",
 }  # reasons, see `PartSum.refuse_traits`
 
 
@@ -374,9 +374,12 @@ def _require_path_suits(equations: Equations, theta: float, method: str | None) 
     """
     require(theta == 1, "theta", theta, "forces on a path balance at t itself: theta = 1")
     require(method in (None, "newton"), "method", method, "a path is followed by Newton's method")
+    remedy = "march in time, with a list of times"
+    for name in sorted({*equations.names_with_trait("softens")}):
+        remedy = f"{name} softens, which needs a path: both cannot be in one model"
     for part in equations.of_kind(PressurePart):
         for name in part.law_traits():
-            raise InputError(f"{name} is incompressible: paths have displacements alone; march in time")
-    equations.refuse_traits(NO_PATH_REASONS)
+            raise InputError(f"{name} is incompressible: paths have displacements alone; {remedy}")
+    equations.refuse_traits({trait: f"{reason}; {remedy}" for trait, reason in NO_PATH_REASONS.items()})
     for name in filter(None, [part.relaxing_law_name() for part in equations.parts]):
-        raise InputError(f"{name} creeps or relaxes, and t is not a time on a path: march in time")
+        raise InputError(f"{name} creeps or relaxes, and t is not a time on a path; {remedy}")
