@@ -238,10 +238,8 @@ class Traits:
         in_ufl: the equations are written in UFL.
         of_jumps: the law is a function of jumps, not of strains, and has no thickness.
         nodal: the law acts at the nodes of S.
-        proportional: the stress is proportional to the strain at the time at which forces balance: the law is linear,
-            has neither rate nor internal variables, and its stress is zero without strain.
-        compiled: the law is compiled and evaluated on arrays of points. Other laws are proportional, and models
-            assemble their stiffness matrix once.
+        proportional: the stress is proportional to the strain: there are no rates, internal variables, stresses at rest.
+        compiled: the law is compiled and evaluated on arrays of points; others are proportional, and parts of UFL forms.
     """
 
     linear: bool = trait_field(all)
