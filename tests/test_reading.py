@@ -117,7 +117,7 @@ def test_whole_boundary_between_bodies(draw, tmp_path):
     refused(InputError, r"S=None .*give upper and lower; regions: LOW, LEFT, RIGHT", read, path, S=None, upper="LEFT")
     words = r"physical names: unknown region 'RIHT', did you mean 'RIGHT'\?; known: LEFT, LOW, RIGHT"
     refused(InputError, words, read, path, S=None, upper="RIHT", lower="LOW")
-    refused(InputError, "unknown set of facets 'S'; known: $", read, path, upper="LEFT")
+    refused(InputError, "unknown set of facets 'S'; known: none$", read, path, upper="LEFT")
 
 
 def test_rigid_base(draw, tmp_path):
