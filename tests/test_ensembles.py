@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
 import random
+import signal
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
 
@@ -142,6 +147,9 @@ def only_the_run_draws(seed):
     return make
 
 
+drawing_alike = partial(drawing, np.random.default_rng(1).random)
+
+
 def shared_by_all(seed):
     random.seed(seed)
     return partial(drawing, lambda: random.random())
@@ -169,7 +177,7 @@ def test_rows_drawn_from_a_generator_that_goes_on_are_not_resumed(tmp_path, make
 def test_parts_that_would_draw_the_same_are_told(tmp_path):
     """So are groups: each part makes a generator of its own, from the same seed."""
     for part in (0, 1):
-        with pytest.raises(InputError, match="groups and parts of an ensemble draw the same numbers"):
+        with pytest.raises(InputError, match="groups, processes and parts of an ensemble draw the same numbers"):
             ensemble(only_the_run_draws(1), CASES, tmp_path / "t.csv", resume=True, part=(part, 2))
 
 
@@ -189,6 +197,72 @@ def test_rows_drawn_from_seeds_of_their_cases_are_resumed(tmp_path, generator):
     assert len({*again["u"]}) == 5
 
 
+MANY = [{"E": 1.5 + k, "killed": ""} for k in range(200)]
+
+
+def halved():
+    def run(case):
+        if case["killed"] and not Path(case["killed"]).exists():
+            Path(case["killed"]).touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return {"half": case["E"] / 2}
+
+    return run
+
+
+def pool():
+    return ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn"))
+
+
+def test_processes_give_the_rows_of_one(tmp_path, alone):
+    out = tmp_path / "t.csv"
+    with pool() as executor:
+        table = ensemble(halved, MANY, out, executor=executor)
+        assert table.rows == ensemble(halved, MANY).rows == ensemble(halved, MANY, out, resume=True).rows
+        require_rows(alone, ensemble(make, RUNS, tmp_path / "table.csv", executor=executor).rows, 1, tmp_path)
+
+
+def test_a_killed_process_loses_its_row(tmp_path):
+    cases = [case | {"killed": str(tmp_path / "killed") if k == 100 else ""} for k, case in enumerate(MANY)]
+    with pool() as executor, pytest.raises(BrokenProcessPool):
+        ensemble(halved, cases, tmp_path / "t.csv", executor=executor)
+    done = {*Table.load(tmp_path / "t.csv")["run"].astype(int)}
+    assert len({*range(100)} - done) <= 1  # the row of the other process, which ends too
+    assert 100 not in done
+    with pool() as executor:
+        table = ensemble(halved, cases, tmp_path / "t.csv", resume=True, executor=executor)
+    assert table["half"].tolist() == [case["E"] / 2 for case in MANY]
+
+
+def test_a_cluster_of_dask_gives_the_rows_of_one(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1) as cluster, distributed.Client(cluster) as client:
+        table = ensemble(halved, MANY, tmp_path / "t.csv", executor=client.get_executor())
+    assert table.rows == ensemble(halved, MANY).rows
+
+
+def failing():
+    def run(case):
+        if case["E"] == 3.5:
+            raise SolveError("no equilibrium")
+        return {"half": case["E"] / 2}
+
+    return run
+
+
+def test_errors_in_processes_are_those_of_one(tmp_path, monkeypatch):
+    with pool() as executor:
+        refused(SolveError, "no equilibrium", ensemble, failing, CASES, tmp_path / "t.csv", executor=executor)
+        assert len(Table.load(tmp_path / "t.csv")) >= 2
+        kept = ensemble(failing, CASES, tmp_path / "t.csv", executor=executor, keep_failures=True)
+        assert [row["failure"] for row in kept.rows] == [None, None, "no equilibrium", None, None]
+        text = "groups, processes and parts of an ensemble draw the same numbers"
+        refused(InputError, text, ensemble, drawing_alike, CASES, executor=executor)
+    monkeypatch.setattr("thinlayer.output.ensemble._IMPORTING_PROCESS", 1)
+    with ThreadPoolExecutor(1) as executor:
+        refused(InputError, r"forked .*get_context\('spawn'\)", ensemble, doubled, CASES, executor=executor)
+
+
 def test_bad_input_is_told():
     for change, what in [
         ({"cases": []}, "one case or more"),
@@ -197,6 +271,7 @@ def test_bad_input_is_told():
         ({"cases": [{"run": 1.0}]}, "case 0 has 'run'"),
         ({"ranks": 2}, "ranks is 2; allowed: a number that divides the number of ranks, 1"),
         ({"part": (2, 2)}, r"part is \(2, 2\); allowed"),
+        ({"executor": 2}, "executor is 2; it must have the method submit"),
         ({"make": None}, "make is None; it must be a function"),
         ({"make": lambda: 3}, "make returns 3"),
         ({"make": lambda: lambda case: {"E": 1.0}}, "the row of run 0 has 'E'"),

@@ -1,10 +1,14 @@
-"""Ensembles: a table of many runs of one model, distributed over groups of MPI ranks and over jobs."""
+"""Ensembles: a table of many runs of one model, by groups of MPI ranks, by processes of an executor, or by jobs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, wait
 from contextlib import ExitStack
+from dataclasses import dataclass, field
 from pathlib import Path
+from uuid import uuid4
 
 from mpi4py import MPI
 
@@ -14,7 +18,7 @@ from thinlayer.errors import SolveError
 from thinlayer.output.row_file import GENERATOR_TEXT, RowFile, checked_row, move_or_check_files, require_csv
 from thinlayer.system.fingerprint import Resume, random_states
 from thinlayer.system.folder import LOCK_FILE, lock_folder, lock_from_root, read_sealed
-from thinlayer.system.progress import track
+from thinlayer.system.progress import report, track
 from thinlayer.system.ranks import errors_on_all, require_same
 from thinlayer.system.table import Row, Table
 
@@ -22,10 +26,16 @@ RUN_COLUMN, FAILURE_COLUMN = "run", "failure"  # columns that an ensemble adds
 
 CaseValues = Mapping[str, float | str]
 RunFunction = Callable[[CaseValues], Mapping[str, object]]
+Make = Callable[[], RunFunction]
+NumberedRow = tuple[int, Row, bool]  # number of a run, its row, and whether it has advanced a generator
+_IMPORTING_PROCESS = os.getpid()  # process in which MPI has been started
+_RUN_FUNCTIONS: dict[
+    str, RunFunction
+] = {}  # in a process of an executor: identifier of an ensemble -> what `make` returns
 
 
 def ensemble(
-    make: Callable[[], RunFunction],
+    make: Make,
     cases: Sequence[CaseValues],
     out: str | Path | None = None,
     resume: Resume = False,
@@ -33,6 +43,7 @@ def ensemble(
     ranks: int | None = None,
     part: tuple[int, int] = (0, 1),
     keep_failures: bool = False,
+    executor: Executor | None = None,
 ) -> Table:
     """Compute a table with one row for each of many cases, such as layers with random properties. Collective.
 
@@ -58,8 +69,11 @@ def ensemble(
         part: (k, n): divide the cases into n parts and compute only part k, with k = 0, ..., n - 1. Use it for n jobs
             that run at the same time or one after the other, with the same `out` and `resume=True`.
         keep_failures: True: a run that fails with a SolveError gets a row with the error in the column "failure", and
-            None for its results; the other runs continue. False: the error is raised when the other groups have
-            finished.
+            None for its results; the other runs continue. False: the error is raised when the other groups, or the
+            runs that the executor has begun, have finished.
+        executor: object with the method `submit` of `concurrent.futures.Executor`, whose processes compute one row at a
+            time, each on one MPI rank; None: the ranks of this program compute. `make` is called once in each process,
+            and must be picklable, such as a function of a module. The processes must not be forked from this one.
 
     Returns:
         The table of all rows, also of those that were stored before. Its columns are "run" (number of the case), the
@@ -67,9 +81,9 @@ def ensemble(
 
     Raises:
         InputError: entries of cases or rows that are neither numbers nor texts, or cases with different names;
-            ranks or part out of range; `out` belongs to another ensemble; runs of several groups or parts take random
-            numbers from one generator.
-        OSError: a file could not be written. An error of a run is raised unchanged.
+            ranks or part out of range; `out` belongs to another ensemble; runs of several groups, processes or parts
+            take random numbers from one generator; a process of the executor has been forked.
+        OSError: a file could not be written. An error of a run, or of the executor, is raised unchanged.
 
     Example:
         >>> from forms import LinearElastic
@@ -91,37 +105,47 @@ def ensemble(
         >>> print(table["energy"].round(4))
         [0.0085 0.0042]
     """
-    with errors_on_all(None):
-        comm = default_comm()
-        require(callable(make), "make", make, "it must be a function that returns a function of a case")
-        require_csv(out, resume)
-        inputs = _checked_cases(cases)
-        ranks = comm.size if ranks is None else ranks
-        divisors = [n for n in range(1, comm.size + 1) if comm.size % n == 0]
-        require(ranks in divisors, "ranks", ranks, f"allowed: a number that divides the number of ranks, {comm.size}")
-        is_valid_part = isinstance(part, tuple) and [*map(type, part)] == [int, int] and 0 <= part[0] < part[1]
-        require(is_valid_part, "part", part, "allowed: (k, n), the k-th of n parts, 0 <= k < n")
-        parts_can_join = part[1] == 1 or (out is not None and resume)
-        require(parts_can_join, "part", part, "parts of an ensemble share a table: give out=... and resume=True")
-    require_same(None, cases=inputs, out=out and str(out), resume=resume, ranks=ranks, part=list(part))
-    group, n_groups = comm.rank // ranks, comm.size // ranks
-    first_run, step = part[0] * n_groups + group, part[1] * n_groups
-    path = None if out is None else Path(out)
-    lock_name = f".{path and path.name}.{part[0]}-of-{part[1]}{LOCK_FILE}"
-    with ExitStack() as stack, lock_from_root(path and path.parent, name=lock_name):
+    with ExitStack() as stack:
+        if executor is not None:  # other ranks, if there are any, belong to it
+            stack.enter_context(use_comm(MPI.COMM_SELF))
+        with errors_on_all(None):
+            comm = default_comm()
+            require(callable(make), "make", make, "it must be a function that returns a function of a case")
+            can_submit = executor is None or callable(getattr(executor, "submit", None))
+            require(can_submit, "executor", executor, "it must have the method submit, as those of concurrent.futures")
+            require_csv(out, resume)
+            inputs = _checked_cases(cases)
+            ranks = comm.size if ranks is None else ranks
+            divisors = [n for n in range(1, comm.size + 1) if comm.size % n == 0]
+            divides = f"allowed: a number that divides the number of ranks, {comm.size}"
+            require(ranks in divisors, "ranks", ranks, divides)
+            is_valid_part = isinstance(part, tuple) and [*map(type, part)] == [int, int] and 0 <= part[0] < part[1]
+            require(is_valid_part, "part", part, "allowed: (k, n), the k-th of n parts, 0 <= k < n")
+            parts_can_join = part[1] == 1 or (out is not None and resume)
+            require(parts_can_join, "part", part, "parts of an ensemble share a table: give out=... and resume=True")
+        require_same(None, cases=inputs, out=out and str(out), resume=resume, ranks=ranks, part=list(part))
+        group, n_groups = comm.rank // ranks, comm.size // ranks
+        first_run, step = part[0] * n_groups + group, part[1] * n_groups
+        path = None if out is None else Path(out)
+        lock_name = f".{path and path.name}.{part[0]}-of-{part[1]}{LOCK_FILE}"
+        stack.enter_context(lock_from_root(path and path.parent, name=lock_name))
         subcomm = MPI.Intracomm(comm.Split(group))
         stack.callback(subcomm.Free)
         stored_rows = {} if path is None else on_root(None, lambda: _read_stored_rows(path, make, inputs, resume))
-        runs = [k for k in range(first_run, len(inputs), step) if k not in stored_rows]
+        new_cases = {k: inputs[k] for k in range(first_run, len(inputs), step) if k not in stored_rows}
         file_name = f"{first_run}-of-{step}.json"
         file = RowFile(_row_folder(path) / file_name, make, "ensemble") if path and subcomm.rank == 0 else None
+        runs = _Runs(make, keep_failures, may_draw=step == 1 and executor is None)
         rows, error = dict[int, Row](), None
         try:
-            if runs:
-                if file:
-                    file.read(resume)
-                with use_comm(subcomm):
-                    _compute(subcomm, make, inputs, runs, rows, file, only_group=step == 1, keep_failures=keep_failures)
+            if file and new_cases:
+                file.read(resume)
+            with use_comm(subcomm):
+                for k, row, drawn in runs.rows(new_cases, executor):
+                    rows[k] = row
+                    with errors_on_all(subcomm):
+                        if file:
+                            file.add(row, drawn=drawn)
         except Exception as problem:  # raised below, so that the other groups continue
             error = problem
         all_rows = stored_rows | {k: row for group_rows in comm.allgather(rows) for k, row in group_rows.items()}
@@ -133,45 +157,99 @@ def ensemble(
         return _make_table(inputs, all_rows)
 
 
-def _compute(
-    comm: MPI.Intracomm, make: Callable[[], RunFunction], cases: list[Row], runs: Sequence[int], rows: dict[int, Row],
-    file: RowFile | None, *, only_group: bool, keep_failures: bool,
-) -> None:  # fmt: skip
-    """Compute the rows that a group of ranks still has to compute, and add them to `rows`. Collective over the group.
+@dataclass(frozen=True)
+class _Runs:
+    """The runs of an ensemble, which this group of ranks computes or sends, pickled, to processes of an executor.
 
-    Args:
-        comm: communicator of the group.
-        make: the user's function, which is called here and returns the function of a case.
-        cases: inputs of all runs.
-        runs: numbers of the runs to compute.
-        rows: number of a run -> its row; rows are added.
-        file: file to which each row is appended at once; None: rows are not stored.
-        only_group: whether this group computes all cases; only then may runs take random numbers from one generator.
+    Attributes:
+        make: the user's function, which returns the function of a case.
         keep_failures: whether a run that raises a SolveError gets a row with the error, instead of ending the ensemble.
+        may_draw: whether runs may take random numbers from one generator, as all are computed here, one after the other.
+        identifier: text that no other ensemble has.
     """
-    with errors_on_all(comm):
-        run = make()
-        if not callable(run):
-            raise InputError(f"make returns {run!r}; it must return a function of a case")
-        if file:
-            file.watch_generators((make, run))
-    generator_states = random_states((make, run))
-    for k in track(runs, "ensemble", "run {}"):
-        case, row, failure = cases[k], Row(), None
+
+    make: Make
+    keep_failures: bool
+    may_draw: bool
+    identifier: str = field(default_factory=lambda: uuid4().hex)
+
+    def rows(self, cases: Mapping[int, Row], executor: Executor | None) -> Iterator[NumberedRow]:
+        """Compute and yield rows, in the order in which they are done. Collective over the default communicator.
+
+        Args:
+            cases: number of a run -> its case.
+            executor: object whose processes compute; None: these ranks do. After an error, cases that no process has
+                begun are cancelled, and the error is raised when the others are done.
+        """
+        if not cases:
+            return
+        if executor is None:
+            run = self.run_function()
+            for k in track([*cases], "ensemble", "run {}"):
+                yield self.row(run, k, cases[k])
+            return
+        pending, error = {executor.submit(self.row_in_process, k, case) for k, case in cases.items()}, None
         try:
-            with errors_on_all(comm):
+            with report("ensemble") as set_share:
+                while pending:
+                    n_done = len(cases) - len(pending)
+                    set_share(n_done / len(cases), f"{n_done} of {len(cases)} runs")
+                    done, pending = wait(pending, return_when=FIRST_COMPLETED)
+                    for future in done:
+                        if (problem := future.exception()) is None:
+                            yield future.result()
+                        error = error or problem
+                    if error:
+                        pending = {future for future in pending if not future.cancel()}
+        finally:  # if the loop was left
+            for future in pending:
+                future.cancel()
+        if error:
+            raise error
+
+    def run_function(self) -> RunFunction:
+        """Call the user's `make`, and return the function of a case. Collective over the default communicator."""
+        with errors_on_all(None):
+            run = self.make()
+            if not callable(run):
+                raise InputError(f"make returns {run!r}; it must return a function of a case")
+        return run
+
+    def row(self, run: RunFunction, k: int, case: Row) -> NumberedRow:
+        """Compute one row. Collective over the default communicator.
+
+        Args:
+            run: the user's function of a case.
+            k: number of the run.
+            case: its inputs.
+        """
+        states, row, failure = random_states((self.make, run)), Row(), None
+        try:
+            with errors_on_all(None):
                 inputs = {name: value for name, value in case.items() if value is not None}  # None is refused
                 row = checked_row(run(inputs), f"the row of run {k}", (RUN_COLUMN, FAILURE_COLUMN, *case))
         except SolveError as error:
-            if not keep_failures:
+            if not self.keep_failures:
                 raise
             failure = str(error)
-        rows[k] = {RUN_COLUMN: float(k), **case, **row} | ({FAILURE_COLUMN: failure} if keep_failures else {})
-        with errors_on_all(comm):
-            if not only_group and random_states((make, run)) != generator_states:
-                raise InputError(f"groups and parts of an ensemble draw the same numbers, as from {GENERATOR_TEXT}")
-        if file:
-            file.add(rows[k])
+        row = {RUN_COLUMN: float(k), **case, **row} | ({FAILURE_COLUMN: failure} if self.keep_failures else {})
+        with errors_on_all(None):
+            new_states = random_states((self.make, run))
+            if new_states[0] != states[0] and not self.may_draw:
+                text = f"draw the same numbers, as from {GENERATOR_TEXT}"
+                raise InputError(f"groups, processes and parts of an ensemble {text}")
+        return k, row, new_states != states
+
+    def row_in_process(self, k: int, case: Row) -> NumberedRow:
+        """Compute one row in a process of an executor, which calls `make` for its first row; see `row`."""
+        if os.getpid() != _IMPORTING_PROCESS:
+            remedy = "start it anew, as ProcessPoolExecutor(mp_context=multiprocessing.get_context('spawn')) does"
+            raise InputError(f"a process of the executor was forked from one with MPI, which MPI forbids; {remedy}")
+        with use_comm(MPI.COMM_SELF):
+            if self.identifier not in _RUN_FUNCTIONS:
+                _RUN_FUNCTIONS.clear()
+                _RUN_FUNCTIONS[self.identifier] = self.run_function()
+            return self.row(_RUN_FUNCTIONS[self.identifier], k, case)
 
 
 # ---------------------------------------------------------------- files, on one rank
@@ -179,7 +257,7 @@ def _row_folder(path: Path) -> Path:
     return path.with_name(f"{path.name}.parts")
 
 
-def _read_stored_rows(path: Path, make: Callable[[], RunFunction], cases: list[Row], resume: Resume) -> dict[int, Row]:
+def _read_stored_rows(path: Path, make: Make, cases: list[Row], resume: Resume) -> dict[int, Row]:
     """Read the rows that earlier jobs of an ensemble have stored; with resume=False move their files away first.
 
     Args:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from numbers import Integral, Real
 from pathlib import Path
+from typing import Any
 
 from forms.base import InputError, require
 from thinlayer.system.fingerprint import (
@@ -16,7 +17,6 @@ from thinlayer.system.fingerprint import (
     describe,
     differences,
     differences_text,
-    random_states,
     require_resume,
 )
 from thinlayer.system.folder import move_away, read_sealed, write_sealed
@@ -45,20 +45,8 @@ class RowFile:
 
     def __init__(self, path: Path, run: Callable[..., object], kind: str) -> None:
         self.path, self._run, self._noun = path, run, kind
-        self._run_data, self._rows = describe(run), list[Row]()
-        self._changing_paths: set[tuple[str, ...]] = set()
-        self._has_drawn = False  # whether making rows has advanced a random generator
-        self.watch_generators(run)
-
-    def watch_generators(self, run: object) -> None:
-        """Store the present states of all random generators and iterators to which the user's function refers.
-
-        If a state has changed when `add` is called, the rows of the file count as drawn from one generator.
-
-        Args:
-            run: the function, or a tuple of functions.
-        """
-        self._watched_functions, self._generator_states = run, random_states(run, shared=True)
+        self._content: dict[str, Any] = {"format": FORMAT_VERSION, "made from": describe(run)}
+        self._content |= {"changing": [], "drawn": False, "rows": []}
 
     def read(self, resume: Resume) -> list[Row]:
         """Read the rows of an earlier run from the file; the file keeps them when `add` adds rows.
@@ -74,27 +62,32 @@ class RowFile:
             InputError: the file is damaged; its rows are of another function, or took random numbers from one
                 generator.
         """
-        if not self.path.exists():
-            return []
-        content, name = read_sealed(self.path), str(self.path)
-        self._changing_paths, self._has_drawn = {*map(tuple, content["changing"])}, content["drawn"]
-        changes = differences(content["made from"], self._run_data)
-        new = [change for change in changes if _changed_path(*change) not in self._changing_paths]
-        if self._has_drawn and resume != "anyway":
-            raise InputError(f"{name!r} cannot be resumed: its rows were drawn from {GENERATOR_TEXT}; {RESUME_HINT}")
-        if new and resume != "anyway":
-            raise InputError(f"{name!r} is the table of another {self._noun} ({differences_text(new)}); {RESUME_HINT}")
-        self._rows = content["rows"]
-        return [*self._rows]
+        if self.path.exists():
+            stored, name = read_sealed(self.path), str(self.path)
+            changes = differences(stored["made from"], self._content["made from"])
+            new = [change for change in changes if _changed_path(*change) not in stored["changing"]]
+            if stored["drawn"] and resume != "anyway":
+                text = f"its rows were drawn from {GENERATOR_TEXT}; {RESUME_HINT}"
+                raise InputError(f"{name!r} cannot be resumed: {text}")
+            if new and resume != "anyway":
+                text = f"{differences_text(new)}); {RESUME_HINT}"
+                raise InputError(f"{name!r} is the table of another {self._noun} ({text}")
+            self._content |= {key: stored[key] for key in ("changing", "drawn", "rows")}
+        return [*self._content["rows"]]
 
-    def add(self, row: Row) -> None:
-        """Append a row to the file, which is on the disk when this method returns."""
-        self._rows.append(row)
-        changed_paths = (_changed_path(*change) for change in differences(self._run_data, describe(self._run)))
-        self._changing_paths |= {path for path in changed_paths if path}
-        self._has_drawn |= random_states(self._watched_functions, shared=True) != self._generator_states
-        header = {"made from": self._run_data, "changing": sorted(self._changing_paths), "drawn": self._has_drawn}
-        write_sealed(self.path, {"format": FORMAT_VERSION, **header, "rows": self._rows})
+    def add(self, row: Row, *, drawn: bool) -> None:
+        """Append a row to the file, which is on the disk when this method returns.
+
+        Args:
+            row: the row.
+            drawn: whether making it has advanced a generator of random numbers or an iterator.
+        """
+        changes = differences(self._content["made from"], describe(self._run))
+        paths = [path for change in changes if (path := _changed_path(*change))]
+        self._content["changing"] += [path for path in paths if path not in self._content["changing"]]
+        self._content["drawn"] |= drawn
+        self._content["rows"].append(row)
+        write_sealed(self.path, self._content)
 
 
 def require_csv(out: object, resume: object) -> None:
@@ -151,7 +144,7 @@ def checked_row(row: Mapping[str, object], row_name: str, reserved: Collection[s
     return entries
 
 
-def _changed_path(path: tuple[str, ...], former: object, _: object) -> tuple[str, ...] | None:
+def _changed_path(path: tuple[str, ...], former: object, _: object) -> list[str] | None:
     """Return where two descriptions of a function differ, as a path of keys; None if they differ in code, not in data.
 
     Args:
@@ -162,4 +155,4 @@ def _changed_path(path: tuple[str, ...], former: object, _: object) -> tuple[str
     """
     if {CODE_KEY, FILE_KEY, SAME_KEY} & {*path}:
         return None
-    return (*path[:-1], "*") if former is MISSING_VALUE else path
+    return [*path[:-1], "*"] if former is MISSING_VALUE else [*path]

@@ -11,7 +11,7 @@ import numpy as np
 from forms.base import InputError, is_finite, require
 from geometry.parallel import default_comm, on_root
 from thinlayer.output.row_file import RowFile, checked_row, move_or_check_files, require_csv
-from thinlayer.system.fingerprint import Resume
+from thinlayer.system.fingerprint import Resume, random_states
 from thinlayer.system.folder import LOCK_FILE, lock_from_root
 from thinlayer.system.progress import track
 from thinlayer.system.ranks import errors_on_all, require_same
@@ -83,9 +83,10 @@ def sweep(run: RowFunction, eps: Iterable[float], out: str | Path | None = None,
             rows = {float(row["eps"]): row for row in stored_rows}  # type: ignore[arg-type]
         for e in track(sorted_eps, "sweep", "eps = {:g}"):
             if e not in rows:
+                states = random_states(run)
                 rows[e] = _compute_row(run, e, next(iter(rows.values()), None))
                 if file is not None:
-                    on_root(None, partial(file.add, rows[e]))
+                    on_root(None, partial(file.add, rows[e], drawn=random_states(run) != states))
             if path is not None:  # also if the row is old: a killed run may have written it only to the json file
                 _table_with_orders(rows).write(path)
         return _table_with_orders(rows)

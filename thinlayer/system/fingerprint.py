@@ -88,19 +88,16 @@ def code_part(description: object, *, is_code: bool = True) -> object:
     return description if is_code and PROCESS_LABEL not in str(description) else None
 
 
-def random_states(value: object, *, shared: bool = False) -> list[object]:
-    """Return the states of all random number generators and iterators to which a value refers.
+def random_states(value: object) -> tuple[list[object], list[object]]:
+    """Return the states of random number generators and iterators to which a value refers, and of the global ones.
 
-    Args:
-        value: the value, such as a function.
-        shared: whether to append the states of Python's and NumPy's global generators. They are left out if a function
-            of the value uses the name "seed".
+    The global generators are those of `random` and `numpy.random`. Their states are left out if a function of the value
+    uses the name "seed".
     """
     describer = _Describer()
     describer.describe(value)
-    if shared and "seed" not in describer.used_names:
-        describer.random += [digest(repr(get_state()).encode()) for get_state in (random.getstate, np.random.get_state)]
-    return describer.random
+    functions = () if "seed" in describer.used_names else (random.getstate, np.random.get_state)
+    return describer.random, [digest(repr(get_state()).encode()) for get_state in functions]
 
 
 def differences(value: object, other: object, path: tuple[str, ...] = ()) -> Iterator[Difference]:
