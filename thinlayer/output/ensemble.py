@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, wait
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from uuid import uuid4
 
@@ -15,9 +16,9 @@ from mpi4py import MPI
 from forms.base import InputError, require
 from geometry.parallel import default_comm, on_root, use_comm
 from thinlayer.errors import SolveError
-from thinlayer.output.row_file import GENERATOR_TEXT, RowFile, checked_row, move_or_check_files, require_csv
+from thinlayer.output.row_file import GENERATOR_TEXT, RowFile, checked_row, require_csv
 from thinlayer.system.fingerprint import Resume, random_states
-from thinlayer.system.folder import LOCK_FILE, lock_folder, lock_from_root, read_sealed
+from thinlayer.system.folder import LOCK_FILE, lock_folder, lock_from_root
 from thinlayer.system.progress import report, track
 from thinlayer.system.ranks import errors_on_all, require_same
 from thinlayer.system.table import Row, Table
@@ -58,8 +59,8 @@ def ensemble(
         cases: list of the inputs of the runs. Each case maps names to numbers or texts, with the same names in all
             cases.
         out: csv file for the table, written at the end, also after an error; None: no file. Before a group starts its
-            next run, it stores the row of the last one in the folder called `out` + ".parts". A description of `make`,
-            and of the objects it refers to, is stored with the rows.
+            next run, it stores the row of the last one in the file called `out` + ".json". A description of `make`, and
+            of the objects it refers to, is stored with the rows.
         resume: False: compute all rows; files of an earlier ensemble are moved away. True: keep the stored rows and
             compute the others; the number of ranks, groups and parts may differ. Stored rows are refused if several
             runs took random numbers from the same generator. So create a generator in each run, from a seed in its
@@ -131,26 +132,23 @@ def ensemble(
         stack.enter_context(lock_from_root(path and path.parent, name=lock_name))
         subcomm = MPI.Intracomm(comm.Split(group))
         stack.callback(subcomm.Free)
-        stored_rows = {} if path is None else on_root(None, lambda: _read_stored_rows(path, make, inputs, resume))
+        file = None if path is None else RowFile(path, make, "ensemble")
+        stored_rows = {} if file is None else on_root(None, lambda: _read_stored_rows(file, inputs, resume))
         new_cases = {k: inputs[k] for k in range(first_run, len(inputs), step) if k not in stored_rows}
-        file_name = f"{first_run}-of-{step}.json"
-        file = RowFile(_row_folder(path) / file_name, make, "ensemble") if path and subcomm.rank == 0 else None
         runs = _Runs(make, keep_failures, may_draw=step == 1 and executor is None)
         rows, error = dict[int, Row](), None
         try:
-            if file and new_cases:
-                file.read(resume)
             with use_comm(subcomm):
                 for k, row, drawn in runs.rows(new_cases, executor):
                     rows[k] = row
                     with errors_on_all(subcomm):
-                        if file:
+                        if file and subcomm.rank == 0:
                             file.add(row, drawn=drawn)
         except Exception as problem:  # raised below, so that the other groups continue
             error = problem
-        all_rows = stored_rows | {k: row for group_rows in comm.allgather(rows) for k, row in group_rows.items()}
-        if path is not None:
-            all_rows |= on_root(None, lambda: _write_merged_table(path, inputs))
+        all_rows = {k: row for group_rows in comm.allgather(rows) for k, row in group_rows.items()}
+        if file is not None:
+            all_rows = on_root(None, lambda: _write_table(file, inputs))
         failure = None if error is None else f"group {group} of ranks has failed: {type(error).__name__}: {error}"
         if failures := [*filter(None, comm.allgather(failure))]:
             raise error or InputError(failures[0])
@@ -165,10 +163,10 @@ class _Runs:
         make: the user's function, which returns the function of a case.
         keep_failures: whether a run that raises a SolveError gets a row with the error, instead of ending the ensemble.
         may_draw: whether runs may take random numbers from one generator, as all are computed here, one after the other.
-        identifier: text that no other ensemble has.
+        identifier: text that no other ensemble has; objects with the same one are equal.
     """
 
-    make: Make
+    make: Make = field(compare=False)
     keep_failures: bool
     may_draw: bool
     identifier: str = field(default_factory=lambda: uuid4().hex)
@@ -181,12 +179,11 @@ class _Runs:
             executor: object whose processes compute; None: these ranks do. After an error, cases that no process has
                 begun are cancelled, and the error is raised when the others are done.
         """
-        if not cases:
-            return
-        if executor is None:
+        if executor is None and cases:
             run = self.run_function()
             for k in track([*cases], "ensemble", "run {}"):
                 yield self.row(run, k, cases[k])
+        if executor is None:
             return
         pending, error = {executor.submit(self.row_in_process, k, case) for k, case in cases.items()}, None
         try:
@@ -246,53 +243,46 @@ class _Runs:
             remedy = "start it anew, as ProcessPoolExecutor(mp_context=multiprocessing.get_context('spawn')) does"
             raise InputError(f"a process of the executor was forked from one with MPI, which MPI forbids; {remedy}")
         with use_comm(MPI.COMM_SELF):
-            if self.identifier not in _RUN_FUNCTIONS:
-                _RUN_FUNCTIONS.clear()
-                _RUN_FUNCTIONS[self.identifier] = self.run_function()
-            return self.row(_RUN_FUNCTIONS[self.identifier], k, case)
+            return self.row(_run_function_of(self), k, case)
+
+
+@lru_cache(maxsize=1)
+def _run_function_of(runs: _Runs) -> RunFunction:
+    """Return what `make` returns, in a process of an executor, which calls it once for all cases of an ensemble."""
+    return runs.run_function()
 
 
 # ---------------------------------------------------------------- files, on one rank
-def _row_folder(path: Path) -> Path:
-    return path.with_name(f"{path.name}.parts")
-
-
-def _read_stored_rows(path: Path, make: Make, cases: list[Row], resume: Resume) -> dict[int, Row]:
-    """Read the rows that earlier jobs of an ensemble have stored; with resume=False move their files away first.
+def _read_stored_rows(file: RowFile, cases: list[Row], resume: Resume) -> dict[int, Row]:
+    """Return number of a run -> the row that earlier jobs of an ensemble have stored.
 
     Args:
-        path: name of the csv table, next to which the folder of stored rows lies.
-        make: the user's function, which must be that of the earlier jobs.
+        file: the file of rows.
         cases: inputs of all runs, which must be those of the earlier jobs.
         resume: the argument of `ensemble`.
-
-    Returns:
-        Number of a run -> its row.
 
     Raises:
         InputError: rows of other cases or of another `make`, or rows that took random numbers from one generator.
     """
-    move_or_check_files(path, _row_folder(path), resume)
-    files = [RowFile(file, make, "ensemble") for file in sorted(_row_folder(path).glob("*-of-*.json"))]
-    rows = _map_by_run([row for file in files for row in file.read(resume)])
+    rows = _map_by_run(file.resume(resume))
     for k, row in rows.items():
         case = cases[k] if k < len(cases) else {}
         changed_inputs = [f"{name} = {row.get(name)!r} there" for name, value in case.items() if row.get(name) != value]
         if reasons := changed_inputs or ["no such run here"] * (not case):
-            remedy = f"give another name, or remove it and {str(_row_folder(path))!r}"
-            raise InputError(f"{str(path)!r} is the table of other cases (run {k}: {reasons[0]}); {remedy}")
+            remedy = f"give another name, or remove it and {file.path.name!r}"
+            raise InputError(f"{str(file.table)!r} is the table of other cases (run {k}: {reasons[0]}); {remedy}")
     return rows
 
 
-def _write_merged_table(path: Path, cases: list[Row]) -> dict[int, Row]:
-    """Write the rows that all jobs have stored to the csv table `path`, and return them: number of a run -> its row.
+def _write_table(file: RowFile, cases: list[Row]) -> dict[int, Row]:
+    """Write the rows that all jobs have stored to the csv table, and return them: number of a run -> its row.
 
-    A lock on the folder of stored rows prevents two jobs from doing so at the same time.
+    A lock prevents two jobs from doing so at the same time.
     """
-    with lock_folder(_row_folder(path), f".merge{LOCK_FILE}", wait=True):
-        rows = _map_by_run([row for file in _row_folder(path).glob("*-of-*.json") for row in read_sealed(file)["rows"]])
+    with lock_folder(file.table.parent, f".{file.path.name}{LOCK_FILE}", wait=True):
+        rows = _map_by_run(file.rows())
         if rows:
-            _make_table(cases, rows).write_on_this_rank(path)
+            _make_table(cases, rows).write_on_this_rank(file.table)
     return rows
 
 

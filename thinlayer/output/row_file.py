@@ -1,11 +1,10 @@
-"""JSON file, next to a csv table, with the rows that a user's function returned, and a description of this function."""
+"""File, next to a csv table, with the rows that a user's function returned, and a description of this function."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any
 
 from forms.base import InputError, require
 from thinlayer.system.fingerprint import (
@@ -19,61 +18,70 @@ from thinlayer.system.fingerprint import (
     differences_text,
     require_resume,
 )
-from thinlayer.system.folder import move_away, read_sealed, write_sealed
+from thinlayer.system.folder import append_sealed, move_away, read_sealed_lines
 from thinlayer.system.table import Row
 
 GENERATOR_TEXT = (
     "an iterator or generator of random numbers that goes on from row to row; make one in each run, from a number of the "
     "case, np.random.default_rng(int(case['seed']))"
 )
-FORMAT_VERSION = 1  # version of the file's format
-RESUME_HINT = "give another name, remove it, or resume='anyway'"
+FORMAT_VERSION = 2  # version of the file's format: 2 since each row has a line
 
 
 class RowFile:
-    """JSON file of the rows that a user's function returned, with a description of the function, for use on one rank.
+    """File next to a csv table with the rows that a user's function returned, from which a later run goes on.
 
-    The description shows whether the rows of an earlier run are those of the same function. It covers the code of the
-    function and the objects it refers to. Data that the function changes itself, such as a list of its results, are
-    left out. If several rows took random numbers from the same generator or iterator, a later run cannot continue.
+    Each line is JSON: a row, or the description of the function that made the rows after it. The description covers the
+    code of the function and the objects it refers to. Data that the function changes itself, such as a list of its
+    results, are left out. If several rows took random numbers from the same generator or iterator, a later run cannot
+    continue. Several processes may add rows at the same time. The methods are called on one rank.
+
+    Attributes:
+        table: path of the csv table.
+        path: path of the file of rows, the table's name + ".json".
 
     Args:
-        path: name of the JSON file.
+        table: path of the csv table.
         run: the function that returns a row.
         kind: what the table is called in messages, "sweep" or "ensemble".
     """
 
-    def __init__(self, path: Path, run: Callable[..., object], kind: str) -> None:
-        self.path, self._run, self._noun = path, run, kind
-        self._content: dict[str, Any] = {"format": FORMAT_VERSION, "made from": describe(run)}
-        self._content |= {"changing": [], "drawn": False, "rows": []}
+    def __init__(self, table: Path, run: Callable[..., object], kind: str) -> None:
+        self.table, self.path = table, table.with_name(f"{table.name}.json")
+        self._run, self._noun, self._origin = run, kind, describe(run)
+        self._has_origin = False  # whether this object has written the description
 
-    def read(self, resume: Resume) -> list[Row]:
-        """Read the rows of an earlier run from the file; the file keeps them when `add` adds rows.
+    def resume(self, resume: Resume) -> list[Row]:
+        """Return the rows of an earlier run, or move its files out of the way.
 
         Args:
-            resume: "anyway": accept also rows of another function, and rows that took random numbers from one
-                generator. True or False: such rows raise an error.
-
-        Returns:
-            The rows; [] if there is no file.
+            resume: False: table and rows are moved to a new folder previous-1, previous-2, ... True: the rows are
+                returned. "anyway": so are rows of another function, and rows that took random numbers from one
+                generator.
 
         Raises:
-            InputError: the file is damaged; its rows are of another function, or took random numbers from one
-                generator.
+            InputError: there is a table without rows; the file of rows is damaged; its rows are of another function, or
+                took random numbers from one generator.
         """
-        if self.path.exists():
-            stored, name = read_sealed(self.path), str(self.path)
-            changes = differences(stored["made from"], self._content["made from"])
-            new = [change for change in changes if _changed_path(*change) not in stored["changing"]]
-            if stored["drawn"] and resume != "anyway":
-                text = f"its rows were drawn from {GENERATOR_TEXT}; {RESUME_HINT}"
-                raise InputError(f"{name!r} cannot be resumed: {text}")
-            if new and resume != "anyway":
-                text = f"{differences_text(new)}); {RESUME_HINT}"
-                raise InputError(f"{name!r} is the table of another {self._noun} ({text}")
-            self._content |= {key: stored[key] for key in ("changing", "drawn", "rows")}
-        return [*self._content["rows"]]
+        if not resume:
+            move_away(self.table.parent, [self.table.name, self.path.name])
+        name, remedy = str(self.table), "give another name, remove it, or resume='anyway'"
+        if self.table.exists() and not self.path.exists():
+            reason = f"{self.path.name}, which describes its origin, does not exist"
+            raise InputError(f"{name!r} cannot be resumed: {reason}; give another name, or remove the table")
+        lines = read_sealed_lines(self.path)
+        changing = [path for line in lines for path in line.get("changing", ())]
+        changes = [c for line in lines if "made from" in line for c in differences(line["made from"], self._origin)]
+        new = [change for change in changes if _changed_path(*change) not in changing]
+        if resume != "anyway" and any(line.get("drawn") for line in lines):
+            raise InputError(f"{name!r} cannot be resumed: its rows were drawn from {GENERATOR_TEXT}; {remedy}")
+        if resume != "anyway" and new:
+            raise InputError(f"{name!r} is the table of another {self._noun} ({differences_text(new)}); {remedy}")
+        return [line["row"] for line in lines if "row" in line]
+
+    def rows(self) -> list[Row]:
+        """Return the rows so far, of all processes."""
+        return [line["row"] for line in read_sealed_lines(self.path) if "row" in line]
 
     def add(self, row: Row, *, drawn: bool) -> None:
         """Append a row to the file, which is on the disk when this method returns.
@@ -82,12 +90,11 @@ class RowFile:
             row: the row.
             drawn: whether making it has advanced a generator of random numbers or an iterator.
         """
-        changes = differences(self._content["made from"], describe(self._run))
-        paths = [path for change in changes if (path := _changed_path(*change))]
-        self._content["changing"] += [path for path in paths if path not in self._content["changing"]]
-        self._content["drawn"] |= drawn
-        self._content["rows"].append(row)
-        write_sealed(self.path, self._content)
+        changes = differences(self._origin, describe(self._run))
+        changing = [path for change in changes if (path := _changed_path(*change))]
+        origin = [] if self._has_origin else [{"format": FORMAT_VERSION, "made from": self._origin}]
+        append_sealed(self.path, *origin, {"row": row, "changing": changing, "drawn": drawn})
+        self._has_origin = True
 
 
 def require_csv(out: object, resume: object) -> None:
@@ -98,25 +105,6 @@ def require_csv(out: object, resume: object) -> None:
     require_resume(resume)
     if out is not None and (not isinstance(out, (str, Path)) or Path(out).is_dir()):
         raise InputError(f"out is {out!r:.200}; give the name of a csv file, not of a folder, or None")
-
-
-def move_or_check_files(table: Path, record: Path, resume: Resume) -> None:
-    """Move the files of an earlier run to another folder, or check that this run can continue from them.
-
-    Args:
-        table: name of the csv file.
-        record: name of the file, or folder of files, that has the table's rows and the description of their function.
-        resume: False: table and record are moved to a new folder previous-1, previous-2, ... True or "anyway": they
-            stay.
-
-    Raises:
-        InputError: the run is to continue from a table without a record.
-    """
-    if not resume:
-        move_away(table.parent, [table.name, record.name])
-    elif table.exists() and not record.exists():
-        reason = f"{record.name}, which describes its origin, does not exist"
-        raise InputError(f"{str(table)!r} cannot be resumed: {reason}; give another name, or remove the table")
 
 
 def checked_row(row: Mapping[str, object], row_name: str, reserved: Collection[str]) -> Row:

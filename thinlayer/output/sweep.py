@@ -10,7 +10,7 @@ import numpy as np
 
 from forms.base import InputError, is_finite, require
 from geometry.parallel import default_comm, on_root
-from thinlayer.output.row_file import RowFile, checked_row, move_or_check_files, require_csv
+from thinlayer.output.row_file import RowFile, checked_row, require_csv
 from thinlayer.system.fingerprint import Resume, random_states
 from thinlayer.system.folder import LOCK_FILE, lock_from_root
 from thinlayer.system.progress import track
@@ -77,9 +77,8 @@ def sweep(run: RowFunction, eps: Iterable[float], out: str | Path | None = None,
     path, rows, file = None if out is None else Path(out), dict[float, Row](), None
     with lock_from_root(path and path.parent, name=f".{path and path.name}{LOCK_FILE}"):
         if path is not None:
-            file = RowFile(path.with_name(f"{path.name}.json"), run, "sweep")
-            on_root(None, partial(move_or_check_files, path, file.path, resume))
-            stored_rows = on_root(None, partial(file.read, resume))
+            file = RowFile(path, run, "sweep")
+            stored_rows = on_root(None, partial(file.resume, resume))
             rows = {float(row["eps"]): row for row in stored_rows}  # type: ignore[arg-type]
         for e in track(sorted_eps, "sweep", "eps = {:g}"):
             if e not in rows:

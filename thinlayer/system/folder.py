@@ -64,12 +64,57 @@ def read_sealed(path: Path) -> dict[str, Any]:
     Raises:
         InputError: the file cannot be read, or its hash is not that of its data.
     """
+    with _refuse_damage(path):
+        return _unseal(path.read_text(encoding="utf-8"))
+
+
+def append_sealed(path: Path, *contents: Mapping[str, object]) -> None:
+    """Append lines of JSON to a file, each with a hash of its data. Several processes may append to the file.
+
+    The lines are on the disk when this returns. If the process is killed while it writes, the file ends with part of a
+    line, which `read_sealed_lines` skips.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lines = [json.dumps({**content, "hash": _content_hash(content)}) for content in contents]
     try:
-        content = dict(json.loads(path.read_text(encoding="utf-8")))
-        if content.pop("hash", None) != _content_hash(content):
-            raise ValueError("it is damaged, or has been changed")
+        with path.open("ab") as file:
+            with suppress(OSError):  # file systems without locks
+                fcntl.flock(file, fcntl.LOCK_EX)
+            file.write("\n".join(["", *lines, ""]).encode())
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        error.filename = str(path)
+        raise
+
+
+def read_sealed_lines(path: Path) -> list[dict[str, Any]]:
+    """Return the data in the lines that `append_sealed` has written, without their hashes; [] if there is no file.
+
+    Raises:
+        InputError: the file cannot be read, or the hash of a whole line is not that of its data.
+    """
+    contents = []
+    with _refuse_damage(path):
+        for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+            with suppress(json.JSONDecodeError):
+                contents.append(_unseal(line))
+    return contents
+
+
+@contextmanager
+def _refuse_damage(path: Path) -> Iterator[None]:
+    """Context manager that turns errors in reading the file `path` into an InputError."""
+    try:
+        yield
     except (OSError, ValueError, TypeError, RecursionError) as error:
         raise InputError(f"{str(path)!r} cannot be read ({error}); remove it to start anew") from error
+
+
+def _unseal(text: str) -> dict[str, Any]:
+    content = dict(json.loads(text))
+    if content.pop("hash", None) != _content_hash(content):
+        raise ValueError("it is damaged, or has been changed")
     return content
 
 
