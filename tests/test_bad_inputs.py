@@ -21,7 +21,7 @@ from tests.viscous_joints import interface
 from thinlayer.errors import LooseBody
 from thinlayer.running.description import Description
 from thinlayer.running.record import Record
-from thinlayer.system.folder import read_sealed, write_sealed
+from thinlayer.system.folder import append_sealed, read_sealed_lines
 
 TABLE = tomllib.loads(Path(__file__).with_name("bad_inputs.toml").read_text(encoding="utf-8"))
 LEAST = """
@@ -138,11 +138,12 @@ def test_runs_that_were_changed(tmp_path, old, new):
 
 def test_checkpoints_of_another_version(tmp_path):
     thinlayer.march(interface(), [0.1], out=tmp_path)
-    about = read_sealed(tmp_path / "march.json")
-    about["mark"]["format"] += 1
-    write_sealed(tmp_path / "march.json", about)
+    first, *_ = read_sealed_lines(tmp_path / "march.json")
+    first["mark"]["format"] += 1
+    (tmp_path / "march.json").unlink()
+    append_sealed(tmp_path / "march.json", first)
     before = content(tmp_path)
     for resume in (True, False, "anyway"):
-        words = r"march\.json' cannot be read \(it has the format 3 of another version, this one reads 2"
+        words = r"march\.json' cannot be read \(it has the format 4 of another version, this one reads 3"
         refused(InputError, words, thinlayer.march, interface(), [0.1, 0.2], out=tmp_path, resume=resume)
     assert content(tmp_path) == before

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, wait
 from contextlib import ExitStack
@@ -30,6 +31,7 @@ RunFunction = Callable[[CaseValues], Mapping[str, object]]
 Make = Callable[[], RunFunction]
 NumberedRow = tuple[int, Row, bool]  # number of a run, its row, and whether it has advanced a generator
 _IMPORTING_PROCESS = os.getpid()  # process in which MPI has been started
+_THREAD_LOCK = threading.Lock()  # DOLFINx is for one thread of a process
 _RUN_FUNCTIONS: dict[
     str, RunFunction
 ] = {}  # in a process of an executor: identifier of an ensemble -> what `make` returns
@@ -242,7 +244,7 @@ class _Runs:
         if os.getpid() != _IMPORTING_PROCESS:
             remedy = "start it anew, as ProcessPoolExecutor(mp_context=multiprocessing.get_context('spawn')) does"
             raise InputError(f"a process of the executor was forked from one with MPI, which MPI forbids; {remedy}")
-        with use_comm(MPI.COMM_SELF):
+        with _THREAD_LOCK, use_comm(MPI.COMM_SELF):
             return self.row(_run_function_of(self), k, case)
 
 

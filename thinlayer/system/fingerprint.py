@@ -336,10 +336,9 @@ def _is_user_module(module: str) -> bool:
         module: name of the module.
     """
     package = module.partition(".")[0]
-    if module == "__main__" or package in sys.stdlib_module_names:
-        return module == "__main__"
     files = (getattr(sys.modules.get(name), "__file__", None) for name in (module, package))
-    return all(_is_user_file(file) for file in files if file)
+    is_installed = package in sys.stdlib_module_names or not all(_is_user_file(file) for file in files if file)
+    return module == "__main__" or not is_installed
 
 
 @functools.cache

@@ -52,22 +52,6 @@ def file_hash(path: Path) -> str | None:
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.exists() else None
 
 
-def write_sealed(path: Path, content: Mapping[str, object]) -> None:
-    """Write the data `content` to the JSON file `path`, with a hash of them by which `read_sealed` detects damage."""
-    with replace_file(path) as file:
-        file.write(json.dumps({**content, "hash": _content_hash(content)}).encode())
-
-
-def read_sealed(path: Path) -> dict[str, Any]:
-    """Return the data in a JSON file that `write_sealed` has written, without their hash.
-
-    Raises:
-        InputError: the file cannot be read, or its hash is not that of its data.
-    """
-    with _refuse_damage(path):
-        return _unseal(path.read_text(encoding="utf-8"))
-
-
 def append_sealed(path: Path, *contents: Mapping[str, object]) -> None:
     """Append lines of JSON to a file, each with a hash of its data. Several processes may append to the file.
 
@@ -95,27 +79,15 @@ def read_sealed_lines(path: Path) -> list[dict[str, Any]]:
         InputError: the file cannot be read, or the hash of a whole line is not that of its data.
     """
     contents = []
-    with _refuse_damage(path):
+    try:
         for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
             with suppress(json.JSONDecodeError):
-                contents.append(_unseal(line))
-    return contents
-
-
-@contextmanager
-def _refuse_damage(path: Path) -> Iterator[None]:
-    """Context manager that turns errors in reading the file `path` into an InputError."""
-    try:
-        yield
+                contents.append(dict(json.loads(line)))
+        if any(content.pop("hash", None) != _content_hash(content) for content in contents):
+            raise ValueError("it is damaged, or has been changed")
     except (OSError, ValueError, TypeError, RecursionError) as error:
         raise InputError(f"{str(path)!r} cannot be read ({error}); remove it to start anew") from error
-
-
-def _unseal(text: str) -> dict[str, Any]:
-    content = dict(json.loads(text))
-    if content.pop("hash", None) != _content_hash(content):
-        raise ValueError("it is damaged, or has been changed")
-    return content
+    return contents
 
 
 def _content_hash(content: Mapping[str, object]) -> str:

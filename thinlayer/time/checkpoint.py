@@ -17,7 +17,7 @@ from thinlayer.discretisation.state import Audit, Report, State
 from thinlayer.parts.part import FileOrder, Memory
 from thinlayer.solving.equations import Equations
 from thinlayer.system.fingerprint import Resume, differences, differences_text
-from thinlayer.system.folder import file_hash, read_sealed, replace_file, write_sealed
+from thinlayer.system.folder import append_sealed, file_hash, read_sealed_lines, replace_file
 from thinlayer.system.ranks import carry_cell_values
 from thinlayer.system.table import Table
 
@@ -25,7 +25,7 @@ CSV_FILE = "table.csv"
 REACTIONS_KEY = "reactions"
 # prefixes of keys of parts in a state's file
 MEMORY_PREFIX, FIELD_PREFIX, STRESS_PREFIX = "memory ", "field ", "stress "
-FORMAT_VERSION = 2  # format of the files: 2 since march.json has the numbers of states
+FORMAT_VERSION = 3  # format of the files: 3 since march.json has a line for each write
 STATE_NUMBERS = ("t", "stored", "sudden", "prescribed_work", "dissipated")  # numbers of a state in march.json
 
 JsonObject = dict[str, Any]  # a march, its mark or one of its states in march.json
@@ -52,12 +52,12 @@ class Pace:
 class Checkpoint:
     """Files of a march in a folder, with methods that write and read them. All methods are collective.
 
-    The file march.json has the table so far and the `Pace`. Each state has a file of its own, and table.csv has the
-    table once more. In the files, values of a state are sorted by the numbers of their cells or facets in the joint. So
-    they do not depend on how the mesh is distributed over ranks.
+    Each line of march.json has new rows of the table and the `Pace`. Each state has a file of its own, and table.csv
+    has the table once more. In the files, values of a state are sorted by the numbers of their cells or facets in the
+    joint. So they do not depend on how the mesh is distributed over ranks.
 
-    Each file is replaced as a whole. The files of states are written before march.json, which has their hashes, so that
-    a run that is killed leaves valid files.
+    The files of states are written before the line of march.json that has their hashes, and removed after it. A run
+    that is killed leaves valid files, perhaps with part of a line, which is skipped.
 
     Args:
         folder: folder of the files.
@@ -95,7 +95,7 @@ class Checkpoint:
 
     # ---------------------------------------------------------------- writing
     def write(self, table: Table, states: Mapping[int, State], pace: Pace, first: int) -> None:
-        """Write the states that are not in files yet, and replace the files of the table.
+        """Write the states and rows that are not in files yet, and replace table.csv.
 
         Files of states that are not in `states` are removed. If `first` is 0, all files of an earlier march are removed
         first.
@@ -114,7 +114,7 @@ class Checkpoint:
         for row, state in states.items():
             if row >= first:
                 self._write_state(row, state)
-        on_root(self.comm, lambda: self._write_march(table, states, pace))
+        on_root(self.comm, lambda: self._write_march(table, states, pace, first))
 
     def _remove_files(self) -> None:
         """Remove the files of an earlier march.
@@ -124,10 +124,11 @@ class Checkpoint:
         for file in (self.folder / CSV_FILE, self.path, *self._state_paths()):
             file.unlink(missing_ok=True)
 
-    def _write_march(self, table: Table, states: Mapping[int, State], pace: Pace) -> None:
+    def _write_march(self, table: Table, states: Mapping[int, State], pace: Pace, first: int) -> None:
         self._state_records = {row: record for row, record in self._state_records.items() if int(row) in states}
-        content = {"mark": self.march_id, "pace": asdict(pace), "states": self._state_records}
-        write_sealed(self.path, content | {"columns": table.columns, "rows": [[*row.values()] for row in table.rows]})
+        new_states = {row: record for row, record in self._state_records.items() if int(row) >= first}
+        step = {"rows": table.rows[first:], "states": new_states, "kept": [*self._state_records], "pace": asdict(pace)}
+        append_sealed(self.path, step if first else {"mark": self.march_id, **step})
         for path in self._state_paths():
             if int(path.stem) not in states:
                 path.unlink()
@@ -178,17 +179,18 @@ class Checkpoint:
             InputError: the files belong to another march, or march.json is damaged. Or the march is to be resumed, and
                 the file of a state is damaged.
         """
-        content = on_root(self.comm, lambda: self._read_march(resume))
-        if content is None:
+        steps = on_root(self.comm, lambda: self._read_steps(resume))
+        if steps is None:
             return None
-        self.march_id, self._state_records = content["mark"], content["states"]
-        table = Table(dict(zip(content["columns"], row, strict=True)) for row in content["rows"])
+        records = {row: record for step in steps for row, record in step["states"].items()}
+        self._state_records = {row: records[row] for row in steps[-1]["kept"]}
+        table = Table(row for step in steps for row in step["rows"])
         on_root(self.comm, lambda: table.write_on_this_rank(self.folder / CSV_FILE))
         states = {row: self._read_state(row) for row in sorted(map(int, self._state_records))[-n_last:]}
-        return table, states, Pace(**content["pace"])
+        return table, states, Pace(**steps[-1]["pace"])
 
-    def _read_march(self, resume: Resume) -> JsonObject | None:
-        """Return the content of march.json; None if there is no such file or `resume` is False.
+    def _read_steps(self, resume: Resume) -> list[JsonObject] | None:
+        """Return the lines of march.json; None if there is no such file or `resume` is False.
 
         To be called on rank 0 only.
 
@@ -203,8 +205,10 @@ class Checkpoint:
             if (self.folder / CSV_FILE).exists():
                 raise InputError(f"{self.folder / CSV_FILE} is not of a march; give another folder, or remove it")
             return None
-        content = read_sealed(self.path)
-        old = content["mark"]
+        steps = read_sealed_lines(self.path)
+        if not steps:
+            raise InputError(f"{str(self.path)!r} cannot be read (no line is whole); remove it to start anew")
+        old = steps[0]["mark"]
         if old.get("format") != FORMAT_VERSION:
             text = f"it has the format {old.get('format')} of another version, this one reads {FORMAT_VERSION}"
             raise InputError(f"{str(self.path)!r} cannot be read ({text}); give another folder, or remove it")
@@ -213,7 +217,7 @@ class Checkpoint:
             raise InputError(f"{text}; give another folder, remove it, or resume='anyway'")
         if old["observe"].keys() != self.march_id["observe"].keys():
             raise InputError(f"{self.path}: the march observes {[*old['observe']]}, not {[*self.march_id['observe']]}")
-        return content if resume else None
+        return steps if resume else None
 
     def _read_state(self, row: int) -> State:
         arrays: dict[str, Array] = {}  # on rank 0 only
