@@ -100,6 +100,17 @@ def test_jobs_share_a_table_and_each_does_its_part(tmp_path):
     assert len(ensemble(make, CASES, out, resume=True)) == len(done) == 5
 
 
+def test_half_a_line_of_a_killed_job_is_computed_again(tmp_path):
+    out, rows = tmp_path / "t.csv", tmp_path / "t.csv.json"
+    first = ensemble(doubled, CASES, out)
+    rows.write_bytes(rows.read_bytes()[:-30])
+    done = []
+    for _ in range(2):
+        table = ensemble(lambda: lambda case: done.append(case["E"]) or doubled()(case), CASES, out, resume="anyway")
+        assert table.rows == first.rows
+        assert done == [CASES[-1]["E"]]
+
+
 def test_a_run_that_fails_keeps_the_rows_before_it_and_is_repeated(tmp_path):
     out, broken = tmp_path / "t.csv", {3.5}
 
