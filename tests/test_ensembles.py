@@ -109,6 +109,8 @@ def test_half_a_line_of_a_killed_job_is_computed_again(tmp_path):
         table = ensemble(lambda: lambda case: done.append(case["E"]) or doubled()(case), CASES, out, resume="anyway")
         assert table.rows == first.rows
         assert done == [CASES[-1]["E"]]
+    rows.write_bytes(b"".join(line for line in rows.read_bytes().splitlines(True) if b"made from" not in line))
+    refused(InputError, "it has no description", ensemble, doubled, CASES, out, resume=True)
 
 
 def test_a_run_that_fails_keeps_the_rows_before_it_and_is_repeated(tmp_path):

@@ -70,8 +70,11 @@ class RowFile:
             reason = f"{self.path.name}, which describes its origin, does not exist"
             raise InputError(f"{name!r} cannot be resumed: {reason}; give another name, or remove the table")
         lines = read_sealed_lines(self.path)
+        origins = [line["made from"] for line in lines if "made from" in line]
+        if lines and not origins:
+            raise InputError(f"{str(self.path)!r} cannot be read (it has no description); remove it to start anew")
         changing = [path for line in lines for path in line.get("changing", ())]
-        changes = [c for line in lines if "made from" in line for c in differences(line["made from"], self._origin)]
+        changes = [change for origin in origins for change in differences(origin, self._origin)]
         new = [change for change in changes if _changed_path(*change) not in changing]
         if resume != "anyway" and any(line.get("drawn") for line in lines):
             raise InputError(f"{name!r} cannot be resumed: its rows were drawn from {GENERATOR_TEXT}; {remedy}")

@@ -206,8 +206,8 @@ class Checkpoint:
                 raise InputError(f"{self.folder / CSV_FILE} is not of a march; give another folder, or remove it")
             return None
         steps = read_sealed_lines(self.path)
-        if not steps:
-            raise InputError(f"{str(self.path)!r} cannot be read (no line is whole); remove it to start anew")
+        if not steps or "mark" not in steps[0]:
+            raise InputError(f"{str(self.path)!r} cannot be read (its first line is damaged); remove it to start anew")
         old = steps[0]["mark"]
         if old.get("format") != FORMAT_VERSION:
             text = f"it has the format {old.get('format')} of another version, this one reads {FORMAT_VERSION}"
