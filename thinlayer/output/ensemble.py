@@ -32,9 +32,8 @@ Make = Callable[[], RunFunction]
 NumberedRow = tuple[int, Row, bool]  # number of a run, its row, and whether it has advanced a generator
 _IMPORTING_PROCESS = os.getpid()  # process in which MPI has been started
 _THREAD_LOCK = threading.Lock()  # DOLFINx is for one thread of a process
-_RUN_FUNCTIONS: dict[
-    str, RunFunction
-] = {}  # in a process of an executor: identifier of an ensemble -> what `make` returns
+# in a process of an executor: identifier of an ensemble -> what `make` returns
+_RUN_FUNCTIONS: dict[str, RunFunction] = {}
 
 
 def ensemble(
