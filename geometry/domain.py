@@ -11,6 +11,7 @@ import gc
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import count
 
 import basix.ufl
@@ -26,7 +27,7 @@ from geometry.partition import Partitioner, make_partitioner, rows_of_rank
 from geometry.refusals import require_known
 from geometry.seam import BASE, LAYER, FacetName, S
 from geometry.sheet import continued_ridge_keys
-from geometry.topology import FloatArray, Indices, IntArray, Scalar, geometry_degree, local_facets, positions, row_keys
+from geometry.topology import FloatArray, Indices, IntArray, Scalar, facet_nodes, geometry_degree, positions, row_keys
 
 MESHES_PER_COLLECTION = 100  # number of meshes after which Python's garbage collector frees meshes in reference cycles
 _MESH_COUNT = count(1)
@@ -159,8 +160,7 @@ def vertices_of_facets(mesh: dolfinx.mesh.Mesh, cell_type: str, facets: Indices,
         corners: (n_cells, m) numbers of the m vertices of each local cell, ghosts included, in any numbering; for
             example, in that of the joint.
     """
-    cells, facet_numbers = cells_of_facets(mesh, facets)
-    return np.take_along_axis(corners[cells], local_facets(cell_type)[facet_numbers], axis=1)
+    return facet_nodes(corners, cell_type, *cells_of_facets(mesh, facets))
 
 
 @dataclass(frozen=True)
@@ -220,6 +220,11 @@ class Domain:
     def original_points(self) -> IntArray:
         """(n,) row in `joint.points` of each of the n local nodes of the mesh's geometry."""
         return np.asarray(self.mesh.geometry.input_global_indices, np.int64)
+
+    @cached_property
+    def local_cells(self) -> IntArray:
+        """(n,) local number of each of the joint's n cells; -1 if it is not on this rank."""
+        return positions(self.original_cells, len(self.joint.cells))
 
     def numbers(self, dim: int, entities: Indices) -> IntArray:
         """Return the numbers in the joint of cells or facets that are given by their local numbers.
@@ -294,6 +299,25 @@ class Domain:
             InputError: unknown name.
         """
         return self.facet_tags.indices[np.isin(self.facet_tags.values, self.values(name, layer_sides=layer_sides))]
+
+    def sides(self, seam: str) -> tuple[Indices, IntArray]:
+        """Return the cells on both sides of those n facets of a seam that this rank owns.
+
+        The facets are in the order of their local numbers.
+
+        Returns:
+            Rows (n, 4) of local numbers: upper cell, number of the facet in this cell, lower cell, number of the facet
+            in this cell; on a rigid base (n, 2), without the lower cell. And (n,) row numbers of the facets in
+            `joint.table`.
+        """
+        joint, facets = self.joint, self.facets(seam)
+        rows = self.numbers(joint.dim - 1, facets[facets < self.mesh.topology.index_map(joint.dim - 1).size_local])
+        cells = joint.surface_cells[np.searchsorted(joint.surface_rows, rows)].T
+        cells = cells[1:] if seam in joint.base_seams else cells[::-1]
+        columns = [
+            side for of_side in cells for side in (self.local_cells[of_side], joint.table.local_in(rows, of_side))
+        ]
+        return np.column_stack(columns).astype(np.int32), rows
 
     def vertices(self, drawn_vertex: int) -> Indices:
         """Return the numbers of this rank's vertices that come from one vertex of the joint as drawn.

@@ -228,6 +228,10 @@ class Joint:
         names = self.seams if name == S else (name,)
         return np.unique(np.concatenate([self.table.index(self.facets[seam_name]) for seam_name in names]))
 
+    def facets_of(self, name: str) -> IntArray:
+        """Return the positions in `surface`, ascending, of the facets of the seam `name`; "S" stands for all seams."""
+        return np.searchsorted(self.surface_rows, self.rows_of(name))
+
     @cached_property
     def surface_rows(self) -> IntArray:
         """(n_S,) row numbers in `table` of the facets of S, ascending."""
@@ -324,9 +328,9 @@ class Joint:
 
         Integers are equal only if vertex, seam, lower body and upper body are the same. Vertices that a periodic cell
         identifies count as one. A body is here a component: the cells around the vertex that are connected by facets
-        not in S. Facets are in the order of `surface_rows`.
+        not in S. Facets and vertices are in the order of `surface`.
         """
-        vertices = self.table.vertices[self.surface_rows]
+        vertices = self.surface[:, : self.table.vertices.shape[1]]
         below, above = (self.components_at(cells, vertices) for cells in self.surface_cells.T)
         count = int(max(below.max(), above.max())) + 2
         codes = (self.seam_numbers[:, None] * count + above) * count + below + 1
@@ -457,7 +461,7 @@ class Joint:
         values[vertices] = thickness
         if self.degree == 2:
             facet_type = FACET_TYPES[self.cell_type]
-            surface, k = self.surface[np.searchsorted(self.surface_rows, rows)], corner_count(facet_type)
+            surface, k = self.surface[self.facets_of(name)], corner_count(facet_type)
             values[surface[:, k:]] = values[surface[:, :k]] @ mid_node_weights(facet_type).T
         return values
 

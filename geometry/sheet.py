@@ -121,7 +121,7 @@ class Sheet:
     @cached_property
     def facets(self) -> IntArray:
         """(n_facets,) row numbers in `joint.surface` of the seam's facets."""
-        return np.searchsorted(self.joint.surface_rows, self.joint.rows_of(self.name))
+        return self.joint.facets_of(self.name)
 
     @cached_property
     def simplices(self) -> tuple[IntArray, IntArray]:

@@ -114,14 +114,38 @@ def is_tensor(cell_type: str) -> bool:
 
 
 @cache
-def mid_node_weights(cell_type: str) -> FloatArray:
-    """Return (m, k) values of a cell's k linear shape functions at those nodes of degree 2 that are not vertices.
+def vertex_weights(cell_type: str, degree: int) -> FloatArray:
+    """Return (m, k) values of the linear shape functions of a cell's k vertices at its m nodes.
+
+    A node inside an edge, face or cell has equal values for the vertices of that edge, face or cell, and 0 for others.
 
     Args:
-        cell_type: type of the cell, with k vertices and m further nodes.
+        cell_type: type of the cell.
+        degree: degree 1 or 2 of the Lagrange element whose nodes are meant.
     """
-    edge_points = lagrange(cell_type, 2).points[corner_count(cell_type) :]
-    return np.asarray(lagrange(cell_type, 1).tabulate(0, edge_points)[0, :, :, 0])
+    weights = lagrange(cell_type, 1).tabulate(0, lagrange(cell_type, degree).points)[0, :, :, 0]
+    return np.asarray(np.rint(8 * weights) / 8)  # without rounding errors: all are multiples of 1/8
+
+
+def mid_node_weights(cell_type: str) -> FloatArray:
+    """Return (m, k) values of a cell's k linear shape functions at its m nodes of degree 2 that are not vertices."""
+    return vertex_weights(cell_type, 2)[corner_count(cell_type) :]
+
+
+def facet_nodes(
+    cell_nodes: npt.NDArray[Scalar], cell_type: str, cells: IntArray | Indices, local: IntArray | Indices
+) -> npt.NDArray[Scalar]:
+    """Return (n, m) numbers of the m nodes of n facets, as a facet's Lagrange element orders them.
+
+    Args:
+        cell_nodes: (n_cells, k) numbers of the k nodes of each cell, in the order of a Lagrange element; for example the
+            vertices, or the nodes of a function space.
+        cell_type: type of the cells, such as "triangle".
+        cells: (n,) row in `cell_nodes` of a cell at each facet.
+        local: (n,) number of the facet within this cell.
+    """
+    nodes_of_facets = local_facets(cell_type, geometry_degree(cell_type, cell_nodes.shape[1]))
+    return np.take_along_axis(cell_nodes[cells], nodes_of_facets[local], axis=1)
 
 
 @dataclass(frozen=True)
@@ -189,8 +213,16 @@ class FacetTable:
             cells: (n_cells, k) numbers of the k nodes of all cells of the mesh, in DOLFINx's order.
             cell_type: type of the cells.
         """
-        local = local_facets(cell_type, geometry_degree(cell_type, cells.shape[1]))[self.local[rows, 0]]
-        return np.take_along_axis(cells[self.cells[rows, 0]], local, axis=1)
+        return facet_nodes(cells, cell_type, self.cells[rows, 0], self.local[rows, 0])
+
+    def local_in(self, rows: IntArray, cells: IntArray) -> IntArray:
+        """Return (n,) the number of each of n facets within one of its cells.
+
+        Args:
+            rows: (n,) row numbers of the facets in this table.
+            cells: (n,) number of a cell at each facet.
+        """
+        return self.local[rows, (self.cells[rows] == cells[:, None]).argmax(axis=1)].astype(np.int64)
 
 
 def sort_each_row(columns: Sequence[IntArray]) -> list[IntArray]:
@@ -289,6 +321,23 @@ def node_jacobians(points: FloatArray, cells: IntArray, cell_type: str) -> Float
     return np.linalg.det(np.einsum("tqn,cnd->cqtd", gradients, points[cells]))
 
 
+def normal_vectors(tangents: FloatArray) -> FloatArray:
+    """Return (..., d) normals of facets, of either sign, as long as the area of the facet per area of the reference facet.
+
+    Args:
+        tangents: (d - 1, ..., d) derivatives of the place by the coordinates in the reference facet, in d dimensions.
+    """
+    if tangents.shape[-1] == 3:
+        return np.asarray(np.cross(*tangents))
+    return np.stack([-tangents[0, ..., 1], tangents[0, ..., 0]], axis=-1)
+
+
+def nodal_normal_vectors(x: FloatArray, facet_type: str) -> FloatArray:
+    """Return (n, m, d) `normal_vectors` at the m nodes of n facets, whose coordinates are `x` (n, m, d)."""
+    element = lagrange(facet_type, geometry_degree(facet_type, x.shape[1]))
+    return normal_vectors(np.einsum("tqn,fnd->tfqd", element.tabulate(1, element.points)[1:, :, :, 0], x))
+
+
 def facet_normals(points: FloatArray, nodes: IntArray, cell_type: str) -> FloatArray:
     """Return (n_facets, n_nodes, d) unit normals, of either sign, at the nodes of facets in d dimensions.
 
@@ -297,11 +346,7 @@ def facet_normals(points: FloatArray, nodes: IntArray, cell_type: str) -> FloatA
         nodes: (n_facets, n_nodes) numbers of the nodes of each facet, as a facet's Lagrange element orders them.
         cell_type: type of the mesh's cells.
     """
-    facet_type = FACET_TYPES[cell_type]
-    element = lagrange(facet_type, geometry_degree(facet_type, nodes.shape[1]))
-    gradients, is_plane = element.tabulate(1, element.points)[1:, :, :, 0], points.shape[1] == 2
-    tangents = np.einsum("tqn,fnd->tfqd", gradients, points[nodes])
-    normal = np.stack([-tangents[0, ..., 1], tangents[0, ..., 0]], axis=-1) if is_plane else np.cross(*tangents)
+    normal = nodal_normal_vectors(points[nodes], FACET_TYPES[cell_type])
     return np.asarray(normal / np.linalg.norm(normal, axis=-1, keepdims=True), float)
 
 

@@ -19,7 +19,7 @@ from forms.kinematics import KINEMATICS_BY_NAME, Kinematics
 from forms.law import BulkLaw
 from forms.traction import TractionLaw
 from forms.work import Interface, Term, s_terms
-from geometry.domain import cells_of_facets, create_connectivity
+from geometry.domain import create_connectivity
 from geometry.refusals import unknown_name_message
 from geometry.topology import BoolArray, Indices
 from thinlayer.discretisation.boundary import AXIS_TOLERANCE
@@ -200,10 +200,7 @@ class BrokenMesh:
         suitable = V.mesh is self.mesh and element.reference_value_shape == (self._dim,) and element.family_name == "P"
         suitable = suitable and element.degree <= (1 if self.mesh.topology.cell_name() == "tetrahedron" else 2)
         require(suitable, "V", V, f"{allowed} of this mesh, or but for tetrahedra of degree 2")
-        facets = self._owned_facets(tag)
-        on_base = tag in self._base_tags
-        upper, lower = (cells_of_facets(self.mesh, facets)[0], None) if on_base else self._facet_sides[tag][:, [0, 2]].T
-        return ContactSurface(V, self.comm, facets, upper, lower, kinematics=self.kinematics)
+        return ContactSurface(V, self.comm, self._facet_sides[tag], kinematics=self.kinematics)
 
     def _require_tag(self, tag: int) -> None:
         if tag not in self._tags_of_S:

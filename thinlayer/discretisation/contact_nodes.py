@@ -6,18 +6,28 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import basix
 import numpy as np
 from dolfinx import fem
-from dolfinx.mesh import Mesh, entities_to_geometry
+from dolfinx.mesh import Mesh
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.base import Array, InputError
 from forms.kinematics import PLANE_STRAIN, Kinematics
-from geometry.domain import cells_of_facets
+from geometry.domain import cell_nodes
 from geometry.joint import Joint
-from geometry.topology import Indices, IntArray, sum_by_number
-from thinlayer.discretisation.layer import seam_entities
+from geometry.topology import (
+    FACET_TYPES,
+    Indices,
+    IntArray,
+    corner_count,
+    facet_nodes,
+    geometry_degree,
+    nodal_normal_vectors,
+    sum_by_number,
+    vertex_weights,
+)
 from thinlayer.discretisation.model import Model
 from thinlayer.system.ranks import destroy, errors_on_all, send
 
@@ -39,11 +49,42 @@ def body_pairs(joint: Joint, seam: str, node_ids: IntArray) -> tuple[IntArray, I
         Two arrays (m,) with an entry for each node and vertex: the index of the node, and the number of the pair of
         bodies at the vertex.
     """
-    is_in_seam = joint.seam_numbers == list(joint.seams).index(seam)
-    facet_numbers, pair_numbers = joint.surface_rows[is_in_seam], joint.pairs[is_in_seam]
-    k = pair_numbers.shape[1]
+    facets = joint.facets_of(seam)
+    k = joint.pairs.shape[1]
+    pair_numbers = np.take_along_axis(joint.pairs, joint.surface[:, :k].argsort(axis=1), axis=1)[facets]
     node_indices, corners = np.nonzero((node_ids[:, None] >> np.arange(k)) & 1)
-    return node_indices, np.asarray(pair_numbers[np.searchsorted(facet_numbers, node_ids[node_indices] >> k), corners])
+    at = np.searchsorted(joint.surface_rows[facets], node_ids[node_indices] >> k)
+    return node_indices, np.asarray(pair_numbers[at, corners])
+
+
+def nodes_of_sides(V: fem.FunctionSpace, sides: Indices) -> tuple[IntArray, IntArray]:
+    """Return the nodes of a space on both sides of facets of S; nodes that face each other have the same position.
+
+    Args:
+        V: the space, with Lagrange elements of degree 1 or 2.
+        sides: the n facets of this rank, as from `Domain.sides`.
+
+    Returns:
+        Local numbers (2, n, m) of the m nodes of each facet on its upper and on its lower side; (1, n, m) on a rigid
+        base. And keys (n, m). The lowest bits of a key stand for the vertices of the facet, sorted by number. A bit is
+        1 if the node is this vertex, or lies inside an edge or facet that has this vertex.
+    """
+    cell_type, cell_nodes_of_V = V.mesh.topology.cell_name(), np.asarray(V.dofmap.list, np.int64)
+    has_vertex = vertex_weights(FACET_TYPES[cell_type], geometry_degree(cell_type, cell_nodes_of_V.shape[1])) > 0
+    nodes, keys, vertex_numbers = [], [], np.asarray(V.mesh.geometry.input_global_indices, np.int64)
+    for cells, local in sides.T.reshape(-1, 2, len(sides)):
+        bits = 1 << vertex_numbers[_vertex_points(V.mesh, cells, local)].argsort(axis=1).argsort(axis=1)
+        keys.append(bits @ has_vertex.T.astype(np.int64))
+        nodes.append(facet_nodes(cell_nodes_of_V, cell_type, cells, local))
+        position = np.take_along_axis(keys[-1].argsort(axis=1), keys[0].argsort(axis=1).argsort(axis=1), axis=1)
+        nodes[-1] = np.take_along_axis(nodes[-1], position, axis=1)
+    return np.stack(nodes), keys[0]
+
+
+def _vertex_points(mesh: Mesh, cells: Indices, local: Indices) -> Indices:
+    """Return the local numbers (n, k), in the geometry of a mesh, of the k vertices of facet `local` of n cells."""
+    cell_type = mesh.topology.cell_name()
+    return facet_nodes(cell_nodes(mesh)[:, : corner_count(cell_type)], cell_type, cells, local)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,30 +94,27 @@ class ContactSurface:
     Attributes:
         V: displacement space, broken across S, with elements P1, Q1, Q2 or, in 2D, P2.
         comm: communicator for messages.
-        facets: (n,) local numbers of the facets, ascending.
-        upper_cells: (n,) local number of the cell on the upper side of each facet.
-        lower_cells: (n,) local number of the cell on the lower side; None on a rigid base.
+        sides: the n facets, as rows (n, 4) of local numbers: upper cell, number of the facet in this cell, lower cell,
+            number of the facet in this cell; on a rigid base (n, 2), without the lower cell.
         facet_numbers: (n,) numbers of the facets in the joint, for files; empty without a joint.
         kinematics: kinematics of the mesh, for areas.
     """
 
     V: fem.FunctionSpace
     comm: MPI.Intracomm
-    facets: Indices
-    upper_cells: Indices
-    lower_cells: Indices | None
+    sides: Indices
     facet_numbers: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     kinematics: Kinematics = PLANE_STRAIN
 
     @classmethod
     def for_seam(cls, model: Model, name: str) -> ContactSurface:
         """Return the facets of the seam `name` of an interface model, and the cells on their two sides."""
-        domain, mesh, d = model.domain, model.domain.mesh, model.joint.dim
-        facets = domain.facets(name)
-        facets = np.sort(facets[facets < mesh.topology.index_map(d - 1).size_local])
-        on_base = name in model.joint.base_seams
-        upper, lower = (cells_of_facets(mesh, facets)[0], None) if on_base else seam_entities(domain, name)[:, [0, 2]].T
-        return cls(model.V, model.comm, facets, upper, lower, domain.numbers(d - 1, facets), model.kinematics)
+        return cls(model.V, model.comm, *model.domain.sides(name), model.kinematics)
+
+    @property
+    def on_base(self) -> bool:
+        """Whether S stands on a rigid base here, without lower cells."""
+        return self.sides.shape[1] == 2
 
 
 @dataclass(eq=False)
@@ -110,7 +148,7 @@ class NodePairs:
     @staticmethod
     def join_seams(by_seam: Sequence[NodePairs]) -> NodePairs:
         """Return the nodes of several seams as one object, in the order of `by_seam`."""
-        surface = next((s.surface for s in by_seam if s.surface.lower_cells is not None), by_seam[0].surface)
+        surface = next((s.surface for s in by_seam if not s.surface.on_base), by_seam[0].surface)
         arrays = ((s.upper, s.lower_nodes, s.x, s.weights, s.frames, s.gap) for s in by_seam)
         return NodePairs(surface, *map(np.concatenate, zip(*arrays, strict=True)))
 
@@ -142,7 +180,7 @@ class NodePairs:
     @cached_property
     def lower_matrix(self) -> PETSc.Mat | None:
         """Matrix (n d, N) from all N displacements to those of the n lower nodes; None on a rigid base."""
-        if self.surface.lower_cells is None:
+        if self.surface.on_base:
             return None
         n, d, has_lower = len(self.upper), self.dim, self.lower_nodes >= 0
         columns = (self.lower_nodes[has_lower, None] * d + np.arange(d)).ravel().astype(PETSc.IntType)
@@ -275,7 +313,7 @@ class ContactNodes(NodePairs):
 
 def _to_global(V: fem.FunctionSpace, local: Array | Indices) -> Array:
     """Return the global numbers of nodes with the local numbers `local`, as floats to be sent together with areas."""
-    return V.dofmap.index_map.local_to_global(local.astype(np.int32)).astype(float)
+    return V.dofmap.index_map.local_to_global(local.astype(np.int32).ravel()).astype(float).reshape(local.shape)
 
 
 def _facet_node_rows(surface: ContactSurface) -> Array:
@@ -285,81 +323,26 @@ def _facet_node_rows(surface: ContactSurface) -> Array:
     lower side, or -1 on a rigid base. Then come the part of the facet's area that belongs to the node, and this area
     times the unit normal (d columns). The last column is the number in `ContactNodes.node_ids`.
     """
-    V, facets, upper, lower = surface.V, surface.facets, surface.upper_cells, surface.lower_cells
-    mesh, topology, d = V.mesh, V.mesh.topology, V.mesh.topology.dim
-    uses_simpson = V.ufl_element().degree == 2
-    for a, b in ((d, 0), (d - 1, 0), (0, d), *([(d, d - 1), (d, 1), (2, 1), (1, 0)] if uses_simpson else [])):
-        topology.create_connectivity(a, b)
-    vertices = _incident(mesh, d - 1, 0)[facets]
-    # DOLFINx does not accept an empty list
-    x_dofs = entities_to_geometry(mesh, 0, vertices.ravel()).reshape(vertices.shape) if vertices.size else vertices
-    corners = mesh.geometry.x[x_dofs][..., :d]
-    areas, normals = _vertex_areas(corners)
-    node_points = V.tabulate_dof_coordinates()[np.asarray(V.dofmap.list)[upper]]
-    to_upper_cells = node_points[..., :d].mean(axis=1) - corners.mean(axis=1)
-    normals[np.einsum("fk,fk->f", normals, to_upper_cells) < 0] *= -1  # n points from the lower to the upper side
-    vertex_numbers, kinematics = np.asarray(mesh.geometry.input_global_indices, np.int64)[x_dofs], surface.kinematics
-    bits, rows = 1 << vertex_numbers.argsort(axis=1).argsort(axis=1), list[Array]()
-    for e in range(d if uses_simpson else 1):  # nodes at vertices, edges and facets
-        entities = vertices if e == 0 else facets[:, None] if e == d - 1 else _incident(mesh, d - 1, e)[facets]
-        ends = vertices[:, None] if e == d - 1 else _incident(mesh, e, 0)[entities] if e else vertices[..., None]
-        is_end = (ends[..., None] == vertices[:, None, None]).any(axis=2)  # (n, nodes, k)
-        shares = is_end / is_end.sum(axis=2, keepdims=True)
-        node_areas = kinematics.corner_areas(corners, areas)
-        if uses_simpson:
-            factors = 4**e / 3 ** (d - 1) * kinematics.factors_at(shares @ corners)
-            node_areas = factors * np.einsum("fak,fk->fa", shares, areas)
-        above = _nodes_in(V, upper, entities, e).ravel()
-        below = np.full(above.size, -1.0) if lower is None else _to_global(V, _nodes_in(V, lower, entities, e).ravel())
-        area_vectors = (node_areas[:, :, None] * normals[:, None]).reshape(-1, d)
-        node_ids = (is_end * bits[:, None]).sum(axis=2)
-        if len(surface.facet_numbers):
-            node_ids += surface.facet_numbers[:, None] << vertices.shape[1]
-        has_jump = (below != _to_global(V, above)) & (node_areas.ravel() > 0)  # at a tip of S there is no jump
-        rows.append(np.column_stack([above, below, node_areas.ravel(), area_vectors, node_ids.ravel()])[has_jump])
-    return np.concatenate(rows)
-
-
-def _incident(mesh: Mesh, a: int, b: int) -> Indices:
-    """Return the local numbers (n, m) of the m entities of dimension b of each local entity of dimension a."""
-    connectivity = mesh.topology.connectivity(a, b)
-    return np.asarray(connectivity.array.reshape(connectivity.num_nodes, -1))
-
-
-def _nodes_in(V: fem.FunctionSpace, cells: Indices, entities: Indices, e: int) -> Indices:
-    """Return the local numbers (n, k) of the nodes of V inside k vertices, edges or facets of each of n cells.
-
-    Args:
-        V: the space, with one node in each of these entities.
-        cells: (n,) local numbers of the cells.
-        entities: (n, k) local numbers of the entities.
-        e: dimension of the entities, 0 for vertices.
-    """
-    cell_entities = _incident(V.mesh, V.mesh.topology.dim, e)[cells]
-    local_index = (cell_entities[:, None, :] == entities[:, :, None]).argmax(axis=2)
-    layout_dofs = np.array([V.dofmap.dof_layout.entity_dofs(e, k)[0] for k in range(cell_entities.shape[1])])
-    return np.asarray(np.take_along_axis(np.asarray(V.dofmap.list)[cells], layout_dofs[local_index], axis=1), np.int32)
-
-
-def _vertex_areas(corners: Array) -> tuple[Array, Array]:
-    """Divide the areas of n facets among their k vertices, and return these parts and the facets' unit normals.
-
-    Args:
-        corners: (n, k, d) coordinates of the vertices in d dimensions.
-
-    Returns:
-        Areas (n, k), lengths in 2D, which add up to the area of each facet; and normals (n, d), of either sign.
-    """
-    if corners.shape[2] == 2:
-        edge = corners[:, 1] - corners[:, 0]
-        length = np.linalg.norm(edge, axis=1)
-        return np.repeat(length[:, None] / 2, 2, axis=1), np.column_stack([edge[:, 1], -edge[:, 0]]) / length[:, None]
-    triangle, quadrilateral = ([(1, 2), (2, 0), (0, 1)], 6), ([(1, 2), (3, 0), (0, 3), (2, 1)], 4)
-    neighbours, divisor = triangle if corners.shape[1] == 3 else quadrilateral
-    edge_pairs = [(corners[:, a] - corners[:, k], corners[:, b] - corners[:, k]) for k, (a, b) in enumerate(neighbours)]
-    area_vectors = np.stack([np.cross(a, b) for a, b in edge_pairs], axis=1)
-    mean_vector = area_vectors.mean(axis=1)
-    return np.linalg.norm(area_vectors, axis=2) / divisor, mean_vector / np.linalg.norm(mean_vector, axis=1)[:, None]
+    V, sides, kinematics = surface.V, surface.sides, surface.kinematics
+    mesh, d, facet_type = V.mesh, V.mesh.topology.dim, FACET_TYPES[V.mesh.topology.cell_name()]
+    corners = mesh.geometry.x[_vertex_points(mesh, *sides.T[:2]), :d]
+    normals = nodal_normal_vectors(corners, facet_type)
+    areas = np.linalg.norm(normals, axis=2) * basix.cell.volume(basix.CellType[facet_type]) / corners.shape[1]
+    n = normals.mean(axis=1)
+    to_upper_cells = mesh.geometry.x[cell_nodes(mesh)[sides[:, 0]], :d].mean(axis=1) - corners.mean(axis=1)
+    n *= (np.sign((n * to_upper_cells).sum(axis=1)) / np.linalg.norm(n, axis=1))[:, None]  # towards the upper side
+    (above, *below), node_ids = nodes_of_sides(V, sides)
+    node_areas = kinematics.corner_areas(corners, areas)
+    if V.ufl_element().degree == 2:  # Simpson's rule: weights 1, 4 inside edges and 16 inside quadrilaterals
+        shares = vertex_weights(facet_type, 2)
+        factors = np.count_nonzero(shares, axis=1) ** 2 / 3 ** (d - 1) * kinematics.factors_at(shares @ corners)
+        node_areas = factors * (areas @ shares.T)
+    if len(surface.facet_numbers):
+        node_ids += surface.facet_numbers[:, None] << corners.shape[1]
+    lower = _to_global(V, below[0]) if below else np.full(above.shape, -1.0)
+    columns = (above, lower, node_areas, *(node_areas * n_i[:, None] for n_i in n.T), node_ids)
+    has_jump = (lower != _to_global(V, above)) & (node_areas > 0)  # at a tip of S there is no jump
+    return np.stack(columns, axis=-1)[has_jump]
 
 
 def normal_frames(n: Array) -> Array:

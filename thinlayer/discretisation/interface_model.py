@@ -28,7 +28,7 @@ from thinlayer.discretisation.boundary import require_revolution
 from thinlayer.discretisation.coefficient import Coordinates
 from thinlayer.discretisation.forces import Forces, LoadRegion
 from thinlayer.discretisation.form_compilation import law_with_expressions
-from thinlayer.discretisation.layer import Layers, SeamLayer, law_of_terms, law_with_numbers, seam_entities
+from thinlayer.discretisation.layer import Layers, SeamLayer, law_of_terms, law_with_numbers
 from thinlayer.discretisation.mesh_functions import MidSurface, cellwise_function, relative_thickness
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.side_loads import add_side_loads
@@ -116,7 +116,7 @@ class InterfaceModel(Model):
         seams use `sides.measure`.
         """
         body_seams = [(k, name) for k, name in enumerate(self.joint.seams, 1) if name not in self.joint.base_seams]
-        entities = [(k, seam_entities(self.domain, name).ravel()) for k, name in body_seams]
+        entities = [(k, self.domain.sides(name)[0].ravel()) for k, name in body_seams]
         return ufl.Measure("dS", domain=self.domain.mesh, subdomain_data=entities)
 
     def sides_of(self, name: str = S) -> Interface:

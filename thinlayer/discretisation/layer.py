@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import numpy as np
-from dolfinx import fem
 from dolfinx.mesh import Mesh
 
 from forms.base import Array, InputError, is_finite, is_number, require
@@ -18,17 +16,14 @@ from forms.law import BulkLaw, Law
 from forms.law_tangents import declared_or_computed_tangent, is_checked_at_rest, require_stable, tangent_after
 from forms.tensors import Expr, average_lame
 from forms.traction import TractionLaw
-from geometry.domain import Domain, create_connectivity
 from geometry.joint import Profile
 from geometry.seam import S
 from geometry.sheet import Sheet
-from geometry.topology import Indices, IntArray
 from thinlayer.discretisation.coefficient import Coordinates, LoadInput
 from thinlayer.discretisation.key import CONTACT_KIND, LAYER_KIND, Key
 from thinlayer.discretisation.mesh_functions import law_with_constants
 from thinlayer.discretisation.prescribed_strains import EigenstrainContext, EigenstrainInput
 from thinlayer.errors import Violation
-from thinlayer.system.compat import integration_entities
 from thinlayer.system.fingerprint import describe
 
 if TYPE_CHECKING:
@@ -374,46 +369,3 @@ def loads_of_layers(model: Model) -> dict[str, LoadInput]:
     for seam in (seam for seam in loads if seam not in layers or not layers[seam].thin_layer):
         raise InputError(f"body force in the layer {seam!r}: it has no layer with a thickness, so no weight is known")
     return loads
-
-
-def seam_entities(domain: Domain, name: str) -> Indices:
-    """Return the cells on both sides of n facets of a seam between bodies. Collective.
-
-    The facets are those that this rank owns, in the order of their local numbers.
-
-    Returns:
-        Rows (n, 4): upper cell, number of the facet in this cell, lower cell, number of the facet in this cell.
-    """
-    joint, mesh = domain.joint, domain.mesh
-    create_connectivity(mesh, joint.dim - 1)
-    facets = domain.facets(name)
-    facets = np.sort(facets[facets < mesh.topology.index_map(joint.dim - 1).size_local])
-    entities = integration_entities("interior_facet", mesh, facets)
-    surface_indices = np.searchsorted(joint.surface_rows, domain.numbers(joint.dim - 1, facets))
-    is_swapped = domain.original_cells[entities[:, 0]] != joint.surface_cells[surface_indices, 1]
-    entities[is_swapped] = entities[is_swapped][:, [2, 3, 0, 1]]
-    return entities
-
-
-def nodes_of_sides(model: Model, V: fem.FunctionSpace, name: str) -> tuple[IntArray, IntArray]:
-    """Return the local numbers of the k nodes of V on n facets of a seam, on the upper and the lower side. Collective.
-
-    The facets are those of this rank.
-
-    Returns:
-        Numbers (n, k) for the upper and for the lower side; those for the lower side are empty on a rigid base. In a
-        space of degree 1, entries with the same indices in both arrays are nodes that face each other.
-    """
-    domain, mesh, d = model.domain, model.domain.mesh, model.joint.dim
-    on_base, layout = name in model.joint.base_seams, V.dofmap.dof_layout
-    facets = np.sort(domain.facets(name))
-    rows = integration_entities("exterior_facet", mesh, facets) if on_base else seam_entities(domain, name)
-    entities = rows.astype(np.int64)
-    facet_nodes = np.array([layout.entity_closure_dofs(d - 1, k) for k in range(entities[:, 1::2].max(initial=0) + 1)])
-    cell_vertices, nodes_by_side = mesh.topology.connectivity(d, 0).array.reshape(len(V.dofmap.list), -1), []
-    for side_entities in (entities[:, :2], entities[:, 2:].reshape(-1, 2)):
-        cells, local_nodes = side_entities[:, :1], facet_nodes[side_entities[:, 1]]
-        if layout.num_dofs == cell_vertices.shape[1]:
-            local_nodes = np.take_along_axis(local_nodes, cell_vertices[cells, local_nodes].argsort(axis=1), axis=1)
-        nodes_by_side.append(V.dofmap.list[cells, local_nodes].astype(np.int64))
-    return nodes_by_side[0], nodes_by_side[1]

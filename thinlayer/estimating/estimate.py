@@ -16,8 +16,9 @@ from geometry.refusals import require_known
 from geometry.seam import S
 from thinlayer.discretisation.applicability import Applicability
 from thinlayer.discretisation.constraints import local_csr
+from thinlayer.discretisation.contact_nodes import nodes_of_sides
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.layer import Layers, SeamLayer, ThinLayer, nodes_of_sides
+from thinlayer.discretisation.layer import Layers, SeamLayer, ThinLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.estimating.global_local import DEFAULT_WIDTH, GlobalLocal, GoalBounds
@@ -306,7 +307,8 @@ def _has_mpcs_on_S(model: InterfaceModel) -> bool:
         return False
     T = local_csr(constraints.T)
     is_constrained = abs(T - scipy.sparse.eye(*T.shape, k=constraints.row_start)).sum(axis=1) > 0
-    nodes = np.concatenate([side.ravel() for name in model.layers for side in nodes_of_sides(model, model.V, name)])
+    sides = [nodes_of_sides(model.V, model.domain.sides(name)[0])[0] for name in model.layers]
+    nodes = np.concatenate([*map(np.ravel, sides)])
     dofs = (nodes[:, None] * d + np.arange(d)).ravel()
     return bool(model.comm.allreduce(int(np.asarray(is_constrained)[dofs[dofs < constraints.n]].any()), max))
 

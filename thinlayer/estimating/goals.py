@@ -23,9 +23,9 @@ from forms.tensors import Expr
 from geometry.refusals import require_known
 from geometry.seam import BASE, S
 from geometry.topology import BoolArray, IntArray
+from thinlayer.discretisation.contact_nodes import nodes_of_sides
 from thinlayer.discretisation.form_compilation import checked_user_form, compiled
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.layer import nodes_of_sides
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid_motions import resultant_mask
 from thinlayer.discretisation.state import State, displacements_of
@@ -329,15 +329,15 @@ class MeanTraction(DirectedGoal):
         for the nodes of both sides, other nodes of the same facet replace them.
         """
         e, W, v = self.unit(model), model.space(1), fem.Function(model.V)
-        sides = {name: nodes_of_sides(model, W, name) for name in model.layers}
+        sides = {name: nodes_of_sides(W, model.domain.sides(name)[0])[0] for name in model.layers}
         is_fixed, total = fem.Function(W), 0.0
         is_fixed.x.array[model.bc_dofs_in(W)] = 1.0
         for name in [self.seam] if self.seam in model.layers else [*model.layers]:
-            others = [nodes for other, pair in sides.items() if other != name for nodes in pair]
+            others = [nodes for other, nodes in sides.items() if other != name]
             n_others = nodal_sums(W, others, [np.ones(len(e))] * len(others)) + is_fixed.x.array.reshape(-1, len(e))
             w, v_on_S, surface = fem.Function(W), fem.Function(model.V), SurfaceMesh(model, name)
             at_nodes = self._in_stretch(W.tabulate_dof_coordinates()[:, : len(e)])
-            w.x.array[:] = (_reaction_factors(W, *sides[name], n_others > 0) * at_nodes[:, None] * e).ravel()
+            w.x.array[:] = (_reaction_factors(W, sides[name], n_others > 0) * at_nodes[:, None] * e).ravel()
             v_on_S.interpolate(w)
             lower, upper = surface.side_values(v_on_S, model, surface.quadrature)
             area, jump = float(surface.areas @ self._in_stretch(surface.places)), surface.integral(lower - upper) @ e
@@ -359,7 +359,7 @@ class MeanTraction(DirectedGoal):
             raise InputError(f"{self.name}: where is no numpy function of coordinates x (d, m): {error}") from error
 
 
-def _reaction_factors(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mixed: BoolArray) -> Array:
+def _reaction_factors(W: fem.FunctionSpace, sides: IntArray, mixed: BoolArray) -> Array:
     """Return the factors (nodes, d) of the bodies' nodal forces in the mean traction on a seam, in d dimensions.
 
     A factor is 1/2 where the forces on both sides of S are usable, and 1 where one of them is. It is 0 where a force is
@@ -367,8 +367,8 @@ def _reaction_factors(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mi
 
     Args:
         W: vector space of degree 1 on the mesh of the model.
-        upper: (facets, k) numbers of the k nodes of each facet of S on the upper side.
-        lower: (facets, k) numbers of the nodes that face them on the lower side; empty on a rigid base.
+        sides: (2, facets, k) numbers of the k nodes of each facet of S on the upper side, and of the nodes that face
+            them on the lower side; (1, facets, k) on a rigid base.
         mixed: (nodes, d) mask of nodal forces that contain other forces, and are therefore not usable.
     """
 
@@ -377,23 +377,25 @@ def _reaction_factors(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mi
 
         A node counts once for each of its facets.
         """
-        return nodal_sums(W, node_sets, [values[lower], values[upper]][: len(node_sets)])
+        return nodal_sums(W, facing, [values[nodes] for nodes in facing[::-1]])
 
-    node_sets = [upper, lower] if len(upper) == len(lower) else []  # on a rigid base no nodes face each other
-    above, below = (nodal_sums(W, [nodes], [np.ones((*nodes.shape, mixed.shape[1]))]) > 0 for nodes in (upper, lower))
+    facing = sides if len(sides) == 2 else sides[:0]  # on a rigid base no nodes face each other
+    ones = np.ones((*sides.shape, mixed.shape[1]))
+    above, below = (nodal_sums(W, sides[k : k + 1], ones[k : k + 1]) > 0 for k in (0, 1))
     is_usable = (above != below) & ~mixed  # where a seam meets itself nodes may be on both sides
     counts_fully = is_usable & (opposite_sums(is_usable) < opposite_sums(np.ones_like(is_usable)))
     factors = np.where(counts_fully, 1.0, 0.5 * (is_usable & (opposite_sums(counts_fully) == 0)))
     # other corners of a facet replace its corners where no reaction is usable
-    sides = node_sets or [upper]
     nonzero = np.sum([factors[nodes] for nodes in sides], axis=0) > 0
     weight = np.broadcast_to(nonzero.shape[1] / np.maximum(nonzero.sum(axis=1, keepdims=True), 1), nonzero.shape)
-    n_facets = nodal_sums(W, sides, [np.ones(nonzero.shape)] * len(sides))
+    n_facets = nodal_sums(W, sides, ones)
     factors *= nodal_sums(W, sides, [weight] * len(sides)) / np.maximum(n_facets, 1.0)
     return np.where(above, -factors, factors)
 
 
-def nodal_sums(W: fem.FunctionSpace, nodes: Sequence[IntArray], values: Sequence[Array | BoolArray]) -> Array:
+def nodal_sums(
+    W: fem.FunctionSpace, nodes: Sequence[IntArray] | IntArray, values: Sequence[Array | BoolArray] | Array
+) -> Array:
     """Sum given values at the nodes of a vector space, over all ranks. Collective.
 
     Args:

@@ -9,12 +9,12 @@ from petsc4py import PETSc
 from scipy.spatial import cKDTree
 
 from forms.base import Array
+from geometry.topology import vertex_weights
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.estimating.global_local import BodyEquilibrium, GlobalLocal
 from thinlayer.output.surface import Surface
-from thinlayer.solving.layer_subproblem import vertex_shares
 from thinlayer.surface.pressure_excess import jump_stiffness
 from thinlayer.surface.surface_mesh import SurfaceMesh
 
@@ -134,5 +134,5 @@ def _add_at_vertices(sums: Array, model: Model, values: Array) -> None:
     nodes, first_positions = np.unique(dofs.ravel(), return_index=True)
     is_owned = nodes < len(node_sums)
     cell, local = np.divmod(first_positions[is_owned], dofs.shape[1])
-    shares = vertex_shares(model)[local] * node_sums[nodes[is_owned], None]
+    shares = vertex_weights(joint.cell_type, model.structure.degree)[local] * node_sums[nodes[is_owned], None]
     np.add.at(sums, joint.corners[model.domain.original_cells[cell]], shares)

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from forms.base import Array
 from geometry.joint import Joint
 from geometry.seam import LOWER_FACE, UPPER_FACE, FacetName
-from geometry.topology import BoolArray, IntArray, sub_entities
+from geometry.topology import FACET_TYPES, BoolArray, IntArray, facet_nodes, vertex_weights
 from thinlayer.discretisation.constraints import local_csr
 from thinlayer.discretisation.full_model import LayerModel, why_not_alone
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -216,7 +216,7 @@ class DirichletLayers:
         V, element = fine.model.V, self.model.V.ufl_element().basix_element
         X = refined.parent_coordinates(interpolation_points(V))
         shape_values = element.tabulate(0, X.reshape(-1, d))[0, :, :, 0].reshape(*X.shape[:2], -1)
-        parent_dofs = self.model.V.dofmap.list[_local_cells(self.model, self.model.domain.joint)[refined.parent]]
+        parent_dofs = self.model.V.dofmap.list[self.model.domain.local_cells[refined.parent]]
         cell_displacements = w[: self._n_u].reshape(-1, d)[parent_dofs]
         fine_values = np.einsum("iq,nqk,nkd->nid", element.interpolation_matrix, shape_values, cell_displacements)
         out = np.zeros(len(fine.load))
@@ -429,17 +429,16 @@ def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntAr
             layers. Only dofs that this rank owns in the interface model occur.
     """
     joint, band, d = layers.joint, layers.domain.joint, interface.joint.dim
-    body_cells, layer_cells = _local_cells(interface, joint), _local_cells(layers, band)
     pairs = [np.empty((0, 2), np.int64)]
-    for number, seam in enumerate(joint.seams):
-        in_seam = joint.seam_numbers == number
-        rows, cells_of_sides = joint.surface_rows[in_seam], joint.surface_cells[in_seam].T
+    for seam in joint.seams:
+        in_seam = joint.facets_of(seam)
         face_names = [str(FacetName(seam, face)) if len(joint.seams) > 1 else face for face in (LOWER_FACE, UPPER_FACE)]
-        for cells, name in zip(cells_of_sides, face_names, strict=True):
-            is_here = (cells >= 0) & (body_cells[cells] >= 0) & (name in band.facets)
-            faces = band.table.index(band.facets[name])[is_here] if is_here.any() else np.empty(0, np.int64)
-            body_nodes, body_x = _facet_nodes(interface, body_cells, joint, rows[is_here], cells[is_here], joint.points)
-            nodes, x = _facet_nodes(layers, layer_cells, band, faces, band.table.cells[faces, 0], band.reference)
+        for cells, name in zip(joint.surface_cells[in_seam].T, face_names, strict=True):
+            is_here = (cells >= 0) & (interface.domain.local_cells[cells] >= 0) & (name in band.facets)
+            rows, cells = joint.surface_rows[in_seam[is_here]], cells[is_here]
+            faces = band.table.index(band.facets[name])[is_here] if is_here.any() else rows
+            body_nodes, body_x = _facet_nodes(interface, joint, rows, cells, joint.points)
+            nodes, x = _facet_nodes(layers, band, faces, band.table.cells[faces, 0], band.reference)
             nearest = np.linalg.norm(body_x[:, :, None] - x[:, None], axis=3).argmin(axis=2)
             pairs.append(np.stack([body_nodes, np.take_along_axis(nodes, nearest, axis=1)], axis=2).reshape(-1, 2))
     node_pairs = np.concatenate(pairs)
@@ -449,41 +448,17 @@ def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntAr
     return body_dofs, face_dofs
 
 
-def _local_cells(model: Model, joint: Joint) -> IntArray:
-    """Return the local number in the model's mesh of each cell of the joint; -1 if it is not on this rank."""
-    out = np.full(len(joint.corners), -1, np.int64)
-    original_cells = model.domain.original_cells
-    out[original_cells] = np.arange(len(original_cells))
-    return out
-
-
-def _facet_nodes(
-    model: Model, local_cells: IntArray, joint: Joint, facets: IntArray, cells: IntArray, points: Array
-) -> tuple[IntArray, Array]:
-    """Return the nodes (n, k) on n facets of cells, and the places (n, k, d) amid whose vertices they are.
+def _facet_nodes(model: Model, joint: Joint, rows: IntArray, cells: IntArray, points: Array) -> tuple[IntArray, Array]:
+    """Return the nodes (n, k) on n facets, and the places (n, k, d) amid whose vertices they are.
 
     Args:
         model: the model.
-        local_cells: (n_cells,) local number in the model's mesh of each cell of the joint, see `_local_cells`.
         joint: the joint of the model.
-        facets: (n,) numbers of the facets in the joint's table.
-        cells: (n,) numbers of cells of the joint on this rank, one beside each facet.
+        rows: (n,) numbers of the facets in the joint's table.
+        cells: (n,) numbers of cells of the joint on this rank, one at each facet.
         points: (n_points, d) coordinates of the joint's points.
     """
-    layout, is_cell = model.V.dofmap.dof_layout, joint.table.cells[facets] == cells[:, None]
-    local_facets = joint.table.local[facets, is_cell.argmax(axis=1)]
-    closures = [layout.entity_closure_dofs(joint.dim - 1, k) for k in range(len(sub_entities(joint.cell_type)[-2]))]
-    chosen = np.array(closures)[local_facets]
-    x = vertex_shares(model) @ points[joint.corners[cells]]
-    nodes = np.asarray(model.V.dofmap.list, np.int64)[local_cells[cells][:, None], chosen]
-    return nodes, np.take_along_axis(x, chosen[..., None], axis=1)
-
-
-def vertex_shares(model: Model) -> Array:
-    """Return the shares (k, m) of a cell's m corners in its k nodes: a node belongs to the vertices of its entity."""
-    layout, entities = model.V.dofmap.dof_layout, sub_entities(model.joint.cell_type)
-    shares = np.zeros((layout.num_dofs, len(entities[0])))
-    for dim, of_dim in enumerate(entities):
-        for entity, (vertices, *_) in enumerate(of_dim):
-            shares[np.ix_(layout.entity_dofs(dim, entity), vertices)] = 1 / len(vertices)
-    return shares
+    local, kind = joint.table.local_in(rows, cells), joint.cell_type
+    nodes = facet_nodes(np.asarray(model.V.dofmap.list, np.int64), kind, model.domain.local_cells[cells], local)
+    weights = vertex_weights(FACET_TYPES[kind], model.structure.degree)
+    return nodes, weights @ points[facet_nodes(joint.corners, kind, cells, local)]

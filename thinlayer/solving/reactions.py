@@ -16,7 +16,8 @@ from geometry.refusals import place_text
 from geometry.topology import Indices, IntArray
 from thinlayer.discretisation.boundary import AXIS_NAMES
 from thinlayer.discretisation.constraints import distributed_product
-from thinlayer.discretisation.layer import SeamLayer, nodes_of_sides
+from thinlayer.discretisation.contact_nodes import nodes_of_sides
+from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.mesh_functions import mesh_cut_at_faces
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid_motions import model_motion_values, motion_values
@@ -176,7 +177,7 @@ class RigidMotions:
             local_mask = model.domain.to_local(cell_mask)[: len(dofs)]
             block_of[dofs[local_mask]] = cell_blocks[local_mask, None]
         for k, name in enumerate(model.layers if joint.band is None else (), 1):
-            nodes = np.concatenate([side.ravel() for side in nodes_of_sides(model, V, name)])
+            nodes = nodes_of_sides(V, model.domain.sides(name)[0])[0]
             block_of[nodes] = block_of[nodes] % n_pieces + k * n_pieces
         block_of = block_of.repeat(joint.dim)[: model.constraints.n]
         block_of[model.constraints.bc_dofs] %= n_pieces

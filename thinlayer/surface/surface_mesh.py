@@ -19,7 +19,16 @@ from forms.base import Array, InputError, require
 from geometry.refusals import refuse, require_known
 from geometry.seam import BASE, S
 from geometry.sheet import Rim, Sheet
-from geometry.topology import FACET_TYPES, BoolArray, IntArray, curve_order, lagrange, place_order, sum_by_number
+from geometry.topology import (
+    FACET_TYPES,
+    BoolArray,
+    IntArray,
+    curve_order,
+    lagrange,
+    normal_vectors,
+    place_order,
+    sum_by_number,
+)
 from thinlayer.discretisation.contact_nodes import normal_frames
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.layer import SeamLayer
@@ -57,10 +66,9 @@ class FacetPoints:
         self.rows, self.points, self.shapes, self._reference_gradients = rows, points, linear_table[0], linear_table[1:]
         self.x = np.moveaxis(table[0] @ nodes, -1, 0)
         self._tangent_vectors = tangents = table[1:] @ nodes
-        normals = np.stack([tangents[0, ..., 1], -tangents[0, ..., 0]], -1) if joint.dim == 2 else np.cross(*tangents)
+        normals = normal_vectors(tangents)
         area_factors = np.linalg.norm(normals, axis=-1)
-        cell_middles = joint.points[joint.corners[surface.cells[rows, 1]]].mean(axis=1)
-        upward = np.einsum("fqd,fd->fq", normals, cell_middles - joint.points[surface.corners[rows]].mean(axis=1))
+        upward = np.einsum("fqd,fd->fq", normals, joint.interface_normals[surface.rows[rows]])
         self.n = np.moveaxis(normals * (np.sign(upward) / area_factors)[..., None], -1, 0)
         self.weights = weights * area_factors * surface.model.kinematics.factors_at(np.moveaxis(self.x, 0, -1))
 
@@ -132,7 +140,7 @@ class SurfaceMesh:
         self.model, self.seam = model, seam
         self.joint = joint = model.domain.joint if model.broken else model.joint
         self.kind = FACET_TYPES[joint.cell_type]
-        self.rows: IntArray = np.searchsorted(joint.surface_rows, joint.rows_of(seam))
+        self.rows: IntArray = joint.facets_of(seam)
         self.cells = joint.surface_cells[self.rows]
         self.corners = joint.surface[self.rows, : joint.table.vertices.shape[1]]
         self.seams = np.array(list(joint.seams))[joint.seam_numbers[self.rows]]
@@ -368,9 +376,7 @@ class SurfaceMesh:
     # ---------------------------------------------------------------- nodes
     def _number_nodes(self) -> tuple[IntArray, IntArray, IntArray]:
         """Return the arrays `node_numbers`, `vertices` and `nodes`."""
-        table_vertices = self.joint.table.vertices[self.joint.surface_rows[self.rows]]
-        positions = (table_vertices[:, None] == self.corners[..., None]).argmax(axis=2)
-        corner_numbers = np.take_along_axis(self.joint.pairs[self.rows], positions, axis=1)
+        corner_numbers = self.joint.pairs[self.rows]
         numbers, first_corners, nodes = np.unique(corner_numbers, return_index=True, return_inverse=True)
         vertices, nodes = self.joint.masters[self.corners].ravel()[first_corners], nodes.reshape(corner_numbers.shape)
         x, size = self.joint.points[vertices], self.joint.size
