@@ -29,6 +29,7 @@ from geometry.topology import (
     mid_node_weights,
     ridge_keys,
     ridges,
+    turned_towards,
 )
 
 Profile = Callable[[FloatArray], FloatArray]
@@ -261,12 +262,9 @@ class Joint:
                 refuse(is_outer, self.points[nodes], f"{text} needs cells on both sides, or all stand on a rigid base")
             if not is_outer.any():
                 x = self.points[nodes].mean(axis=1)
-                if seam.direction is None:
-                    is_upwards = seam.is_upper_by_regions(name, x, self.region[cell_pairs[in_seam]], self.regions)
-                else:
-                    normals = facet_normals(self.points, nodes, self.cell_type).mean(axis=1)
-                    to_second = self.points[self.corners[cell_pairs[in_seam, 1]]].mean(axis=1) - x
-                    is_upwards = seam.is_upper_by_direction(name, x, normals, to_second)
+                to_second = self.points[self.corners[cell_pairs[in_seam, 1]]].mean(axis=1) - x
+                normals = turned_towards(facet_normals(self.points, nodes, self.cell_type).mean(axis=1), to_second)
+                is_upwards = seam.second_is_upper(name, x, normals, self.region[cell_pairs[in_seam]], self.regions)
                 cell_pairs[in_seam[~is_upwards]] = cell_pairs[in_seam[~is_upwards]][:, ::-1]
         return cell_pairs
 

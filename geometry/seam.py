@@ -103,35 +103,27 @@ class Seam:
             if finite_values(self.direction, (dim,)) is None or not np.any(self.direction):
                 raise InputError(f"direction is {self.direction}; it needs {dim} components, not all zero")
 
-    def is_upper_by_direction(self, name: str, x: FloatArray, normals: FloatArray, to_second: FloatArray) -> BoolArray:
-        """Return (n,) whether the second of the two cells at each facet is on the upper side, judged by `direction`.
+    def second_is_upper(
+        self, name: str, x: FloatArray, normals: FloatArray, region: IntArray, regions: Sequence[str]
+    ) -> BoolArray:
+        """Return (n,) whether the second of the two cells at each facet is on the upper side.
 
         Args:
             name: name of the seam, for messages.
             x: (n, d) centres of the facets, in d dimensions.
-            normals: (n, d) normals of the facets, of either sign.
-            to_second: (n, d) vectors from the centres of the facets to the centres of their second cells.
-
-        Raises:
-            InputError: the direction is parallel to a facet, or nearly so.
-        """
-        direction = np.asarray(self.direction, float)
-        cosine = normals @ direction / np.linalg.norm(normals, axis=1) / np.linalg.norm(direction)
-        refuse(np.abs(cosine) < MIN_COSINE, x, f"direction {self.direction} of {name!r} lies in the facet near {{at}}")
-        return np.asarray((to_second * normals).sum(axis=1) * cosine > 0)
-
-    def is_upper_by_regions(self, name: str, x: FloatArray, region: IntArray, regions: Sequence[str]) -> BoolArray:
-        """Return (n,) whether the second of the two cells at each facet is on the upper side, judged by their regions.
-
-        Args:
-            name: name of the seam, for messages.
-            x: (n, d) centres of the facets, in d dimensions, for messages.
+            normals: (n, d) normals of the facets, towards their second cells.
             region: (n, 2) positions in `regions` of the regions of the first and of the second cell.
             regions: names of all cell regions of the mesh.
 
         Raises:
-            InputError: both cells at a facet are on one side.
+            InputError: the direction is parallel to a facet, or nearly so; or both cells at a facet are on one side.
         """
+        if self.direction is not None:
+            direction = np.asarray(self.direction, float)
+            cosine = normals @ direction / np.linalg.norm(normals, axis=1) / np.linalg.norm(direction)
+            text = f"direction {self.direction} of {name!r} lies in the facet near {{at}}"
+            refuse(np.abs(cosine) < MIN_COSINE, x, text)
+            return np.asarray(cosine > 0)
         if self.lower or self.upper:
             lower, upper = (np.isin(region, [regions.index(key) for key in side]) for side in (self.lower, self.upper))
             in_lower, in_upper = lower if self.lower else ~upper, upper if self.upper else ~lower

@@ -350,6 +350,11 @@ def facet_normals(points: FloatArray, nodes: IntArray, cell_type: str) -> FloatA
     return np.asarray(normal / np.linalg.norm(normal, axis=-1, keepdims=True), float)
 
 
+def turned_towards(vectors: FloatArray, to: FloatArray) -> FloatArray:
+    """Return n vectors (n, d), reversed where they point away from the vectors `to` (n, d)."""
+    return vectors * np.sign((vectors * to).sum(axis=1, keepdims=True))
+
+
 @dataclass(frozen=True)
 class Splitting:
     """A mesh that is cut along some facets, and the components into which the cut divides the cells around each entity.

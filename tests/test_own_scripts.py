@@ -297,7 +297,7 @@ def test_refused_tags():
         (some, facets, LAYER, "24 cells have no tag"),
         (uniform, facets, LAYER, r"6 facets of S lie inside a body.*\(.*, 0.5\)"),
         (cells, mixed, LAYER, "6 of 12 facets with tag 3 lie on the boundary"),
-        (cells, facets, {LAYER: {LOWER, UPPER}}, "one side in"),
+        (cells, facets, {LAYER: {LOWER, UPPER}}, "the same body on both sides"),
     ]:
         refused(InputError, message, BrokenMesh, grid, bodies, tags, S)
     refused(InputError, "S has no tag 9; there are 3", lambda: blocks.broken.interface(9))

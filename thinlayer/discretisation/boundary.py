@@ -14,7 +14,7 @@ from geometry.domain import Domain, cell_nodes, cells_of_facets
 from geometry.joint import Joint
 from geometry.refusals import refuse, require_known
 from geometry.seam import LAYER, FacetName, S
-from geometry.topology import BoolArray, Indices, IntArray, components, facet_normals, sum_by_number
+from geometry.topology import BoolArray, Indices, IntArray, components, facet_normals, sum_by_number, turned_towards
 from thinlayer.system.compat import interpolation_points
 from thinlayer.system.ranks import send
 
@@ -173,8 +173,7 @@ def side_normals(joint: Joint, name: str, ridges: IntArray) -> Array:
     facets, cell_type = joint.facets[name], {2: "triangle", 3: "tetrahedron"}[joint.dim]
     cells = joint.table.cells[joint.table.index(facets), 0]
     to_cells = joint.points[joint.corners[cells]].mean(axis=1) - joint.points[facets].mean(axis=1)
-    normals = facet_normals(joint.points, facets[:, : joint.dim], cell_type)[:, 0]
-    normals *= -np.sign((normals * to_cells).sum(axis=1))[:, None]
+    normals = turned_towards(facet_normals(joint.points, facets[:, : joint.dim], cell_type)[:, 0], -to_cells)
     out = np.full((len(ridges), joint.dim), np.nan)
     for k, ridge in enumerate(ridges):
         normal_sum = normals[np.isin(facets, ridge).sum(axis=1) == len(np.unique(ridge))].sum(axis=0)

@@ -21,7 +21,8 @@ from forms.traction import TractionLaw
 from forms.work import Interface, Term, s_terms
 from geometry.domain import create_connectivity
 from geometry.refusals import unknown_name_message
-from geometry.topology import BoolArray, Indices
+from geometry.seam import Seam
+from geometry.topology import Indices, turned_towards
 from thinlayer.discretisation.boundary import AXIS_TOLERANCE
 from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.form_compilation import law_with_expressions
@@ -32,7 +33,6 @@ from thinlayer.system.ranks import communicator, errors_on_all
 
 UpperSideRule = int | set[int] | frozenset[int] | Sequence[float] | None
 TagRules = int | Iterable[int] | Mapping[int, UpperSideRule]
-MIN_NORMAL_COSINE = 0.02  # least cosine between a facet's normal and a direction that chooses its upper side
 
 
 class BrokenMesh:
@@ -92,7 +92,9 @@ class BrokenMesh:
         rules = dict(S) if isinstance(S, Mapping) else dict.fromkeys([S] if isinstance(S, int) else S)
         create_connectivity(mesh, self._dim - 1)
         self._exterior = np.asarray(dolfinx.mesh.exterior_facet_indices(mesh.topology))
-        self._body_of = self._body_tags_of_cells()
+        tag_of_cells = self._body_tags_of_cells()
+        self._body_tags = np.unique(np.concatenate(self.comm.allgather(np.unique(tag_of_cells))))
+        self._body_of = np.searchsorted(self._body_tags, tag_of_cells)
         self._check_facets_of_S(np.concatenate([np.empty(0, np.int32), *(self._owned_facets(tag) for tag in rules)]))
         self._facet_sides: dict[int, Indices] = {}
         for tag, upper_rule in rules.items():
@@ -104,12 +106,11 @@ class BrokenMesh:
                 raise InputError(f"S: no facet has the tag {tag}; there are {', '.join(map(str, tags)) or 'none'}")
             if outer not in (0, n_facets):
                 raise InputError(f"S: {outer} of {n_facets} facets with tag {tag} lie on the boundary; all or none may")
-            if not outer:
-                self._facet_sides[tag] = self._oriented_facets(tag, facets, upper_rule)
-        self._base_tags = rules.keys() - self._facet_sides.keys()
-        data = [(tag, rows.ravel()) for tag, rows in sorted(self._facet_sides.items())]  # DOLFINx loses unsorted tags
+            on_base = integration_entities("exterior_facet", mesh, facets)
+            self._facet_sides[tag] = on_base if outer else self._oriented_facets(tag, facets, upper_rule)
+        # DOLFINx loses unsorted tags
+        data = [(tag, sides.ravel()) for tag, sides in sorted(self._facet_sides.items()) if sides.shape[1] == 4]
         self.dS = ufl.Measure("dS", domain=mesh, subdomain_data=data)
-        self._tags_of_S = tuple(rules)
 
     @staticmethod
     def _kinematics(mesh: Mesh, plane: str) -> Kinematics:
@@ -131,16 +132,14 @@ class BrokenMesh:
         if isinstance(element, tuple):
             family, degree, *shape = element
             element = basix.ufl.element(family, self.mesh.basix_cell(), degree, shape=shape[0] if shape else None)
-        distinct_tags = np.unique(np.concatenate(self.comm.allgather(np.unique(self._body_of))))
-        body_index = np.searchsorted(distinct_tags, self._body_of)
         n_entities = partial(cpp.mesh.cell_num_entities, self.mesh.topology.cell_type)
-        components = [np.tile(body_index, (n_entities(dim), 1)).T for dim in range(self._dim)]
+        components = [np.tile(self._body_of, (n_entities(dim), 1)).T for dim in range(self._dim)]
         return broken_space(self.comm, SharedDofs.of_components(self.comm, self.mesh, element, components))
 
     def interface(self, tag: int) -> Interface:
         """Return the two sides of the facets of S with a tag: normal, jumps of functions, and measure of integrals."""
         self._require_tag(tag)
-        if tag in self._base_tags:
+        if self._facet_sides[tag].shape[1] == 2:
             ds = ufl.Measure("ds", domain=self.mesh, subdomain_data=self.facet_tags)
             return Interface.on_rigid_base(ds(tag), self.kinematics)
         return Interface.between_bodies(self.dS(tag), self.kinematics)
@@ -203,8 +202,8 @@ class BrokenMesh:
         return ContactSurface(V, self.comm, self._facet_sides[tag], kinematics=self.kinematics)
 
     def _require_tag(self, tag: int) -> None:
-        if tag not in self._tags_of_S:
-            raise InputError(f"S has no tag {tag}; there are {', '.join(map(str, self._tags_of_S))}")
+        if tag not in self._facet_sides:
+            raise InputError(f"S has no tag {tag}; there are {', '.join(map(str, self._facet_sides))}")
 
     def _require_no_locking(self, tag: int, law: BulkLaw) -> None:
         """Raise InputError if lmbda/mu is so large somewhere on the facets with a tag that the law of order 1 locks."""
@@ -284,7 +283,7 @@ class BrokenMesh:
             raise InputError(f"{count} facets {what}; one is at ({', '.join(f'{c:g}' for c in place)})")
 
     def _oriented_facets(self, tag: int, facets: Indices, upper: UpperSideRule) -> Indices:
-        """Return for each of n facets between bodies the cell on its upper and the cell on its lower side.
+        """Return for each of n facets between bodies the cell on its upper and the cell on its lower side. Collective.
 
         Args:
             tag: tag of the facets, for messages.
@@ -294,35 +293,22 @@ class BrokenMesh:
         Returns:
             Rows (n, 4): upper cell, number of the facet in this cell, lower cell, number of the facet in this cell.
         """
-        entities = integration_entities("interior_facet", self.mesh, facets)
-        first_cells, second_cells = entities[:, 0], entities[:, 2]
-        if upper is None:
-            is_swapped = self._body_of[first_cells] < self._body_of[second_cells]
-        elif isinstance(upper, int | np.integer | set | frozenset):
-            in_upper_bodies = np.isin(self._body_of, list(upper) if isinstance(upper, set | frozenset) else [upper])
-            text = f"with tag {tag} do not have one side in {upper} and the other outside"
-            self._refuse(facets[in_upper_bodies[first_cells] == in_upper_bodies[second_cells]], text)
-            is_swapped = in_upper_bodies[second_cells]
-        else:
-            is_swapped = ~self._lies_on_side(first_cells, tag, facets, np.asarray(upper, float))
-        entities[is_swapped] = entities[is_swapped][:, [2, 3, 0, 1]]
+        entities, midpoints = integration_entities("interior_facet", self.mesh, facets), dolfinx.mesh.compute_midpoints
+        seam, bodies, d = _seam(upper), tuple(map(str, self._body_tags)), self._dim
+        x = midpoints(self.mesh, d - 1, facets)
+        to_second = midpoints(self.mesh, d, entities[:, 2]) - x
+        normals = turned_towards(cpp.mesh.cell_normals(self.mesh._cpp_object, d - 1, facets), to_second)
+        body = self._body_of[entities[:, ::2]]
+        with errors_on_all(self.comm):
+            seam.check(f"tag {tag} of S", bodies, d)
+            is_upper = seam.second_is_upper(f"tag {tag} of S", x[:, :d], normals[:, :d], body, bodies)
+        entities[is_upper] = entities[is_upper][:, [2, 3, 0, 1]]
         return entities
 
-    def _lies_on_side(self, cells: Indices, tag: int, facets: Indices, direction: Array) -> BoolArray:
-        """Return a mask (n,) of cells: whether each lies on the side of its facet to which `direction` (d,) points.
 
-        `facets` (n,) and `cells` (n,) are local numbers: each facet and one of its cells. `tag` is the facets' tag, for
-        messages.
-
-        Raises:
-            InputError: the direction is zero, or parallel to a facet.
-        """
-        if direction.shape != (self._dim,) or not np.linalg.norm(direction) > 0:
-            raise InputError(f"S: the upper side of {tag} is {direction}; allowed: {self._dim} numbers, not all 0")
-        normals = cpp.mesh.cell_normals(self.mesh._cpp_object, self._dim - 1, facets)[:, : self._dim]
-        cosines = normals @ direction / np.linalg.norm(direction)
-        text = f"with tag {tag} are parallel to {tuple(map(float, direction))}, which does not tell their upper side"
-        self._refuse(facets[np.abs(cosines) < MIN_NORMAL_COSINE], text)
-        compute_midpoints = dolfinx.mesh.compute_midpoints
-        to_cells = compute_midpoints(self.mesh, self._dim, cells) - compute_midpoints(self.mesh, self._dim - 1, facets)
-        return np.asarray(np.einsum("fk,fk->f", to_cells[:, : self._dim], normals) * cosines > 0)
+def _seam(upper: UpperSideRule) -> Seam:
+    """Return the choice of an upper side by the rule `upper`, a value of the argument `S` of `BrokenMesh`."""
+    bodies = {upper} if isinstance(upper, int | np.integer) else upper
+    if isinstance(bodies, set | frozenset) and bodies:
+        return Seam(upper=tuple(map(str, bodies)))
+    return Seam(direction=None if upper is None else tuple(np.ravel(np.array(upper)).tolist()))

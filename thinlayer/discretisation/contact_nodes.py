@@ -26,6 +26,7 @@ from geometry.topology import (
     geometry_degree,
     nodal_normal_vectors,
     sum_by_number,
+    turned_towards,
     vertex_weights,
 )
 from thinlayer.discretisation.model import Model
@@ -328,9 +329,9 @@ def _facet_node_rows(surface: ContactSurface) -> Array:
     corners = mesh.geometry.x[_vertex_points(mesh, *sides.T[:2]), :d]
     normals = nodal_normal_vectors(corners, facet_type)
     areas = np.linalg.norm(normals, axis=2) * basix.cell.volume(basix.CellType[facet_type]) / corners.shape[1]
-    n = normals.mean(axis=1)
     to_upper_cells = mesh.geometry.x[cell_nodes(mesh)[sides[:, 0]], :d].mean(axis=1) - corners.mean(axis=1)
-    n *= (np.sign((n * to_upper_cells).sum(axis=1)) / np.linalg.norm(n, axis=1))[:, None]  # towards the upper side
+    n = turned_towards(normals.mean(axis=1), to_upper_cells)
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
     (above, *below), node_ids = nodes_of_sides(V, sides)
     node_areas = kinematics.corner_areas(corners, areas)
     if V.ufl_element().degree == 2:  # Simpson's rule: weights 1, 4 inside edges and 16 inside quadrilaterals
