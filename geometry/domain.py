@@ -150,19 +150,6 @@ def _facets_of_cells(mesh: dolfinx.mesh.Mesh) -> Indices:
     return np.asarray(topology.connectivity(dim, dim - 1).array.reshape(-1, count))
 
 
-def vertices_of_facets(mesh: dolfinx.mesh.Mesh, cell_type: str, facets: Indices, corners: IntArray) -> IntArray:
-    """Return the array (n, k) of the k vertices of each of n facets, in the numbering that `corners` has.
-
-    Args:
-        mesh: the mesh.
-        cell_type: type of its cells, such as "triangle".
-        facets: (n,) local numbers of the facets.
-        corners: (n_cells, m) numbers of the m vertices of each local cell, ghosts included, in any numbering; for
-            example, in that of the joint.
-    """
-    return facet_nodes(corners, cell_type, *cells_of_facets(mesh, facets))
-
-
 @dataclass(frozen=True)
 class Domain:
     """A distributed mesh with the names of its regions and facet sets.
@@ -239,7 +226,8 @@ class Domain:
         joint = self.joint
         if dim == joint.dim:
             return self.original_cells[entities]
-        return joint.table.index(vertices_of_facets(self.mesh, joint.cell_type, entities, self.to_local(joint.corners)))
+        cells, local = cells_of_facets(self.mesh, entities)
+        return joint.table.index(facet_nodes(joint.corners, joint.cell_type, self.original_cells[cells], local))
 
     def to_local(self, cell_values: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
         """Return the values of this rank's cells, ghosts included, from values of all cells of the joint.

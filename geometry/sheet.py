@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import NamedTuple
 
+import basix
 import numpy as np
 
 from geometry.joint import PLANAR_TOLERANCE, Joint
@@ -18,6 +19,8 @@ from geometry.topology import (
     IntArray,
     components,
     facet_ridge_keys,
+    is_tensor,
+    lagrange,
     ridge_keys,
     ridges,
 )
@@ -173,6 +176,15 @@ class Sheet:
         gram_determinant = np.linalg.det(self._edges @ np.swapaxes(self._edges, 1, 2))
         return np.asarray(np.sqrt(gram_determinant) / math.factorial(self.joint.dim - 1))
 
+    def facet_integrals(self, values: FloatArray | float) -> FloatArray:
+        """Return the integrals (n_facets,) over the seam's facets of values (n,), one for each of the n simplices."""
+        facet = np.searchsorted(self.facets, self.simplices[0])
+        return np.bincount(facet, self.areas * values, len(self.facets)).astype(float)
+
+    def facet_means(self, values: FloatArray) -> FloatArray:
+        """Return the means (n_facets,) over the seam's facets of values (n,), one for each of the n simplices."""
+        return np.asarray(self.facet_integrals(values) / self.facet_integrals(1.0))
+
     @cached_property
     def rim(self) -> Rim:
         """Ridges where the seam ends on the outer boundary; ridges inside bodies or on periodic sides are left out."""
@@ -234,25 +246,18 @@ class Sheet:
 
 
 def volume_of(joint: Joint, is_inside: BoolArray) -> float:
-    """Return the volume, in 2D the area, of bodies that outer facets and facets of S enclose.
-
-    It is the sum of the signed volumes of cones from one place to these facets.
+    """Return the volume, in 2D the area, of some cells of a joint; curved cells count as straight-sided.
 
     Args:
-        joint: the joint; curved cells count as straight-sided.
-        is_inside: (n_cells,) whether each cell is part of the bodies, which must be whole pieces of the mesh cut by S.
+        joint: the joint.
+        is_inside: (n_cells,) whether each cell counts.
     """
-    facet_rows = np.concatenate([joint.outer_rows, joint.surface_rows, joint.surface_rows])
-    cells = np.concatenate([joint.table.cells[joint.outer_rows, 0], *joint.surface_cells.T])
-    is_kept = (cells >= 0) & is_inside[cells]
-    nodes = joint.table.nodes(facet_rows[is_kept], joint.corners, joint.cell_type)
-    centres = joint.points[joint.corners[cells[is_kept]]].mean(axis=1)[:, None]
-    volume = 0.0
-    for corners in QUADRILATERAL_TRIANGLES if joint.cell_type == "hexahedron" else (tuple(range(joint.dim)),):
-        x = joint.points[nodes[:, corners]]
-        cones, side = (np.linalg.det(x - tip) for tip in (x[0, 0], centres))  # from one place, and the cell's middle
-        volume += float((cones * np.sign(side)).sum()) / math.factorial(joint.dim)
-    return volume
+    points, weights = basix.make_quadrature(
+        basix.CellType[joint.cell_type], joint.dim if is_tensor(joint.cell_type) else 0
+    )
+    gradients = lagrange(joint.cell_type, 1).tabulate(1, points)[1:, :, :, 0]
+    jacobians = np.einsum("tqn,cnd->cqtd", gradients, joint.points[joint.corners[is_inside]])
+    return float((np.abs(np.linalg.det(jacobians)) @ weights).sum())
 
 
 class StraightEnd(NamedTuple):

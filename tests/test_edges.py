@@ -95,7 +95,7 @@ def weights_on(joint, eps, ends=None):
     sheet = Sheet(joint)
     ends = straight_ends(sheet.rim, sheet) if ends is None else ends
     strips = EndStrips.of_end(free_end(0.3))
-    area = np.bincount(np.searchsorted(sheet.facets, sheet.simplices[0]), sheet.areas)
+    area = sheet.facet_integrals(1.0)
     return FacetWeights.of_ends(ends, sheet, eps, strips), area, strips, ends
 
 

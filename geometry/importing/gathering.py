@@ -12,12 +12,12 @@ import numpy as np
 from mpi4py import MPI
 
 from forms.base import InputError, require
-from geometry.domain import cell_nodes, vertices_of_facets
+from geometry.domain import cell_nodes, cells_of_facets
 from geometry.importing.elements import joined
 from geometry.importing.naming import FileCells, GroupMasks, NamedGroups, SeamSides
 from geometry.joint import Joint
 from geometry.parallel import Comm, default_comm, on_root
-from geometry.topology import CELL_TYPES, FloatArray, Indices, IntArray, corner_count, geometry_degree
+from geometry.topology import CELL_TYPES, FloatArray, Indices, IntArray, corner_count, facet_nodes, geometry_degree
 
 BODY = "BODY"  # region of all cells if there are no cell tags
 UNTAGGED = np.iinfo(np.int64).min  # in place of the tag of a cell that has none although others have
@@ -92,7 +92,8 @@ class _OwnMesh(NamedTuple):
         facets, tags = _tags(mesh, facet_tags, dim - 1, "facet_tags")
         global_nodes = np.reshape(geometry.index_map().local_to_global(cells.ravel()), cells.shape)
         points = np.asarray(geometry.x[: geometry.index_map().size_local, : geometry.dim], float)
-        vertices = vertices_of_facets(mesh, cell_type, facets, global_nodes[:, : corner_count(cell_type)])
+        corners = global_nodes[:, : corner_count(cell_type)]
+        vertices = facet_nodes(corners, cell_type, *cells_of_facets(mesh, facets))
         return cls(cell_type, points, global_nodes[:n_owned], region_tags[:n_owned], vertices, tags)
 
 

@@ -50,8 +50,7 @@ def body_translations(joint: Joint, eps: FloatArray) -> FloatArray:
     n_pieces += bool((cells < 0).any())
     complaint = f"one body, as at {{at}}, lies below S and above it: {NOT_KEPT_MESSAGE}"
     refuse(side_pieces[:, 0] == side_pieces[:, 1], joint.points[joint.corners[cells[:, 1]]], complaint)
-    sheet = Sheet(joint)
-    facet_areas = np.bincount(sheet.simplices[0], sheet.areas)
+    facet_areas = Sheet(joint).facet_integrals(1.0)
     pairs, pair_no = unique_rows(side_pieces)
     areas: FloatArray = np.bincount(pair_no, facet_areas).astype(float)
     moment = sum_by_number(pair_no, facet_areas[:, None, None] * n[:, :, None] * n[:, None, :], len(pairs))

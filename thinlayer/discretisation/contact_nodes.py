@@ -73,7 +73,7 @@ def nodes_of_sides(V: fem.FunctionSpace, sides: Indices) -> tuple[IntArray, IntA
     cell_type, cell_nodes_of_V = V.mesh.topology.cell_name(), np.asarray(V.dofmap.list, np.int64)
     has_vertex = vertex_weights(FACET_TYPES[cell_type], geometry_degree(cell_type, cell_nodes_of_V.shape[1])) > 0
     nodes, keys, vertex_numbers = [], [], np.asarray(V.mesh.geometry.input_global_indices, np.int64)
-    for cells, local in sides.T.reshape(-1, 2, len(sides)):
+    for cells, local in zip(sides.T[::2], sides.T[1::2], strict=True):
         bits = 1 << vertex_numbers[_vertex_points(V.mesh, cells, local)].argsort(axis=1).argsort(axis=1)
         keys.append(bits @ has_vertex.T.astype(np.int64))
         nodes.append(facet_nodes(cell_nodes_of_V, cell_type, cells, local))

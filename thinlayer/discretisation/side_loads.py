@@ -40,7 +40,7 @@ from thinlayer.discretisation.forces import Forces, LoadRegion
 from thinlayer.discretisation.layer import SeamLayer, law_with_numbers
 from thinlayer.discretisation.mesh_functions import cellwise_function
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.sides import mean_on_facets, strip_shares
+from thinlayer.discretisation.sides import strip_shares
 from thinlayer.errors import Violation
 
 # 7 zeta(3)/pi^3: mean distance from the end, over the thickness, of the tractions that balance a load along the end
@@ -138,8 +138,7 @@ def _transfer_factors(end: StraightEnd, rim: Rim, layer: SeamLayer) -> FloatArra
     sheet, eps, kinematics = layer.sheet, layer.eps, layer.structure.kinematics
     constants = free_end(poisson_ratio(law_with_numbers(layer.layer, kinematics)))
     strips, points, share_of_strip = EndStrips.of_end(constants), sheet.joint.points, partial(strip_shares, end, sheet)
-    area_factor = mean_on_facets(sheet, kinematics.factors_at(points[sheet.vertices].mean(axis=1)))
-    weighted_areas = area_factor * np.bincount(np.searchsorted(sheet.facets, sheet.simplices[0]), sheet.areas)
+    weighted_areas = sheet.facet_integrals(kinematics.factors_at(points[sheet.vertices].mean(axis=1)))
     midpoints = points[rim.vertices].mean(axis=1)
     end_factor = kinematics.factors_at(midpoints[end.contains(midpoints)]).mean()
     l_N, l_T = strips.opening.length, strips.shear.length

@@ -88,19 +88,10 @@ def _rim_normals(joint: Joint, rim: Rim, name: str) -> FloatArray:
     return np.where(np.isnan(normals), rim.outward, normals)
 
 
-def mean_on_facets(sheet: Sheet, values: FloatArray) -> FloatArray:
-    """Return the means (n,) over the n facets of a seam of values (m,) on its m triangles, weighted by area.
-
-    In 2D the values are on m segments.
-    """
-    facet, n_facets = np.searchsorted(sheet.facets, sheet.simplices[0]), len(sheet.facets)
-    return np.asarray(np.bincount(facet, sheet.areas * values, n_facets) / np.bincount(facet, sheet.areas, n_facets))
-
-
 def strip_shares(end: StraightEnd, sheet: Sheet, reach: float) -> FloatArray:
     """Return the fraction (n,) of each facet of S that lies in the strip of width `reach` along a straight end."""
     x = sheet.joint.points[sheet.vertices]
-    return mean_on_facets(sheet, fraction_below(end.distance(x), reach) * end.is_in_front(x.mean(axis=1)))
+    return sheet.facet_means(fraction_below(end.distance(x), reach) * end.is_in_front(x.mean(axis=1)))
 
 
 @dataclass(frozen=True)
@@ -138,7 +129,7 @@ class FacetWeights:
         joint, count = sheet.joint, len(sheet.facets)
         weights = np.zeros((3, count))
         nearest, m, offset = np.full(count, np.inf), np.zeros((count, joint.dim)), np.full(count, NO_END * joint.size)
-        centroids = np.stack([mean_on_facets(sheet, c) for c in joint.points[sheet.vertices].mean(axis=1).T], axis=1)
+        centroids = np.stack([sheet.facet_means(c) for c in joint.points[sheet.vertices].mean(axis=1).T], axis=1)
         for end in ends:
             for k, strip in enumerate((strips.opening, strips.shear, strips.resistance)):
                 weights[k] += strip.c / strip.length * strip_shares(end, sheet, strip.length * eps)

@@ -282,10 +282,9 @@ def pressure_excess(faces: FaceDisplacements, layer: SublayerModuli) -> Pressure
     eps = surface.from_corners(surface.thickness(faces.layer, surface.corners))
     normal_jump = surface.from_corners(faces.normal_jump)
     k_N, wb = layer.lmbda / eps, normal_jump + eps * faces.surface_divergence
-    node_vertices = np.zeros(len(surface.node_numbers), np.int64)
-    node_vertices[surface.nodes] = joint.masters[surface.corners]
-    vertices, number = np.unique(node_vertices, return_inverse=True)  # the pressure is continuous where bodies branch
-    expand = scipy.sparse.csc_matrix((np.ones(len(node_vertices)), (np.arange(len(node_vertices)), number)))
+    # the pressure is continuous where bodies branch
+    vertices, number = np.unique(surface.vertices, return_inverse=True)
+    expand = scipy.sparse.csc_matrix((np.ones(len(number)), (np.arange(len(number)), number)))
     b = expand.T @ surface.nodal_sums(surface.moments(wb))
     volume_matrix = expand.T @ surface.mass(1 / k_N) @ expand
     system = volume_matrix + expand.T @ surface.stiffness(eps**3 / (12 * layer.mu)) @ expand

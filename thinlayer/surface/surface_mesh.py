@@ -280,13 +280,11 @@ class SurfaceMesh:
         out = np.zeros((2, f.function_space.dofmap.bs, *at.weights.shape))
         geometry = np.asarray(basix.geometry(basix.CellType[self.joint.cell_type]))
         for side, cells in enumerate(self.cells[at.rows].T):
-            local_corners = (self.joint.corners[cells][:, None] == self.corners[at.rows][..., None]).argmax(axis=2)
-            orientations, orientation = np.unique(local_corners, axis=0, return_inverse=True)
-            for k, corners in enumerate(orientations):  # one for each orientation of facets in their cells
-                rows = np.flatnonzero((orientation.ravel() == k) & (cells >= 0))
-                if len(rows):
-                    X = (at.shapes[0] if at.points.ndim == 2 else at.shapes[rows]) @ geometry[corners]
-                    out[side][:, rows] = np.moveaxis(tabulated(element, X, len(rows))[0] @ values[rows, side], -1, 0)
+            rows = np.flatnonzero(cells >= 0)
+            local_corners = self.joint.corners[cells[rows], None] == self.corners[at.rows[rows], :, None]
+            if len(rows):
+                X = at.shapes[rows] @ geometry[local_corners.argmax(axis=2)]
+                out[side][:, rows] = np.moveaxis(tabulated(element, X, len(rows))[0] @ values[rows, side], -1, 0)
         return out
 
     @cached_property
