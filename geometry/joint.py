@@ -67,6 +67,8 @@ class InflatedBand:
             the place on S below or above them.
         director: (n_band_cells, n_corners, d) unit normal of S at each vertex of the layers' cells, from the lower to
             the upper body. In junctions of layers with different normals it is the unit vector along y.
+        face_nodes: (2, n_S, k) numbers of the k nodes of each facet of `drawn_joint.surface` on the lower and on the
+            upper face of its layer; -1 where a face has no nodes. In refined layers n_S is 0.
     """
 
     eps: Mapping[str, float]
@@ -79,6 +81,7 @@ class InflatedBand:
     drawn_joint: Joint = field(repr=False)
     reference: FloatArray = field(repr=False)
     director: FloatArray = field(repr=False)
+    face_nodes: IntArray = field(repr=False)
 
 
 @dataclass(frozen=True, repr=False)

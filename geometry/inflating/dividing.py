@@ -156,6 +156,6 @@ def _refined_joint(layers: Joint, parent: IntArray, corner_X: FloatArray) -> Ref
         is_named[layers.table.cells[rows, 0], layers.table.local[rows, 0]] = True
         facets[name] = cells[:, facet_vertices][(lies_on & is_named[parent][:, None]).any(axis=2)]
     points, region = x[kept], layers.region[parent]
-    new_band = replace(band, reference=reference[kept], director=director)
+    new_band = replace(band, reference=reference[kept], director=director, face_nodes=band.face_nodes[:, :0])
     joint = replace(layers, points=points, cells=cells, region=region, facets=facets, band=new_band)
     return RefinedLayers(joint, parent, corner_X)

@@ -123,8 +123,9 @@ def inflate(
     aligned = tuple(name for name, seam in fill_regions.items() if seams.index(seam) not in fill.region[tilted])
     director = np.concatenate([bands.director, np.where(tilted[:, None, None], np.eye(joint.dim)[1], fill.director)])
     band = InflatedBand(
-        layering.eps, bodies, layer_regions, sublayers, fill_regions, aligned, faces, joint, drawn_points, director
-    )
+        layering.eps, bodies, layer_regions, sublayers, fill_regions, aligned, faces, joint, drawn_points, director,
+        np.stack([copies.below, copies.above]),
+    )  # fmt: skip
     region = np.concatenate([joint.region, bands.region, first_fill_region + np.searchsorted(owner_seams, fill.region)])
     inflated = Joint(points, cells, joint.cell_type, region, joint.regions + layer_regions, facets, joint.seams, band)
     return with_sides(inflated, periods.sides) if periods else inflated
@@ -149,7 +150,8 @@ def without_bodies(inflated: Joint) -> Joint:
         if len(layer_facets := layer_facets[table.index(layer_facets) >= 0]):
             facets[name] = facets[FacetName.parse(name).continued_set] = layer_facets
     points, region = inflated.points[used_nodes], inflated.region[in_layer] - first_region
-    new_band = replace(band, reference=band.reference[used_nodes])
+    face_nodes = np.where(band.face_nodes >= 0, new_numbers[band.face_nodes], -1)
+    new_band = replace(band, reference=band.reference[used_nodes], face_nodes=face_nodes)
     return Joint(points, cells, inflated.cell_type, region, band.regions, facets, inflated.seams, new_band)
 
 

@@ -14,12 +14,12 @@ from scipy.sparse.csgraph import connected_components
 
 from forms.base import Array
 from geometry.joint import Joint
-from geometry.seam import LOWER_FACE, UPPER_FACE, FacetName
 from geometry.topology import FACET_TYPES, BoolArray, IntArray, facet_nodes, vertex_weights
 from thinlayer.discretisation.constraints import local_csr
 from thinlayer.discretisation.full_model import LayerModel, why_not_alone
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
+from thinlayer.discretisation.mesh_functions import band_of
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid_motions import model_motions
 from thinlayer.discretisation.state import Configuration, Report, State
@@ -429,18 +429,15 @@ def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntAr
             layers. Only dofs that this rank owns in the interface model occur.
     """
     joint, band, d = layers.joint, layers.domain.joint, interface.joint.dim
-    pairs = [np.empty((0, 2), np.int64)]
-    for seam in joint.seams:
-        in_seam = joint.facets_of(seam)
-        face_names = [str(FacetName(seam, face)) if len(joint.seams) > 1 else face for face in (LOWER_FACE, UPPER_FACE)]
-        for cells, name in zip(joint.surface_cells[in_seam].T, face_names, strict=True):
-            is_here = (cells >= 0) & (interface.domain.local_cells[cells] >= 0) & (name in band.facets)
-            rows, cells = joint.surface_rows[in_seam[is_here]], cells[is_here]
-            faces = band.table.index(band.facets[name])[is_here] if is_here.any() else rows
-            body_nodes, body_x = _facet_nodes(interface, joint, rows, cells, joint.points)
-            nodes, x = _facet_nodes(layers, band, faces, band.table.cells[faces, 0], band.reference)
-            nearest = np.linalg.norm(body_x[:, :, None] - x[:, None], axis=3).argmin(axis=2)
-            pairs.append(np.stack([body_nodes, np.take_along_axis(nodes, nearest, axis=1)], axis=2).reshape(-1, 2))
+    pairs, k = [], band.table.vertices.shape[1]
+    for cells, face_nodes in zip(joint.surface_cells.T, band_of(band).face_nodes, strict=True):
+        faces = band.table.index(face_nodes[:, :k])
+        is_here = (cells >= 0) & (interface.domain.local_cells[cells] >= 0) & (faces >= 0)
+        rows, cells, faces = joint.surface_rows[is_here], cells[is_here], faces[is_here]
+        body_nodes, body_x = _facet_nodes(interface, joint, rows, cells, joint.points)
+        nodes, x = _facet_nodes(layers, band, faces, band.table.cells[faces, 0], band.reference)
+        nearest = np.linalg.norm(body_x[:, :, None] - x[:, None], axis=3).argmin(axis=2)
+        pairs.append(np.stack([body_nodes, np.take_along_axis(nodes, nearest, axis=1)], axis=2).reshape(-1, 2))
     node_pairs = np.concatenate(pairs)
     node_pairs = node_pairs[node_pairs[:, 0] < interface.V.dofmap.index_map.size_local]
     _, first_rows = np.unique(node_pairs[:, 0], return_index=True)

@@ -153,26 +153,13 @@ def layer_points(surface: SurfaceMesh, state: State) -> Iterator[tuple[LawPoints
         other seams, and for cells where layers meet.
     """
     joint = surface.joint
-    facet_of_row = np.full(len(joint.table.vertices), -1)
-    facet_of_row[joint.surface_rows[surface.rows]] = np.arange(len(surface.rows))
-    facet_of_cell = _facets_of_cells(surface, state) if not state.model.broken else None
-    for points in law_points(state):
-        if points.quadrature.region.dim < joint.dim:
-            yield points, facet_of_row[points.quadrature.entity_numbers]
-        elif points.term.n is not None and facet_of_cell is not None:
-            yield points, facet_of_cell[points.quadrature.entity_numbers]
-
-
-def _facets_of_cells(surface: SurfaceMesh, state: State) -> IntArray:
-    """Return for each cell of the joint the number of the facet on the surface from which the cell was extruded.
-
-    The number is -1 for cells of bodies, for cells where layers meet, and for cells of layers on other seams.
-    """
-    joint = surface.joint
-    column_of_cell, column_centres = column_numbers(state.model.domain.joint)
+    column, column_centres = column_numbers(state.model.domain.joint)
     distance, facet_of_column = cKDTree(joint.points[surface.corners].mean(axis=1)).query(column_centres)
     facet_of_column = np.where(distance <= CENTRE_TOLERANCE * joint.size, facet_of_column, -1)
-    return np.where(column_of_cell >= 0, facet_of_column[column_of_cell], -1)
+    facets = np.where(column >= 0, facet_of_column[column], -1)
+    for points in law_points(state):
+        if points.term.n is not None:
+            yield points, facets[points.quadrature.entity_numbers]
 
 
 def unpack_memory(law: BulkLaw, memory: Array) -> dict[str, Array]:

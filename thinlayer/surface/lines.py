@@ -11,7 +11,7 @@ import numpy as np
 from forms.base import Array, InputError, require
 from forms.temperature import finite_values
 from geometry.joint import Joint
-from geometry.topology import BoolArray, IntArray, components, curve_order, is_tensor, lagrange, place_order
+from geometry.topology import BoolArray, IntArray, components, curve_order, lagrange, place_order
 from thinlayer.system.table import Table
 
 Plane = tuple[Sequence[float], Sequence[float]]
@@ -173,14 +173,12 @@ def cut_segments(joint: Joint, nodes: IntArray, values: Array, plane: Plane) -> 
     """
     if (plane_data := finite_values(plane, (2, 3))) is None or not plane_data[1].any():
         raise InputError(f"plane is {plane!r}; it must be (point, normal), three finite numbers each, not all zero")
-    ring_order = [0, 1, 3, 2] if is_tensor(joint.cell_type) else [0, 1, 2]
-    ring_nodes, values = nodes[:, ring_order], values[:, ring_order]
-    x = joint.points[ring_nodes]
-    heights = (x - plane_data[0]) @ plane_data[1] / np.linalg.norm(plane_data[1])
+    corners = nodes[:, : values.shape[1]]
+    heights = (joint.points[corners] - plane_data[0]) @ plane_data[1] / np.linalg.norm(plane_data[1])
     heights[np.abs(heights) <= LINE_TOLERANCE * joint.size] = 0.0
-    segments = _cut_facets(ring_nodes, x, values, heights, heights >= 0)
+    segments = _cut_facets(joint, corners, values, heights, heights >= 0)
     # if facets lie in the plane, facets on one side are cut at their edges
-    return segments if len(segments.end_numbers) else _cut_facets(ring_nodes, x, values, heights, heights > 0)
+    return segments if len(segments.end_numbers) else _cut_facets(joint, corners, values, heights, heights > 0)
 
 
 def level_points(joint: Joint, seam: str, facet_rows: IntArray, heights: Array) -> Array:
@@ -192,19 +190,19 @@ def level_points(joint: Joint, seam: str, facet_rows: IntArray, heights: Array) 
         facet_rows: (n,) positions of the seam's facets in `joint.surface`.
         heights: (n, k) numbers at the k corners of each facet.
     """
-    order = [0, 1] if joint.dim == 2 else [0, 1, 3, 2] if is_tensor(joint.cell_type) else [0, 1, 2]
-    nodes, heights = joint.surface[facet_rows][:, order], heights[:, order]
-    x, is_above = joint.points[nodes], heights >= 0
+    corners = joint.surface[facet_rows][:, : heights.shape[1]]
+    segments = _cut_facets(joint, corners, np.zeros((*heights.shape, 1)), heights, heights >= 0)
     if joint.dim == 3:
-        segments = _cut_facets(nodes, x, np.zeros((*heights.shape, 1)), heights, is_above)
         return np.concatenate([np.empty((0, 3)), *(line.x for line in segments.join_to_lines(seam, joint.size))])
-    (x_0, x_1), (h_0, h_1) = (np.moveaxis(values[is_above[:, 0] != is_above[:, 1]], 1, 0) for values in (x, heights))
-    points = x_0 + (h_0 / (h_0 - h_1))[:, None] * (x_1 - x_0)
+    points = segments.x[:, 0]
     return np.asarray(points[place_order(points, joint.size)])
 
 
-def _cut_facets(ring_nodes: IntArray, x: Array, values: Array, heights: Array, is_above: BoolArray) -> Segments:
-    next_corner = np.roll(np.arange(ring_nodes.shape[1]), -1)
+def _cut_facets(joint: Joint, corners: IntArray, values: Array, heights: Array, is_above: BoolArray) -> Segments:
+    """Return the segments of facets along which `heights`, linear on their edges, are zero; in 2D both ends coincide."""
+    ring = [0, 1, 3, 2] if corners.shape[1] == 4 else [*range(corners.shape[1])]  # in the order around a facet
+    ring_nodes, values, heights, is_above = corners[:, ring], values[:, ring], heights[:, ring], is_above[:, ring]
+    x, next_corner = joint.points[ring_nodes], np.roll(np.arange(len(ring)), -1)
     is_cut = is_above != is_above[:, next_corner]
     facets = np.flatnonzero(is_cut.sum(axis=1) == 2)
     cut_edges = np.argsort(~is_cut[facets], axis=1, kind="stable")[:, :2]

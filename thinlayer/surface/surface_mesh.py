@@ -13,11 +13,10 @@ import numpy.typing as npt
 import scipy.sparse
 import scipy.sparse.linalg
 from dolfinx import fem
-from scipy.spatial import cKDTree
 
 from forms.base import Array, InputError, require
 from geometry.refusals import refuse, require_known
-from geometry.seam import BASE, S
+from geometry.seam import S
 from geometry.sheet import Rim, Sheet
 from geometry.topology import (
     FACET_TYPES,
@@ -32,6 +31,7 @@ from geometry.topology import (
 from thinlayer.discretisation.contact_nodes import normal_frames
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.layer import SeamLayer
+from thinlayer.discretisation.mesh_functions import band_of
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, node_values
 from thinlayer.surface.lines import Line, Plane, lines_on
@@ -226,15 +226,8 @@ class SurfaceMesh:
         """
         if not isinstance(self.model, FullModel):
             raise InputError(f"the surface of a meshed layer is of a full model, not of {self.model!r:.80}")
-        inflated = self.model.inflated_joint
-        nodes = self.joint.faces(inflated.cell_points)[:, self.rows]
-        if BASE in inflated.facets:
-            table, kind = inflated.table, inflated.cell_type
-            base_nodes = np.unique(table.nodes(table.index(inflated.facets[BASE]), inflated.cells, kind))
-            is_over_base = self.cells[:, 0] < 0
-            _, base_rows = cKDTree(inflated.reference[base_nodes]).query(nodes[0, is_over_base])
-            nodes[0, is_over_base] = inflated.points[base_nodes[base_rows]]
-        located, at = self.at(x)
+        inflated, (located, at) = self.model.inflated_joint, self.at(x)
+        nodes = inflated.points[band_of(inflated).face_nodes[:, self.rows]]
         shapes = tabulated(lagrange(self.kind, self.joint.degree), at.points, len(at.rows))[0]
         lower, upper = (located.point_means(face_x) for face_x in np.einsum("fqa,sfad->sfd", shapes, nodes[:, at.rows]))
         return np.asarray(lower + (np.asarray(height, float)[..., None] + 0.5) * (upper - lower))
