@@ -26,10 +26,10 @@ from geometry.topology import (
     facet_normals,
     facet_ridge_keys,
     geometry_degree,
-    mid_node_weights,
     ridge_keys,
     ridges,
     turned_towards,
+    vertex_weights,
 )
 
 Profile = Callable[[FloatArray], FloatArray]
@@ -305,23 +305,21 @@ class Joint:
         """The mesh cut along S, with the components into which the cut divides the cells around each vertex or edge."""
         return self.split_along(self.surface_rows)
 
-    def components_at(self, cells: IntArray, nodes: IntArray, cut: Splitting | None = None) -> IntArray:
-        """Return which component of the cells around each given node contains the given cell at this node.
+    def side_components(self, cut: Splitting | None = None) -> IntArray:
+        """Return which component of the cells around each node of S contains the cell below, and the cell above S.
 
         Components are groups of cells around a node that are connected there by uncut facets. At a node that is not on
         a cut there is one.
 
         Args:
-            cells: (n,) numbers of cells; a number < 0 stands for no cell.
-            nodes: (n, k) numbers of k nodes of each cell.
             cut: the mesh with its cuts; None: cut along all seams.
 
         Returns:
-            (n, k) number of the component, from 0 at each node; -1 where there is no cell.
+            (2, n_S, k) number of the component, from 0 at each node, for the k nodes of each facet in `surface`; -1
+            where there is no cell.
         """
-        position = (self.cells[cells][:, None, :] == nodes[:, :, None]).argmax(axis=2)
-        node_components = (cut or self.split_mesh).node_components[cells]
-        return np.where(cells[:, None] < 0, -1, np.take_along_axis(node_components, position, axis=1))
+        cells = self.surface_cells.T[..., None]
+        return np.where(cells < 0, -1, (cut or self.split_mesh).node_components[cells, self.in_cells])
 
     @cached_property
     def pairs(self) -> IntArray:
@@ -332,7 +330,7 @@ class Joint:
         not in S. Facets and vertices are in the order of `surface`.
         """
         vertices = self.surface[:, : self.table.vertices.shape[1]]
-        below, above = (self.components_at(cells, vertices) for cells in self.surface_cells.T)
+        below, above = self.side_components()[:, :, : vertices.shape[1]]
         count = int(max(below.max(), above.max())) + 2
         codes = (self.seam_numbers[:, None] * count + above) * count + below + 1
         return np.asarray(self.masters[vertices] * (codes.max() + 1) + codes, np.int64)
@@ -359,33 +357,22 @@ class Joint:
         """
         return self.table.nodes(self.surface_rows, self.cells, self.cell_type)
 
-    def faces(self, cell_points: FloatArray | None = None) -> FloatArray:
-        """Return the coordinates of the nodes of S, first on its lower and then on its upper side.
+    @property
+    def faces(self) -> FloatArray:
+        """(2, n_S, k, d) coordinates of the k nodes of each facet of S, on its lower and then on its upper side, lengths.
 
         They differ only if bodies have moved apart. The lower side of a seam on a rigid base stays in place.
-
-        Args:
-            cell_points: (n, m, d) coordinates of the m nodes of each cell in d dimensions, lengths. Its first rows
-                belong to the joint's cells; further rows are not used. None: `Joint.cell_points`.
-
-        Returns:
-            (2, n_S, k, d) coordinates of the k nodes of each of the n_S facets of S, lengths.
         """
-        cell_x = self.cell_points if cell_points is None else cell_points
-        below, above = self.surface_cells.T
-        lower, upper = (cell_x[cells[:, None], self.on_surface(cells)] for cells in (np.maximum(below, 0), above))
-        return np.stack([np.where((below >= 0)[:, None, None], lower, self.points[self.surface]), upper])
+        cells = self.surface_cells.T[..., None]
+        return np.where((cells >= 0)[..., None], self.cell_points[cells, self.in_cells], self.points[self.surface])
 
-    def on_surface(self, cells: IntArray) -> IntArray:
-        """Return the positions of the nodes of each facet of S within one cell at the facet.
+    @cached_property
+    def in_cells(self) -> IntArray:
+        """(2, n_S, k) positions of the k nodes of each facet of S in the cell below, and in the cell above.
 
-        Args:
-            cells: (n_S,) number of a cell at each facet of S, such as the one above it.
-
-        Returns:
-            (n_S, k) position in the cell of each of the facet's k nodes.
+        On a rigid base the positions below have no meaning.
         """
-        return np.asarray((self.cells[cells][:, None, :] == self.surface[:, :, None]).argmax(axis=2))
+        return np.asarray((self.cells[self.surface_cells.T][:, :, None] == self.surface[..., None]).argmax(axis=3))
 
     @cached_property
     def branch_vertices(self) -> IntArray:
@@ -453,17 +440,15 @@ class Joint:
         values = np.ones(len(self.points))
         if profile is None:
             return values
-        rows = self.rows_of(name)
-        vertices, subject = np.unique(self.table.vertices[rows]), "the thickness profile"
+        surface, k = self.surface[self.facets_of(name)], self.table.vertices.shape[1]
+        vertices, subject = np.unique(surface[:, :k]), "the thickness profile"
         x, wanted = self.points[vertices], "it must be a numpy function of coordinates (d, n) that gives n numbers > 0"
         thickness = checked_values(subject, profile, x.T, wanted=wanted, where=lambda k: f" at {place_text(x[k])}")
         for k in np.flatnonzero(thickness <= 0)[:1]:
             raise InputError(f"{subject} is {thickness[k]:g} at {place_text(x[k])}; it must be > 0 on S")
         values[vertices] = thickness
         if self.degree == 2:
-            facet_type = FACET_TYPES[self.cell_type]
-            surface, k = self.surface[self.facets_of(name)], corner_count(facet_type)
-            values[surface[:, k:]] = values[surface[:, :k]] @ mid_node_weights(facet_type).T
+            values[surface[:, k:]] = values[surface[:, :k]] @ vertex_weights(FACET_TYPES[self.cell_type], 2)[k:].T
         return values
 
     def rotated(self, angle: float) -> Joint:

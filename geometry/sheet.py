@@ -51,7 +51,7 @@ class Rim:
 
     Attributes:
         vertices: (n, 1) vertex in 2D, or (n, 2) vertices in 3D, of each ridge, as row numbers in `Joint.points`.
-        simplex: (n,) number of the simplex of the sheet that each ridge bounds.
+        facet: (n,) position in `Joint.surface` of the facet that each ridge bounds.
         outward: (n, d) unit vector that is tangential to S, normal to the ridge, and points away from S, in d
             dimensions.
         depth: (n,) extent of the simplex along `outward`, a length.
@@ -59,7 +59,7 @@ class Rim:
     """
 
     vertices: IntArray
-    simplex: IntArray
+    facet: IntArray
     outward: FloatArray
     depth: FloatArray
     length: FloatArray
@@ -193,11 +193,11 @@ class Sheet:
         _, free_indices, counts = np.unique(ridge_keys(ridges), return_index=True, return_counts=True)
         free_indices = free_indices[counts == 1]
         opposite, simplex = np.divmod(free_indices, n_simplices)
-        outward = -self.gradients[simplex, opposite]
+        outward, vertices, facet = -self.gradients[simplex, opposite], ridges[free_indices], self.simplices[0][simplex]
         gradient_size = np.linalg.norm(outward, axis=1)
-        x = joint.points[ridges[free_indices]]
+        x = joint.points[vertices]
         length = np.linalg.norm(x[:, -1] - x[:, 0], axis=1) if joint.dim == 3 else np.ones(len(free_indices))
-        rim = Rim(ridges[free_indices], simplex, outward / gradient_size[:, None], 1 / gradient_size, length)
+        rim = Rim(vertices, facet, outward / gradient_size[:, None], 1 / gradient_size, length)
         outer_rows = joint.outer_rows
         if joint.periods:
             periodic_facets = np.concatenate([joint.facets[name] for name in joint.periods.side_names])

@@ -127,11 +127,6 @@ def vertex_weights(cell_type: str, degree: int) -> FloatArray:
     return np.asarray(np.rint(8 * weights) / 8)  # without rounding errors: all are multiples of 1/8
 
 
-def mid_node_weights(cell_type: str) -> FloatArray:
-    """Return (m, k) values of a cell's k linear shape functions at its m nodes of degree 2 that are not vertices."""
-    return vertex_weights(cell_type, 2)[corner_count(cell_type) :]
-
-
 def facet_nodes(
     cell_nodes: npt.NDArray[Scalar], cell_type: str, cells: IntArray | Indices, local: IntArray | Indices
 ) -> npt.NDArray[Scalar]:

@@ -45,7 +45,7 @@ class NodeCopies(NamedTuple):
         """Return the copies of the nodes of a joint in which S is a surface."""
         surface, node_components, n = joint.surface, joint.split_mesh.node_components, len(joint.points)
         base_component = int(node_components.max(initial=0)) + 1
-        components = np.stack([joint.components_at(cells, surface) for cells in joint.surface_cells.T])
+        components = joint.side_components()
         side_keys = surface * (base_component + 1) + np.where(components < 0, base_component, components)
         nodes, first_index = np.unique(surface, return_index=True)
         s_entries = np.nonzero(np.isin(joint.cells, nodes))

@@ -12,7 +12,7 @@ from geometry.inflating.band_cells import NodeCopies
 from geometry.inflating.kept_bodies import THICKNESS_TOLERANCE
 from geometry.joint import Joint
 from geometry.refusals import place_text, refuse
-from geometry.topology import FloatArray, IntArray, facet_normals, is_tensor, lagrange, mid_node_weights, sum_by_number
+from geometry.topology import FloatArray, IntArray, facet_normals, is_tensor, lagrange, sum_by_number, vertex_weights
 
 SMOOTH_SQUARED_SINE = 0.01  # squared sine below which outer faces around a vertex of S count as one smooth surface
 EXACT_SQUARED_SINE = 1e-10  # the same bound for the bodies' other vertices, which must stay on their outer faces
@@ -136,7 +136,7 @@ def extended_motion(
             raise InputError("the harmonic motion of the bodies' nodes was not found: the mesh has nearly flat cells")
         motion[free_nodes] = (basis @ q).reshape(-1, d)
     if body_cells.shape[1] > k:
-        motion[body_cells[:, k:]] = np.einsum("qn,cnd->cqd", mid_node_weights(joint.cell_type), motion[corners])
+        motion[body_cells[:, k:]] = vertex_weights(joint.cell_type, 2)[k:] @ motion[corners]
         motion[face_nodes] = motions
     return motion
 

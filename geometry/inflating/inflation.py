@@ -303,7 +303,7 @@ def points_on_middle(joint: Joint) -> FloatArray:
         joint: the joint, in d dimensions; if its bodies have moved apart, its seams must not meet.
     """
     points = joint.points.copy()
-    points[joint.surface] = joint.faces().mean(axis=0)
+    points[joint.surface] = joint.faces.mean(axis=0)
     return points
 
 
@@ -317,8 +317,8 @@ def offset_to_middle(joint: Joint) -> FloatArray:
         (n_cells, k, d) vectors at the k nodes of each cell, lengths; zero at nodes that are not on S. The middle lies
         halfway between the lower and the upper side of S.
     """
-    offsets, face_points = np.zeros_like(joint.cell_points), joint.faces()
-    for cells, side_points in zip(joint.surface_cells.T, face_points, strict=True):
+    offsets, face_points = np.zeros_like(joint.cell_points), joint.faces
+    for cells, in_cells, side_points in zip(joint.surface_cells.T, joint.in_cells, face_points, strict=True):
         at = np.flatnonzero(cells >= 0)
-        offsets[cells[at, None], joint.on_surface(cells)[at]] = (face_points.mean(axis=0) - side_points)[at]
+        offsets[cells[at, None], in_cells[at]] = (face_points.mean(axis=0) - side_points)[at]
     return offsets

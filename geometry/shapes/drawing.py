@@ -26,7 +26,7 @@ from geometry.shapes.sizing import (
     require_width,
     scaled_length,
 )
-from geometry.topology import FACET_TYPES, FloatArray, IntArray, corner_count, is_tensor, mid_node_weights
+from geometry.topology import FACET_TYPES, FloatArray, IntArray, corner_count, is_tensor, vertex_weights
 
 GMSH_FAMILIES = {"interval": "line", "quadrilateral": "quadrangle"}  # gmsh's names, where they differ from DOLFINx
 SIZE_GROWTH = 0.3  # growth of the cell size per unit of distance from a refined place
@@ -357,7 +357,7 @@ def curved_points(points: FloatArray, cells: IntArray, cell_type: str, axes: lis
     n_corners = corner_count(cell_type)
     radius = np.hypot(*points[:, axes].T)
     new_radius = radius.copy()
-    new_radius[cells[:, n_corners:]] = radius[cells[:, :n_corners]] @ mid_node_weights(cell_type).T
+    new_radius[cells[:, n_corners:]] = radius[cells[:, :n_corners]] @ vertex_weights(cell_type, 2)[n_corners:].T
     weight = np.clip((radius - r_core) / (radius.max() - r_core), 0.0, 1.0) if r_core else 1.0
     points = points.copy()
     points[:, axes] *= (1 + weight * (new_radius / np.where(radius > 0, radius, 1.0) - 1))[:, None]

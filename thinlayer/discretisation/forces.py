@@ -169,7 +169,7 @@ class Forces:
             return 0.0
         joint, sheet = band.drawn_joint, Sheet(band.drawn_joint)
         ends = sheet.rim[sheet.rim.lies_on(joint.facets[part.set_name])]
-        side_cells = [side for side in joint.surface_cells[sheet.simplices[0][ends.simplex]].T if (side >= 0).all()]
+        side_cells = [side for side in joint.surface_cells[ends.facet].T if (side >= 0).all()]
         loaded_regions = [joint.regions.index(body) for body in ([part.part_name] if part.part_name else joint.bodies)]
         loaded_masks = [np.isin(joint.region[side], loaded_regions) for side in side_cells]
         if any(mask.any() and not mask.all() for mask in loaded_masks):

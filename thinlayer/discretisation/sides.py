@@ -44,7 +44,7 @@ def side_kinds(layer: SeamLayer) -> npt.NDArray[np.str_]:
     Constraints along the end itself do not matter.
     """
     sheet, projectors = layer.sheet, held_projectors(layer)
-    normals = sheet.joint.interface_normals[sheet.simplices[0][sheet.rim.simplex]]
+    normals = sheet.joint.interface_normals[sheet.rim.facet]
     sq_cosines = np.stack([np.einsum("ni,nij,nj->n", e, projectors, e) for e in (sheet.rim.outward, normals)], axis=1)
     tolerance = FLAT_SQUARED_COSINE if sheet.planar else CURVED_SQUARED_COSINE
     m_held, n_held = (sq_cosines > tolerance).T

@@ -219,7 +219,7 @@ def _side_nodes(surface: SurfaceMesh, bonds_joined: bool) -> tuple[IntArray, int
     """
     joint = surface.joint
     split_mesh = surface.model.split_mesh if bonds_joined else joint.split_mesh
-    body_numbers = np.stack([joint.components_at(cells, surface.corners, split_mesh) for cells in surface.cells.T])
+    body_numbers = joint.side_components(split_mesh)[:, surface.rows, : surface.corners.shape[1]]
     keys = joint.masters[surface.corners] * (body_numbers.max() + 2) + body_numbers + 1
     unique_keys, node_numbers = np.unique(keys, return_inverse=True)
     return node_numbers.reshape(keys.shape), len(unique_keys)

@@ -144,7 +144,7 @@ class SurfaceMesh:
         self.cells = joint.surface_cells[self.rows]
         self.corners = joint.surface[self.rows, : joint.table.vertices.shape[1]]
         self.seams = np.array(list(joint.seams))[joint.seam_numbers[self.rows]]
-        self.faces = joint.faces()[:, self.rows]
+        self.faces = joint.faces[:, self.rows]
         self.node_numbers, self.vertices, self.nodes = self._number_nodes()
         self._rules: dict[int, FacetPoints] = {}
         self.quadrature = self.rule(2 * (model.structure.degree + joint.degree - 1) + model.kinematics.factor_degree)
@@ -274,9 +274,9 @@ class SurfaceMesh:
         geometry = np.asarray(basix.geometry(basix.CellType[self.joint.cell_type]))
         for side, cells in enumerate(self.cells[at.rows].T):
             rows = np.flatnonzero(cells >= 0)
-            local_corners = self.joint.corners[cells[rows], None] == self.corners[at.rows[rows], :, None]
             if len(rows):
-                X = at.shapes[rows] @ geometry[local_corners.argmax(axis=2)]
+                in_cells = self.joint.in_cells[side, self.rows[at.rows[rows]], : self.corners.shape[1]]
+                X = at.shapes[rows] @ geometry[in_cells]
                 out[side][:, rows] = np.moveaxis(tabulated(element, X, len(rows))[0] @ values[rows, side], -1, 0)
         return out
 
