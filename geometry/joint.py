@@ -23,12 +23,11 @@ from geometry.topology import (
     IntArray,
     Splitting,
     corner_count,
-    facet_normals,
     facet_ridge_keys,
     geometry_degree,
     ridge_keys,
     ridges,
-    turned_towards,
+    unit_normals,
     vertex_weights,
 )
 
@@ -264,10 +263,11 @@ class Joint:
                 text = f"{{bad}} of {{all}} facets of {name!r} lie on the outer boundary, as at {{at}}; {between}each"
                 refuse(is_outer, self.points[nodes], f"{text} needs cells on both sides, or all stand on a rigid base")
             if not is_outer.any():
-                x = self.points[nodes].mean(axis=1)
-                to_second = self.points[self.corners[cell_pairs[in_seam, 1]]].mean(axis=1) - x
-                normals = turned_towards(facet_normals(self.points, nodes, self.cell_type).mean(axis=1), to_second)
-                is_upwards = seam.second_is_upper(name, x, normals, self.region[cell_pairs[in_seam]], self.regions)
+                x = self.points[nodes]
+                to_second = self.points[self.corners[cell_pairs[in_seam, 1]]].mean(axis=1) - x.mean(axis=1)
+                n = unit_normals(x, self.cell_type, self.degree, to_second).mean(axis=1)
+                region = self.region[cell_pairs[in_seam]]
+                is_upwards = seam.second_is_upper(name, x.mean(axis=1), n, region, self.regions)
                 cell_pairs[in_seam[~is_upwards]] = cell_pairs[in_seam[~is_upwards]][:, ::-1]
         return cell_pairs
 
@@ -408,10 +408,9 @@ class Joint:
     @cached_property
     def node_normals(self) -> FloatArray:
         """(n_S, k, d) unit normals of S in d dimensions, towards its upper side, at the k nodes of each facet."""
-        above = self.surface_cells[:, 1]
-        normals = facet_normals(self.points, self.surface, self.cell_type)
-        upwards = self.points[self.corners[above]].mean(axis=1) - self.points[self.surface].mean(axis=1)
-        return normals * np.sign((normals.mean(axis=1) * upwards).sum(axis=1))[:, None, None]
+        x, above = self.points[self.surface], self.surface_cells[:, 1]
+        upwards = self.points[self.corners[above]].mean(axis=1) - x.mean(axis=1)
+        return unit_normals(x, self.cell_type, self.degree, upwards)
 
     @cached_property
     def interface_normals(self) -> FloatArray:

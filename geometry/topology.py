@@ -327,10 +327,18 @@ def normal_vectors(tangents: FloatArray) -> FloatArray:
     return np.stack([-tangents[0, ..., 1], tangents[0, ..., 0]], axis=-1)
 
 
-def nodal_normal_vectors(x: FloatArray, facet_type: str) -> FloatArray:
-    """Return (n, m, d) `normal_vectors` at the m nodes of n facets, whose coordinates are `x` (n, m, d)."""
+def nodal_normal_vectors(x: FloatArray, cell_type: str, degree: int) -> FloatArray:
+    """Return (n, m, d) `normal_vectors` at the m nodes of Lagrange elements of some degree on n facets.
+
+    Args:
+        x: (n, k, d) coordinates of the k nodes of the facets' geometry.
+        cell_type: type of the mesh's cells.
+        degree: degree of the elements.
+    """
+    facet_type = FACET_TYPES[cell_type]
     element = lagrange(facet_type, geometry_degree(facet_type, x.shape[1]))
-    return normal_vectors(np.einsum("tqn,fnd->tfqd", element.tabulate(1, element.points)[1:, :, :, 0], x))
+    gradients = element.tabulate(1, lagrange(facet_type, degree).points)[1:, :, :, 0]
+    return normal_vectors(np.einsum("tqn,fnd->tfqd", gradients, x))
 
 
 def facet_normals(points: FloatArray, nodes: IntArray, cell_type: str) -> FloatArray:
@@ -341,13 +349,22 @@ def facet_normals(points: FloatArray, nodes: IntArray, cell_type: str) -> FloatA
         nodes: (n_facets, n_nodes) numbers of the nodes of each facet, as a facet's Lagrange element orders them.
         cell_type: type of the mesh's cells.
     """
-    normal = nodal_normal_vectors(points[nodes], FACET_TYPES[cell_type])
+    normal = nodal_normal_vectors(points[nodes], cell_type, geometry_degree(FACET_TYPES[cell_type], nodes.shape[1]))
     return np.asarray(normal / np.linalg.norm(normal, axis=-1, keepdims=True), float)
 
 
 def turned_towards(vectors: FloatArray, to: FloatArray) -> FloatArray:
-    """Return n vectors (n, d), reversed where they point away from the vectors `to` (n, d)."""
-    return vectors * np.sign((vectors * to).sum(axis=1, keepdims=True))
+    """Return vectors (..., d), reversed where they point away from the vectors `to`, of the same or a smaller shape."""
+    return vectors * np.sign((vectors * to).sum(axis=-1, keepdims=True))
+
+
+def unit_normals(x: FloatArray, cell_type: str, degree: int, to: FloatArray) -> FloatArray:
+    """Return (n, m, d) unit normals at the m nodes of Lagrange elements on n facets, towards the vectors `to` (n, d).
+
+    The other arguments are those of `nodal_normal_vectors`.
+    """
+    n = turned_towards(nodal_normal_vectors(x, cell_type, degree), to[:, None])
+    return np.asarray(n / np.linalg.norm(n, axis=2, keepdims=True))
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import basix
 import numpy as np
-import ufl
 from dolfinx import fem
 from scipy.spatial import cKDTree
 
@@ -14,8 +12,7 @@ from geometry.domain import Domain, cell_nodes, cells_of_facets
 from geometry.joint import Joint
 from geometry.refusals import refuse, require_known
 from geometry.seam import LAYER, FacetName, S
-from geometry.topology import BoolArray, Indices, IntArray, components, facet_normals, sum_by_number, turned_towards
-from thinlayer.system.compat import interpolation_points
+from geometry.topology import BoolArray, Indices, IntArray, components, facet_nodes, sum_by_number, unit_normals
 from thinlayer.system.ranks import send
 
 AXIS_NAMES = "xyz"  # names of components and of motions
@@ -135,28 +132,19 @@ def node_normals(domain: Domain, V: fem.FunctionSpace, place: str) -> tuple[IntA
         Local numbers (n,) of nodes (blocks of V) that this rank owns, and weighted normals (n, d) in d dimensions. A
         node occurs once for each facet around it.
     """
-    mesh, d = domain.mesh, domain.joint.dim
-    cell_type, points, layout = basix.CellType[domain.joint.cell_type], interpolation_points(V), V.dofmap.dof_layout
+    mesh, d, kind = domain.mesh, domain.joint.dim, domain.joint.cell_type
     facets = domain.facets(place, layer_sides=True)
     cells, in_cell = cells_of_facets(mesh, facets)
     is_owned = cells < mesh.topology.index_map(d).size_local
     cells, in_cell, continued = cells[is_owned], in_cell[is_owned], _continued_normals(domain, place, facets[is_owned])
-    jacobian = fem.Expression(ufl.Jacobian(mesh), points)
-    J = jacobian.eval(mesh, cells).reshape(len(cells), len(points), d, d) if len(cells) else np.empty((0, 1, d, d))
-    outward, facet_corners = basix.cell.facet_outward_normals(cell_type), basix.topology(cell_type)[d - 1]
-    node_lists, normals = [np.empty(0, np.int64)], [np.empty((0, d))]
-    for facet in range(len(facet_corners)):
-        rows = np.flatnonzero(in_cell == facet)
-        nodes = np.array(layout.entity_closure_dofs(d - 1, facet))
-        n = np.einsum("cnji,j->cni", np.linalg.inv(J[rows][:, nodes]), outward[facet])  # normals transform with J^-T
-        n /= np.linalg.norm(n, axis=2)[..., None]
-        n = np.where(np.isnan(continued[rows]), n.swapaxes(0, 1), continued[rows]).swapaxes(0, 1)
-        x = mesh.geometry.x[cell_nodes(mesh)[cells[rows]][:, facet_corners[facet]]]
-        for k, corner in enumerate(facet_corners[facet]):
-            n[:, nodes == layout.entity_dofs(0, corner)[0]] *= _corner_weights(x, k)[:, None, None]
-        node_lists.append(np.asarray(V.dofmap.list)[cells[rows]][:, nodes].ravel().astype(np.int64))
-        normals.append(n.reshape(-1, d))
-    return _send_to_owners(domain, V, np.concatenate(node_lists), np.concatenate(normals))
+    nodes = facet_nodes(np.asarray(V.dofmap.list, np.int64), kind, cells, in_cell)
+    x = mesh.geometry.x[facet_nodes(cell_nodes(mesh), kind, cells, in_cell), :d]
+    to_cells = mesh.geometry.x[cell_nodes(mesh)[cells], :d].mean(axis=1) - x.mean(axis=1)
+    n, n_corners = unit_normals(x, kind, V.ufl_element().degree, -to_cells), domain.joint.table.vertices.shape[1]
+    n = np.where(np.isnan(continued)[:, None], n, continued[:, None])
+    for k in range(n_corners):
+        n[:, k] *= _corner_weights(x[:, :n_corners], k)[:, None]
+    return _send_to_owners(domain, V, nodes.ravel(), n.reshape(-1, d))
 
 
 def side_normals(joint: Joint, name: str, ridges: IntArray) -> Array:
@@ -173,7 +161,7 @@ def side_normals(joint: Joint, name: str, ridges: IntArray) -> Array:
     facets, cell_type = joint.facets[name], {2: "triangle", 3: "tetrahedron"}[joint.dim]
     cells = joint.table.cells[joint.table.index(facets), 0]
     to_cells = joint.points[joint.corners[cells]].mean(axis=1) - joint.points[facets].mean(axis=1)
-    normals = turned_towards(facet_normals(joint.points, facets[:, : joint.dim], cell_type)[:, 0], -to_cells)
+    normals = unit_normals(joint.points[facets[:, : joint.dim]], cell_type, 1, -to_cells)[:, 0]
     out = np.full((len(ridges), joint.dim), np.nan)
     for k, ridge in enumerate(ridges):
         normal_sum = normals[np.isin(facets, ridge).sum(axis=1) == len(np.unique(ridge))].sum(axis=0)
@@ -213,7 +201,7 @@ def _continued_normals(domain: Domain, place: str, facets: Indices) -> Array:
 def _corner_weights(x: Array, k: int) -> Array:
     """Return the weights (n,) of the normals of n facets at their corner number `k`, as `node_normals` defines them.
 
-    `x` (n, m, 3) has the coordinates of all m corners of each facet.
+    `x` (n, m, d) has the coordinates of all m corners of each facet.
     """
     adjacent_corners = [k ^ 1, k ^ 2] if x.shape[1] == 4 else [j for j in range(x.shape[1]) if j != k]
     edges = x[:, adjacent_corners] - x[:, k : k + 1]

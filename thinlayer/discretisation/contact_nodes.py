@@ -327,7 +327,7 @@ def _facet_node_rows(surface: ContactSurface) -> Array:
     V, sides, kinematics = surface.V, surface.sides, surface.kinematics
     mesh, d, facet_type = V.mesh, V.mesh.topology.dim, FACET_TYPES[V.mesh.topology.cell_name()]
     corners = mesh.geometry.x[_vertex_points(mesh, *sides.T[:2]), :d]
-    normals = nodal_normal_vectors(corners, facet_type)
+    normals = nodal_normal_vectors(corners, mesh.topology.cell_name(), 1)
     areas = np.linalg.norm(normals, axis=2) * basix.cell.volume(basix.CellType[facet_type]) / corners.shape[1]
     to_upper_cells = mesh.geometry.x[cell_nodes(mesh)[sides[:, 0]], :d].mean(axis=1) - corners.mean(axis=1)
     n = turned_towards(normals.mean(axis=1), to_upper_cells)
