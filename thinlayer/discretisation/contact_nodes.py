@@ -76,9 +76,8 @@ def nodes_of_sides(V: fem.FunctionSpace, sides: Indices) -> tuple[IntArray, IntA
     for cells, local in zip(sides.T[::2], sides.T[1::2], strict=True):
         bits = 1 << vertex_numbers[_vertex_points(V.mesh, cells, local)].argsort(axis=1).argsort(axis=1)
         keys.append(bits @ has_vertex.T.astype(np.int64))
-        nodes.append(facet_nodes(cell_nodes_of_V, cell_type, cells, local))
-        position = np.take_along_axis(keys[-1].argsort(axis=1), keys[0].argsort(axis=1).argsort(axis=1), axis=1)
-        nodes[-1] = np.take_along_axis(nodes[-1], position, axis=1)
+        facing = np.take_along_axis(keys[-1].argsort(axis=1), keys[0].argsort(axis=1).argsort(axis=1), axis=1)
+        nodes.append(np.take_along_axis(facet_nodes(cell_nodes_of_V, cell_type, cells, local), facing, axis=1))
     return np.stack(nodes), keys[0]
 
 
