@@ -9,7 +9,7 @@ import numpy as np
 
 from forms import HolonomicCoulomb, IncrementalCoulomb, MohrCoulombMonodirectional
 from forms.base import Array
-from studies.problems import LoadPath, Problem, pressed
+from studies.problems import LoadPath
 from studies.sweeping import Tables, end_state
 from thinlayer import Surface
 from thinlayer.discretisation.state import State
@@ -30,22 +30,6 @@ DIRECT_PATH: LoadPath = {0: (0.28, 1.0, 1.5), 1: (0.28, 1.0, 1.5)}
 RETURN_PATH: LoadPath = {0: (0.0, 0.0, 0.0), 1: (0.28, 1.0, 0.0), 2: (0.28, 1.0, 1.5), 3: (0.28, 0.0, -1.0)}
 ZERO_PRESSURE_SHARE = 1e-3  # pressure, relative to the largest one, below which a node counts as separated
 SLIDING_TOLERANCE = 1e-2  # relative distance from the threshold at which a node counts as sliding
-
-
-def blocks(h: float, path: LoadPath) -> Problem:
-    """Two blocks under the loads of `pressed`, with bilinear quadrilaterals (Q1) for the displacements.
-
-    With this element a contact law acts at the nodes of S, a meshed frictional layer at its quadrature points.
-
-    Args:
-        h: cell size, a length without unit.
-        path: time -> coefficients (p, r, q) of the traction on top, see `pressed`.
-
-    Returns:
-        The joint, and the arguments of its `Structure`.
-    """
-    joint, setup = pressed(h, path)
-    return joint, setup | {"element": "Q1"}
 
 
 def tractions_along(state: State, surface: Surface) -> dict[str, Array]:

@@ -12,6 +12,7 @@ from forms import Incompressible, LinearElastic, Rubber, formulas
 from geometry import sandwich
 from thinlayer import Structure, Surface, ThinLayer, plotting, solve
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.supports import Place, Support
 from thinlayer.running.record import Record
 
 RADIUS, PLATE = 30.0, 10.0  # mm: of the disc; height of a plate
@@ -34,8 +35,9 @@ def run(record: Record, *, nu: Sequence[float] = POISSON_RATIOS, quick: bool = F
         quick: every other ratio, fewer cells, and two of the three shape factors.
     """
     shape_factors, nus = (SHAPE_FACTORS[:2], sorted({*nu[::2], *nu[-2:]})) if quick else (SHAPE_FACTORS, nu)
-    structures = {shape: _structure(shape, quick=quick) for shape in shape_factors}
-    cases = [(structure, shape, one_nu) for shape, structure in structures.items() for one_nu in nus]
+    h_S, eps_of = RADIUS / (30 if quick else 60), {shape: RADIUS / (2 * shape) for shape in shape_factors}
+    structures = {shape: plated_disc(PLATE_LAW, eps, h_S) for shape, eps in eps_of.items()}
+    cases = [(structures[shape], shape, one_nu) for shape in shape_factors for one_nu in nus]
     table = record.rows("table.csv", cases, partial(_stiffness_row, record), "shape factor {0[1]:g}, nu = {0[2]:g}")
     exact, is_wide = table["closed"], table["shape"] >= 5
     errors = {name: np.abs(table[name] / exact - 1) for name in ("meshed", "rubber")}
@@ -69,11 +71,17 @@ def _lmbda(nu: float) -> float:
     return math.inf if nu == 0.5 else LinearElastic.shear(MU, nu).lmbda
 
 
-def _structure(shape_factor: float, *, quick: bool) -> Structure:
-    cells, eps = 30 if quick else 60, RADIUS / (2 * shape_factor)
-    joint = sandwich(RADIUS, PLATE, PLATE, RADIUS / 8, h_S=RADIUS / cells, h_ends=eps / 15, cell="quadrilateral")
-    supports = {"BOTTOM": {"x": 0.0, "y": 0.0}, "TOP": {"x": 0.0, "y": LIFT}}
-    return Structure(joint, body=PLATE_LAW, supports=supports, plane="axisymmetric")
+def plated_disc(plates: LinearElastic, eps: float, h_S: float) -> Structure:
+    """Make a disc between two plates, of which the upper one is lifted by 0.01 mm.
+
+    Args:
+        plates: law of the plates, MPa.
+        eps: thickness of the disc, mm; cells at the free end of S are 15 times smaller.
+        h_S: cell size on S, mm.
+    """
+    joint = sandwich(RADIUS, PLATE, PLATE, RADIUS / 8, h_S=h_S, h_ends=eps / 15, cell="quadrilateral")
+    supports: dict[Place, Support] = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": LIFT}}
+    return Structure(joint, body=plates, supports=supports, plane="axisymmetric")
 
 
 def _model(structure: Structure, name: str, eps: float, nu: float) -> Model:

@@ -12,9 +12,8 @@ import numpy as np
 
 from forms import Breaking, Cohesive, LinearElastic
 from geometry import sandwich
-from studies.delamination import BEAMS, LOOK, MESHED, ON_S, SHARP, Beams, compare, path_table
+from studies.delamination import BEAMS, LOOK, MESHED, ON_S, SHARP, Beams, compare, path_table, precrack
 from thinlayer import ArcLength, Structure, Table, ThinLayer, march, plotting
-from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.supports import Place, Support
 from thinlayer.running.record import Record
 from thinlayer.solving.history import History
@@ -23,10 +22,7 @@ LENGTH, ARM, CRACK = 48.0, 3.0, 30.0  # mm: of the specimen, whose width is 1; h
 E, NU = 70e3, 0.3  # of the arms, MPa
 EPS, STRENGTHS, TOUGHNESSES = 0.1, (20.0, 30.0), (0.3, 0.9)  # of the glue in opening and shear: mm, MPa, N/mm
 MODULUS = 1e3  # MPa, of the glue in opening: its stiffness is MODULUS/EPS
-GLUE = Breaking(
-    0.0, MODULUS / 2, *STRENGTHS, TOUGHNESSES[0] / EPS, TOUGHNESSES[1] / EPS,
-    cracked=lambda x: 1.0 * (x[0] < CRACK),  # type: ignore[arg-type]
-)  # fmt: skip
+GLUE = Breaking(0.0, MODULUS / 2, *STRENGTHS, TOUGHNESSES[0] / EPS, TOUGHNESSES[1] / EPS, cracked=precrack(CRACK))
 END = 1.5  # mm, largest opening of the ends of the arms
 ARMS = Beams(
     Cohesive(MODULUS / EPS, MODULUS / EPS / 2, *STRENGTHS, *TOUGHNESSES), E / (1 - NU**2), ARM, LENGTH, CRACK,
@@ -37,20 +33,20 @@ MESHED_RTOL = 2e-3  # largest distance of the meshed layer from the law on S, re
 
 
 # ---------------------------------------------------------------- the study
-def peel_model(kind: str, h_S: float) -> Model:
-    """Make the specimen with the law on S or a meshed layer; at time t the ends are 2 t apart. Cells along S are h_S."""
+def arms(h: float, h_S: float) -> Structure:
+    """Make the arms, whose ends are 2 t apart at time t; `h` and `h_S` are cell sizes inside them and along S."""
     supports: dict[Place, Support] = {(0, ARM): {"y": lambda x, t: t}, (0, -ARM): {"y": lambda x, t: -t}}
     supports |= {(LENGTH, y): {"x": 0.0} for y in (ARM, -ARM)}
-    joint = sandwich(LENGTH, ARM, ARM, ARM / 2, h_S=h_S, cell="quadrilateral", structured=True)
-    structure, layer = Structure(joint, body=LinearElastic.young(E, NU), supports=supports), ThinLayer(GLUE, EPS)
-    return structure.full(layer, cells_through=1) if kind == MESHED else structure.interface(layer)
+    joint = sandwich(LENGTH, ARM, ARM, h, h_S=h_S, cell="quadrilateral", structured=True)
+    return Structure(joint, body=LinearElastic.young(E, NU), supports=supports)
 
 
 def peel(kind: str, h_S: float) -> History:
     """Peel the arms until they are `END` apart, by arc length; the table has columns "displacement" and "force"."""
-    arc = ArcLength(end=END / 2, first=0.05)
+    structure, layer, arc = arms(ARM / 2, h_S), ThinLayer(GLUE, EPS), ArcLength(end=END / 2, first=0.05)
+    model = structure.full(layer, cells_through=1) if kind == MESHED else structure.interface(layer)
     observe = {"displacement": lambda state: 2 * state.t, "force": lambda state: state.reaction((0, ARM)).force[1]}
-    return march(peel_model(kind, h_S), arc, observe=observe, keep="last")
+    return march(model, arc, observe=observe, keep="last")
 
 
 def run(record: Record, *, quick: bool = False) -> None:
@@ -99,12 +95,7 @@ def check_curves(record: Record, curves: Mapping[str, Table]) -> None:
 def draw(record: Record) -> None:
     """Draw force and dissipated energy over the opening, from table.csv in the folder of `record`."""
     curves = record.load("table.csv").split("curve")
-    panels = {
-        title: {name: (curve["displacement"], curve[column]) for name, curve in curves.items()}
-        for title, column in (("force (N/mm)", "force"), ("dissipated energy (N mm/mm)", "dissipated"))
-    }
-    panels["force (N/mm)"][SHARP] = ARMS.sharp(np.linspace(0.9 * CRACK, 1.25 * CRACK, 30))
-    title = "a double cantilever beam with a crack of 30 mm is peeled"
-    plotting.curves(
-        panels, "opening of the ends (mm)", title=title, xlim=(0.0, END), save=record.path("dcb.svg"), **LOOK
-    )
+    curves[SHARP] = ARMS.sharp(np.linspace(0.9 * CRACK, 1.25 * CRACK, 30))
+    panels, xlabel = {"force (N/mm)": "force", "dissipated energy (N mm/mm)": "dissipated"}, "opening of the ends (mm)"
+    look = LOOK | {"title": "a double cantilever beam with a crack of 30 mm is peeled", "xlim": (0.0, END)}
+    plotting.load_displacement(curves, "displacement", panels, xlabel, save=record.path("dcb.svg"), **look)

@@ -32,6 +32,11 @@ STEP, ROWS = 0.1, 20  # of beams: distance of points, mm; number of equilibria b
 NEWTON_STEPS, NEWTON_RTOL, DIFFERENCE = 50, 1e-9, 1e-6  # of beams; step of difference quotients, relative to the onset
 
 
+def precrack(length: float) -> Any:
+    """Return the damage of glue with a crack from x = 0 to a length, as a function of places x (d, n): 1 there, else 0."""
+    return lambda x: 1.0 * (x[0] < length)
+
+
 @dataclass(frozen=True)
 class Beams:
     """Two arms of unit width on glue, which a load P opens at their ends and bends in the middle of a span.
@@ -75,13 +80,13 @@ class Beams:
         left = 1 - np.clip(share * k / np.maximum(xi, 1), 0, 1)
         return np.array([K[0] * np.where(z[0] > 0, left, 1), K[1] * left]) * z, share
 
-    def sharp(self, a: npt.ArrayLike) -> tuple[Array, Array]:
+    def sharp(self, a: npt.ArrayLike) -> Table:
         """Return displacements and forces for sharp cracks of lengths `a` in arms that do not part elsewhere."""
         lengths: Array = np.asarray(a, float)
         G_I, G_II = 12 * (self.opening * lengths) ** 2, 9 / 16 * (self.bending * lengths) ** 2  # times P^2/(E h^3)
         P: Array = np.sqrt(self.toughness(G_II / (G_I + G_II)) * self.E * self.height**3 / (G_I + G_II))
         compliance = 8 * self.opening**2 * lengths**3 + self.bending**2 * (2 * self.length**3 + 3 * lengths**3) / 8
-        return np.asarray(P * compliance / (self.E * self.height**3)), P
+        return Table.of({"displacement": P * compliance / (self.E * self.height**3), "force": P})
 
     def envelope(self, longest: float) -> Table:
         """Return equilibria as the glue softens at the precrack, and then as the crack grows up to a length.
@@ -140,6 +145,13 @@ def path_table(history: History, length: float) -> Table:
     rows = history.table
     columns = {"displacement": rows["displacement"], "force": rows["force"], "crack": length * rows["broken"]}
     return Table.of(columns | {"dissipated": np.cumsum(rows["dissipated"])})
+
+
+def check_sharp(record: Record, beams: Beams, envelope: Table, low: float, label: str = "") -> None:
+    """Check that sharp cracks need larger forces than cracks of the same lengths in beams, by a share of at least `low`."""
+    grown = slice(ROWS, None)
+    excess = beams.sharp(envelope["crack"][grown])["force"] / envelope["force"][grown] - 1
+    record.check(f"{label}force of sharp cracks of the same lengths over that of beams, less 1", excess.min(), low=low)
 
 
 def compare(record: Record, path: Table, beams: Table, rtol: float, label: str = "") -> None:

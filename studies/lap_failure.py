@@ -16,6 +16,7 @@ import numpy as np
 from forms import Breaking, LinearElastic
 from geometry import sandwich
 from studies.dropped import ignore_range_warnings
+from studies.problems import ALUMINIUM
 from thinlayer import ArcLength, QuadraticCriterion, Structure, Table, ThinLayer, march, plotting, strength
 from thinlayer.discretisation.supports import Place, Support
 from thinlayer.output.plotting.curves import LAW_COLOUR, MESHED_COLOUR
@@ -24,7 +25,6 @@ from thinlayer.solving.history import History
 from thinlayer.system.progress import track
 
 OVERLAP, PLATE = 25.0, 2.0  # mm: length of the glue, height of both plates
-ALUMINIUM = LinearElastic.young(E=70e3, nu=0.33)  # MPa
 E, NU, STRENGTHS, TOUGHNESS = 2e3, 0.4, (40.0, 30.0), (0.4, 1.6)  # of the glue: MPa; in opening and shear: MPa, N/mm
 data_sheet = partial(Breaking.glue, E=E, nu=NU, strength=STRENGTHS, toughness=TOUGHNESS, eta=2.0)
 BOND_LINE = 0.2  # mm, of the tests that gave the toughness, and of the joint whose forces are drawn
@@ -86,9 +86,7 @@ def run(record: Record, *, quick: bool = False) -> None:
             if (eps, kind) == (BOND_LINE, ON_S):  # both laws are the same
                 table.append(row | {"model": WRONG, "dissipated": rows["dissipated"].sum()})
             if eps == BOND_LINE:
-                response.extend(
-                    {"model": kind, "t": t, "force": F} for t, F in zip(rows["t"], rows["force"], strict=True)
-                )
+                response.extend(Table.of({"model": kind, "t": rows["t"], "force": rows["force"]}))
         for eps in bond_lines:
             row = {"eps": eps, "model": ELASTIC, "failure": elastic_strength(structure, eps)}
             table.append(row | {"broken": 0.0, "dissipated": 0.0})
@@ -125,6 +123,5 @@ def draw(record: Record) -> None:
     loads[YIELDS] = eps[[0, -1]], np.full(2, STRENGTHS[1] * OVERLAP)
     axes, look = ("thickness of the glue (mm)", "failure load (N/mm)"), {"colours": COLOURS, "styles": STYLES}
     plotting.curves(loads, *axes, ylim=(0.0, 800.0), save=record.path("failure.svg"), **look)
-    forces = {model: (rows["t"], rows["force"]) for model, rows in response.items()}
-    axes = "displacement of the grip (mm)", "force (N/mm)"
-    plotting.curves(forces, *axes, xlim=(0.0, 0.15), save=record.path("response.svg"), **look)
+    axes, save = ("displacement of the grip (mm)", "force (N/mm)"), record.path("response.svg")
+    plotting.load_displacement(response, "t", "force", *axes, xlim=(0.0, 0.15), save=save, **look)

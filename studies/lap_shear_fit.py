@@ -17,6 +17,7 @@ from forms import LinearElastic
 from forms.base import Array
 from geometry import sandwich
 from studies.dropped import ignore_range_warnings
+from studies.problems import ALUMINIUM
 from thinlayer import Fit, Measurement, Structure, Table, ThinLayer, fit, goals, plotting, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
@@ -26,7 +27,6 @@ from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 
 LENGTH, HEIGHT, EPS = 10.0, 6.0, 0.5  # mm: of both plates; of each plate; thickness of the glue
-ALUMINIUM = LinearElastic.young(E=70e3, nu=0.33)  # MPa
 GLUE, START = LinearElastic.young(E=2e3, nu=0.42), LinearElastic.young(E=3e3, nu=0.35)  # MPa: true; first guess
 TRUE = {"S.mu": GLUE.mu, "S.lmbda": GLUE.lmbda}
 SHIFT, TURN = 0.02, 0.002  # of the upper grip: mm along the glue; slope to which it turns about 0.3 of the length

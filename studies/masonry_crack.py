@@ -12,19 +12,18 @@ from collections.abc import Callable
 
 import numpy as np
 
-from forms import Breaking, LinearElastic
+from forms import Breaking
 from forms.base import Array
 from geometry import wall
+from studies.sweeping import Curves
+from studies.wall import BRICK_SIZE, CLAY, EPS, MORTAR_E, MORTAR_NU
 from thinlayer import ArcLength, Structure, Table, ThinLayer, march, plotting
 from thinlayer.discretisation.supports import Support
 from thinlayer.running.record import Record
 from thinlayer.solving.history import History
 from thinlayer.system.progress import track
 
-BRICKS, COURSES, BRICK_SIZE = 3, 4, (250.0, 75.0)  # of the wall; mm, with the mortar
-CLAY = LinearElastic.young(E=12e3, nu=0.2)  # MPa
-EPS = 10.0  # mm, thickness of the joints
-E, NU = 2e3, 0.2  # of the mortar, MPa
+BRICKS, COURSES = 3, 4  # of the wall
 STRENGTHS = {"BED": (0.2, 0.3), "HEAD": (0.1, 0.15)}  # MPa, in opening and shear
 TOUGHNESSES = {"BED": (0.01, 0.05), "HEAD": (0.005, 0.025)}  # N/mm, in opening and shear
 ENDS = {0.3: 0.12, 1.0: 0.4, 3.0: 0.5, 10.0: 0.5}  # factor of the toughnesses -> mm, last displacement of the right end
@@ -55,7 +54,7 @@ def pull(cells: int, factor: float, *, cracked: float | Callable[[Array], Array]
     layers = {}
     for seam, (G_I, G_II) in TOUGHNESSES.items():
         toughness, damage = (factor * G_I, factor * G_II), {"cracked": cracked if seam == "HEAD" else 0.0}
-        law = Breaking.glue(E, NU, STRENGTHS[seam], toughness, bond_line=EPS, **damage)
+        law = Breaking.glue(MORTAR_E, MORTAR_NU, STRENGTHS[seam], toughness, bond_line=EPS, **damage)
         layers[seam] = ThinLayer(law, EPS)
     model = Structure(bricks, body=CLAY, supports=supports, element="Q1").interface(layers)
     observe = {"stress": lambda state: state.reaction("RIGHT").force[0] / HEIGHT}
@@ -78,8 +77,7 @@ def run(record: Record, *, quick: bool = False) -> None:
         rows = record.add_report(pull(CELLS[0 if quick else 1], factor, cracked=cracked)).table
         capacity = rows["stress"].max() / PLASTIC[name]
         table.append({"wall": name, "factor": factor, "capacity": capacity, "dissipated": rows["dissipated"].sum()})
-        curve = Table.of({"t": rows["t"], "stress": rows["stress"]})
-        response.extend({"wall": name, "factor": factor, **row} for row in curve.rows)
+        response.extend(Table.of({"wall": name, "factor": factor, "t": rows["t"], "stress": rows["stress"]}))
     for name, rows in table.split("wall").items():
         capacity = rows["capacity"]
         record.check(f"{name}: capacity over the plastic one, brittle", capacity[0], high=0.95)
@@ -96,12 +94,11 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 def draw(record: Record) -> None:
     """Draw the mean stress over the displacement, from table_response.csv in the folder of `record`."""
-    panels = {}
+    panels = dict[str, Curves]()
     for name, rows in record.load("table_response.csv").split("wall").items():
-        curves = {
-            f"toughness times {factor:g}": (part["t"], part["stress"]) for factor, part in rows.split("factor").items()
-        }
-        panels[name] = curves | {"plastic capacity": ((0.0, END), (PLASTIC[name], PLASTIC[name]))}
+        parts = {f"toughness times {factor:g}": part for factor, part in rows.split("factor").items()}
+        panels[name] = {label: (part["t"], part["stress"]) for label, part in parts.items()}
+        panels[name]["plastic capacity"] = (0.0, END), (PLASTIC[name], PLASTIC[name])
     axes, title = ("displacement of the end (mm)", "mean stress (MPa)"), "a masonry wall is pulled along its courses"
     look = {"xlim": (0.0, END), "ylim": (0.0, 0.55), "colours": {"plastic capacity": "0.5"}}
     plotting.curves(panels, *axes, title=title, save=record.path("masonry_crack.svg"), **look)

@@ -11,10 +11,10 @@ from forms import NonMonotone, NonMonotoneUnrelaxed, TractionLaw
 from forms.base import Array
 from forms.tensors import Expr
 from forms.traction import JumpStep
-from geometry import sandwich
-from studies.problems import FOURIER_BODY, SUPPORTS, Problem, StructureArguments, phases_on_s
+from studies.problems import SUPPORTS, Problem, between_rollers, phases_on_s
 from thinlayer import Surface
 from thinlayer.discretisation.state import State
+from thinlayer.discretisation.supports import Support
 
 # chi, in the axes t, n of S
 OBLIQUE, SHEARED = np.array([[0.0, 0.3], [0.3, 0.5]]), np.array([[0.0, 0.5], [0.5, 0.0]])
@@ -94,10 +94,11 @@ def blocks(h: float, shear: float, pull: float, *, moved: bool = False) -> Probl
         factor = t if moved else 1
         return factor * shear * ufl.sin(ufl.pi * x[0]), factor * pull * ufl.cos(ufl.pi * x[0] / 2)
 
-    setup: StructureArguments = {"body": FOURIER_BODY, "supports": SUPPORTS, "tractions": {} if moved else {"TOP": top}}
+    joint, setup = between_rollers(h, top, width=2.0)
     if moved:
-        setup["supports"] = SUPPORTS | {"TOP": {"x": lambda x, t: top(x, t)[0], "y": lambda x, t: top(x, t)[1]}}
-    return sandwich(2.0, 0.5, 0.5, h, cell="quadrilateral", structured=True), setup
+        top_support: Support = {"x": lambda x, t: top(x, t)[0], "y": lambda x, t: top(x, t)[1]}
+        setup |= {"tractions": {}, "supports": SUPPORTS | {"TOP": top_support}}
+    return joint, setup
 
 
 def phases_along(state: State, _: Surface) -> dict[str, Array]:

@@ -68,6 +68,28 @@ def layer_fn(law: BulkLaw, at: float | None = 1.0, order: int = 0, profile: Prof
     return partial(ThinLayer, law, at=at, order=order, profile=profile)
 
 
+def between_rollers(
+    h: float, top: LoadInput, *, width: float = 1.0, cell: str = "quadrilateral", **more: Unpack[StructureArguments]
+) -> Problem:
+    """Two blocks, 0.5 high, under a traction on top; the lower side is clamped, the lateral sides are on rollers.
+
+    The lateral sides of the layer are on rollers, too, so that nothing is singular at the ends of S. Lengths and stresses
+    have no units. The bodies have E = 100 and nu = 0.3.
+
+    Args:
+        h: cell size; the mesh is a grid.
+        top: the traction.
+        width: width of the blocks.
+        cell: "triangle" or "quadrilateral".
+        more: further arguments of `Structure`, or others in place of those above.
+
+    Returns:
+        The joint, and the arguments of its `Structure`.
+    """
+    setup: StructureArguments = {"body": FOURIER_BODY, "supports": SUPPORTS, "tractions": {"TOP": top}}
+    return sandwich(width, 0.5, 0.5, h, cell=cell, structured=True), setup | more
+
+
 def fourier(h: float, *, cell: str = "triangle") -> Problem:
     """Two blocks, 1 wide and 0.5 high, under a traction with one half-wave; its solution is a single Fourier mode.
 
@@ -81,9 +103,7 @@ def fourier(h: float, *, cell: str = "triangle") -> Problem:
     Returns:
         The joint, and the arguments of its `Structure`.
     """
-    joint = sandwich(1.0, 0.5, 0.5, h, cell=cell, structured=True)
-    tractions = {"TOP": lambda x, t: (0.5 * ufl.sin(ufl.pi * x[0]), ufl.cos(ufl.pi * x[0]))}
-    return joint, {"body": FOURIER_BODY, "supports": SUPPORTS, "tractions": tractions}
+    return between_rollers(h, lambda x, t: (0.5 * ufl.sin(ufl.pi * x[0]), ufl.cos(ufl.pi * x[0])), cell=cell)
 
 
 @dataclass(frozen=True)
@@ -167,7 +187,7 @@ def free_blocks(
     return top_loaded(sandwich(1.0, *heights, h=1 / 8, h_S=h_S, h_ends=h_ends, cell="quadrilateral"), load, **more)
 
 
-def pressed(h: float, path: LoadPath) -> Problem:
+def pressed(h: float, path: LoadPath, **more: Unpack[StructureArguments]) -> Problem:
     """Two blocks, 2 wide and 0.5 high, pressed together more at one end than at the other, and sheared.
 
     The lower side is clamped. The lateral sides (the layer's too) are on rollers, so that nothing is singular at the
@@ -178,36 +198,36 @@ def pressed(h: float, path: LoadPath) -> Problem:
     Args:
         h: cell size; the mesh is a grid of squares.
         path: time -> coefficients p, r and q of the traction; they are linear in time between these times.
+        more: further arguments of `Structure`.
 
     Returns:
         The joint, and the arguments of its `Structure`.
     """
-    joint = sandwich(2.0, 0.5, 0.5, h, cell="quadrilateral", structured=True)
     loads = piecewise(path)
 
     def top(x: Expr, t: Expr) -> tuple[Expr, Expr]:
         p, r, q = loads(x, t)
         return q * ufl.sin(ufl.pi * x[0] / 2), -p - r * ufl.cos(ufl.pi * x[0] / 2)
 
-    return joint, {"body": FOURIER_BODY, "supports": SUPPORTS, "tractions": {"TOP": top}}
+    return between_rollers(h, top, width=2.0, **more)
 
 
-def sheared(h: float) -> Problem:
+def sheared(h: float, **more: Unpack[StructureArguments]) -> Problem:
     """The blocks of `fourier` under a pressure, with a shear that grows until t = 1 and then decreases.
 
     Args:
         h: cell size, a length without unit.
+        more: further arguments of `Structure`, or others in place of those of `fourier`.
 
     Returns:
         The joint, and the arguments of its `Structure`.
     """
-    joint, setup = fourier(h, cell="quadrilateral")
 
     def load(x: Expr, t: Expr) -> tuple[Expr, Expr]:
         shear = MAX_SHEAR * ufl.conditional(ufl.lt(t, 1), t, 2 - t)
         return shear * ufl.sin(ufl.pi * x[0]), -1 + 0.3 * ufl.cos(ufl.pi * x[0])
 
-    return joint, setup | {"tractions": {"TOP": load}}
+    return between_rollers(h, load, **more)
 
 
 def sliding_bar(n: int, *, depth: bool = False, **cells: Unpack[GridArgs]) -> Problem:

@@ -84,11 +84,8 @@ def run(record: Record) -> None:
 
 def draw(record: Record) -> None:
     """Draw the force over the displacement, from table.csv in the folder of `record`."""
-    rows = record.load("table.csv").split("friction")
-    lines = {
-        f"{name}, friction {friction:g}": (curve["displacement"], curve["force"])
-        for friction, part in rows.items()
-        for name, curve in part.split("curve").items()
-    }
-    axes = "displacement of the end (mm)", "force per width (N/mm)"
-    plotting.curves(lines, *axes, styles=("-", "o"), xlim=(0.0, END), save=record.path("pull_out.svg"))
+    paths = dict[str, Table]()
+    for friction, rows in record.load("table.csv").split("friction").items():
+        paths |= {f"{name}, friction {friction:g}": curve for name, curve in rows.split("curve").items()}
+    axes, look = ("displacement of the end (mm)", "force per width (N/mm)"), {"styles": ("-", "o"), "xlim": (0.0, END)}
+    plotting.load_displacement(paths, "displacement", "force", *axes, save=record.path("pull_out.svg"), **look)

@@ -155,17 +155,8 @@ def fig2_bar(sizes: tuple[float, float, float]) -> Problem:
     return fig3.bar_joint(sizes), fig3.LOAD_READINGS["R1"].setup
 
 
-def metal_blocks(h: float) -> Problem:
-    """The blocks of `studies.problems.sheared`, made of a metal with the law `VonMises`, which hardens.
-
-    Args:
-        h: cell size, a length without unit.
-
-    Returns:
-        The joint, and the arguments of its `Structure`.
-    """
-    joint, setup = sheared(h)
-    return joint, setup | {"body": VonMises(FOURIER_BODY.lmbda, FOURIER_BODY.mu, strength=3.0, hardening=20.0)}
+METAL = VonMises(FOURIER_BODY.lmbda, FOURIER_BODY.mu, strength=3.0, hardening=20.0)  # of bodies that yield
+metal_blocks = partial(sheared, body=METAL)
 
 
 PUSH_PATH: LoadPath = {0: (0.0, 0.0, 0.0), 1: (0.3, 0.35, 0.0), 2: (0.3, 1.0, 1.5), 3: (0.3, 0.0, -0.9)}
@@ -206,7 +197,8 @@ rub_sweep = partial(fine_sweep, layer_fn(bands.BAND_LAW), h=(1 / 128, 1 / 64), c
     extras_fn=bands.zone_lengths, along_fn=bands.tractions_along)
 bar_sweep = partial(Sweep, problem=fig2_bar, h=((6.0, 3.0, 0.2), (8.0, 4.0, 0.4)), eps=(2.0, 1.0, 0.5, 0.25),
     orders=(0.9, 1.3), unit="mm", where=lambda x: abs(x[0] - fig3.SIDE / 2) < 0.45 * fig3.SIDE)  # 5 mm off the ends of S
-at_once, to_and_fro = (partial(bands.blocks, path=path) for path in (bands.DIRECT_PATH, RETURN_PATH))
+# with bilinear quadrilaterals contact laws act at the nodes of S, meshed frictional layers at their quadrature points
+at_once, to_and_fro = (partial(pressed, path=path, element="Q1") for path in (bands.DIRECT_PATH, RETURN_PATH))
 
 
 def phase_sweep(case: str, label: str) -> Sweep:
@@ -353,17 +345,16 @@ def draw(record: Record) -> None:
     """
     for law in LAWS:
         names = {s.label: name for name, s in SWEEPS.items() if name.split()[0] == law and record.has(table_file(name))}
-        title = f"law on S against meshed layer: {law.replace('_', ' ')}" + (
-            f", eps in {SWEEPS[law].unit}" if SWEEPS[law].unit else ""
-        )
         if not names:
             continue
+        unit, (errors, order) = SWEEPS[law].unit, DRAWN_ERRORS.get(law, (ERROR_COLUMNS, 1.0))
+        title = f"law on S against meshed layer: {law.replace('_', ' ')}{f', eps in {unit}' if unit else ''}"
         tables = {label: record.path(table_file(name)) for label, name in [*names.items()][: len(COLOURS)]}
-        if law not in SEPARATE_LAWS:
-            errors, order = DRAWN_ERRORS.get(law, (ERROR_COLUMNS, 1.0))
-            plotting.rates(tables, save=record.path(f"rates_{law}.svg"), title=title, errors=errors, reference=order)
-        for error, suffix in (("traction", ""), ("jump", "_jump")) if law in SEPARATE_LAWS else ():
-            options = {"title": f"{title}: {error}", "errors": {error: f"error_{error}"}}
-            plotting.rates(tables, save=record.path(f"rates_{law}{suffix}.svg"), **options)
+        pictures = {f"rates_{law}.svg": (title, errors)}
+        if law in SEPARATE_LAWS:
+            files = {"traction": f"rates_{law}.svg", "jump": f"rates_{law}_jump.svg"}
+            pictures = {files[error]: (f"{title}: {error}", {error: column}) for error, column in errors.items()}
+        for file, (text, columns) in pictures.items():
+            plotting.rates(tables, save=record.path(file), title=text, errors=columns, reference=order)
         if along := {label: name for label, name in names.items() if SWEEPS[name].along_fn}:
             draw_along(record, along, f"along_{law}")

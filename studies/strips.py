@@ -22,9 +22,8 @@ from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
 
 NU = 0.3
-ALUMINIUM, STEEL = LinearElastic.young(E=70e3, nu=NU), LinearElastic.young(E=210e3, nu=NU)  # MPa
 ALPHA = {"LOWER": 23e-6, "UPPER": 12e-6}  # 1/K, of aluminium below and steel above
-YOUNG_MODULI = {"LOWER": 70e3, "UPPER": 210e3}
+YOUNG_MODULI = {"LOWER": 70e3, "UPPER": 210e3}  # MPa
 HEIGHTS = {"LOWER": 3.0, "UPPER": 2.0}  # mm
 TEMPERATURE_CHANGE = -80.0  # K
 HALF_LENGTH = 200.0  # mm, half of the strips: the left end is the middle
@@ -59,8 +58,8 @@ def strip_models(h: float, mu: float, supports: Mapping[Place, Support]) -> dict
     """
     joint = sandwich(HALF_LENGTH, HEIGHTS["LOWER"], HEIGHTS["UPPER"], h, cell="quadrilateral", structured=True)
     eigenstrains = {name: ThermalExpansion(alpha, TEMPERATURE_CHANGE) for name, alpha in ALPHA.items()}
-    bodies, all_supports = {"LOWER": ALUMINIUM, "UPPER": STEEL}, {"LEFT": {"x": 0.0}, **supports}
-    structure = Structure(joint, body=bodies, supports=all_supports, eigenstrain=eigenstrains)
+    bodies = {name: LinearElastic.young(E, NU) for name, E in YOUNG_MODULI.items()}
+    structure = Structure(joint, body=bodies, supports={"LEFT": {"x": 0.0}, **supports}, eigenstrain=eigenstrains)
     layer = ThinLayer(LinearElastic.shear(mu, 0.4), EPS)
     return {"meshed layer": structure.full(layer), "interface law": structure.interface(layer)}
 

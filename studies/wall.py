@@ -21,7 +21,8 @@ from thinlayer.solving.history import History
 BRICK_SIZE = (250.0, 75.0)  # mm, with the mortar
 CLAY = LinearElastic.young(E=12e3, nu=0.2)  # MPa
 EPS = 10.0  # mm, thickness of the joints
-MORTAR = LinearElastic.young(E=2e3, nu=0.2)
+MORTAR_E, MORTAR_NU = 2e3, 0.2  # MPa
+MORTAR = LinearElastic.young(MORTAR_E, MORTAR_NU)
 OMEGA = 30.0  # degrees
 COHESIONS = {"BED": 0.1, "HEAD": 0.03}  # MPa
 PRESSURE = 0.5  # MPa, on the top

@@ -16,7 +16,7 @@ from forms.base import Array
 from geometry.parallel import default_comm
 from geometry.topology import IntArray
 from studies.maps import maps
-from studies.problems import FOURIER_BODY, WaveSolution, fourier, free_blocks
+from studies.problems import FOURIER_BODY, WaveSolution, between_rollers, free_blocks
 from studies.sweeping import difference
 from thinlayer import RangeWarning, Structure, Surface, Table, ThinLayer, solve
 from thinlayer.discretisation.state import State
@@ -136,9 +136,8 @@ class Rollers:
     layers = staticmethod(_layers)
 
     def __init__(self, h: float) -> None:
-        joint, setup = fourier(h, cell="quadrilateral")
         s, c = (lambda x, f=f: LOAD * f(ufl.pi * x[0]) for f in (ufl.sin, ufl.cos))
-        setup["tractions"] = {"TOP": lambda x, t: (0.5 * s(x), c(x))}
+        joint, setup = between_rollers(h, lambda x, t: (0.5 * s(x), c(x)))
         self._structure = Structure(joint, **setup)
         self._wave = WaveSolution(math.pi, 0.5, (FOURIER_BODY.lmbda, FOURIER_BODY.mu), (0.5 * LOAD, LOAD))
 

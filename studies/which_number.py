@@ -11,6 +11,7 @@ import numpy as np
 
 from forms import MohrCoulomb, Rubber
 from geometry import sandwich
+from studies.bearing import plated_disc
 from studies.problems import STEEL
 from studies.sweeping import end_state
 from studies.wall import BRICK_SIZE, CLAY, COHESIONS, EPS, MORTAR, OMEGA, PRESSURE
@@ -29,8 +30,7 @@ from thinlayer.system.progress import track
 
 LAP_FILE = Path(__file__).with_name("data") / "lap.toml"
 TOP_SHIFT, TIMES = 0.08, (0.25, 0.5, 0.75, 1.0)  # mm, of the upper brick at t = 1
-RUBBER = Rubber.shear(1.2, 0.499)  # MPa
-RADIUS, PLATE, RUBBER_EPS, LIFT = 30.0, 10.0, 2.5, 0.01  # mm: of the bearing; heights of plate and rubber; displacement
+RUBBER, RUBBER_EPS = Rubber.shear(1.2, 0.499), 2.5  # MPa, mm
 STRESSES = ("E", "lmbda", "mu", "cohesion")  # parameters of laws that are stresses
 STEP = 1e-4  # relative change of a parameter for central differences
 TOLERANCE = 1e-5  # relative: steel is 1e5 times stiffer than rubber, whose derivatives lose five digits by rounding
@@ -75,11 +75,8 @@ def pressed_bricks(quick: bool) -> InterfaceModel:
 
 def bearing(quick: bool) -> InterfaceModel:
     """Make a disc of rubber between steel plates, mm and MPa, whose upper plate is lifted."""
-    h_S = 1.0 if quick else 0.4
-    joint = sandwich(RADIUS, PLATE, PLATE, RADIUS / 8, h_S=h_S, h_ends=RUBBER_EPS / 15, cell="quadrilateral")
-    supports: dict[Place, Support] = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": LIFT}}
-    plates = Structure(joint, body=STEEL, supports=supports, plane="axisymmetric")
-    return plates.interface(ThinLayer(RUBBER, RUBBER_EPS, order=1))
+    disc = plated_disc(STEEL, RUBBER_EPS, 1.0 if quick else 0.4)
+    return disc.interface(ThinLayer(RUBBER, RUBBER_EPS, order=1))
 
 
 LAME, YOUNG, march_bricks = ("lmbda", "mu"), ("E", "nu"), partial(march, times=TIMES)
