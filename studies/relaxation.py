@@ -86,7 +86,6 @@ def check(record: Record, table: Table) -> None:
     record.check("one omega everywhere: sweeps until a failure is found", failed_sweeps.max(initial=0), high=MAX_SWEEPS)
     is_stiff = is_unit_contact & (table["lmbda"] == MODULI[0][0]) & (table["converged"] == 1)
     least_sweeps = {n: table["sweeps"][is_stiff & (table["squares"] == n)].min() for n in np.unique(table["squares"])}
-    record.results["best_sweeps"] = {int(n): int(sweeps) for n, sweeps in least_sweeps.items()}
     sizes = sorted(least_sweeps)
     exponent = math.log(least_sweeps[sizes[-1]] / least_sweeps[sizes[0]]) / math.log(sizes[-1] / sizes[0])
     record.check("growth of the least number of sweeps with the squares, exponent", exponent, high=1.5)

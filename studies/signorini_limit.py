@@ -86,7 +86,6 @@ def _check(record: Record, table: Table, steps: Table, meshes: Sequence[int]) ->
     for name in ("jump", "traction"):
         record.check(f"last observed order in 1/K, {name}", table[f"order_{name}"][-1], low=0.9, high=1.1)
     max_steps = {m: part["newton_steps"].max() for m, part in steps.split("squares").items()}
-    record.results["most_newton_steps"] = {str(m): int(k) for m, k in max_steps.items()}
     coarse, fine = max_steps[meshes[0]], max_steps[meshes[-1]]
     record.check(f"most Newton steps, {meshes[-1]} squares against {meshes[0]}: more by", fine - coarse, high=2)
     record.check("largest equilibrium error", float(steps["equilibrium"].max()), high=1e-9)

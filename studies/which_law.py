@@ -10,17 +10,20 @@ from functools import partial
 
 import numpy as np
 import ufl
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.patches import Patch
 
 from forms import Incompressible, LinearElastic, Rubber
 from forms.base import Array
 from geometry.parallel import default_comm
 from geometry.topology import IntArray
-from studies.maps import maps
 from studies.problems import FOURIER_BODY, WaveSolution, between_rollers, free_blocks
 from studies.sweeping import difference
 from thinlayer import RangeWarning, Structure, Surface, Table, ThinLayer, solve
 from thinlayer.discretisation.state import State
 from thinlayer.output.plotting.curves import as_fraction
+from thinlayer.output.plotting.picture import finish_picture, make_panels
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 
@@ -38,6 +41,9 @@ LAW_NAMES = {
 }
 CORRECTED_LAWS = {"order_1": "edges", "rubber": "rubber_edges"}  # law -> the same law, corrected at free ends
 MAP_LABELS = {"0: order 0": "order_0", "1: LinearElastic, order 1": "order_1", "R: Rubber, order 1": "rubber"}
+MAP_TEXTS, MAP_COLOURS = (*MAP_LABELS, "m: meshed layer"), ("#5e9bc8", "#b7dfc0", "#fff7b0", "#f8b26a")
+FONT_SIZE = 8  # of maps, points: 6 in print, where two columns fill 170 mm
+CELL_INCHES, MARGIN_INCHES, LEGEND_INCHES = np.array([0.37, 0.25]), np.array([0.45, 0.35]), 1.4  # sizes of maps
 QUANTITIES = ("traction", "jump", "compliance")
 ALLOWED_ERRORS = (0.01, 0.05)  # errors for which the cheapest law is drawn
 WARNED_ERROR = 0.1  # error of order 1 from which on a warning is required
@@ -254,14 +260,34 @@ def draw(record: Record) -> None:
     The values are read from table.csv in the folder of `record`.
     """
     for sides, table in record.load("table.csv").split("sides").items():
-        nus, eps, panels = np.unique(table["nu"]), np.unique(table["eps"]), dict[str, IntArray]()
-        axes = ("Poisson's ratio nu of the layer", [f"{nu:g}" for nu in nus]), ("eps/l", [as_fraction(e) for e in eps])
-        for contrast, part in table.split("E/mu").items():
-            for allowed in ALLOWED_ERRORS:
-                cheapest = _cheapest_laws(part, allowed).reshape(len(nus), -1)  # by ratio, then by thickness
-                panels[f"E/mu = {contrast:,.0f}, errors below {allowed:.0%}"] = cheapest.T
-        title = f"the cheapest law that is exact enough: {SET_UP_TITLES[sides]}"
-        maps(panels, *axes, (*MAP_LABELS, "m: meshed layer"), title=title, save=record.path(f"cheapest_{sides}.svg"))
+        nus, eps, parts = np.unique(table["nu"]), np.unique(table["eps"]), table.split("E/mu")
+        cases = [(contrast, allowed) for contrast in parts for allowed in ALLOWED_ERRORS]
+        width, height = CELL_INCHES * (len(nus), len(eps)) + MARGIN_INCHES
+        shape = len(parts), len(ALLOWED_ERRORS)
+        inches = width * shape[1], height * shape[0] + LEGEND_INCHES
+        panels = make_panels(None, shape, len(cases), inches, sharex=True, sharey=True)
+        for axes, (contrast, allowed) in zip(panels, cases, strict=True):
+            cheapest = _cheapest_laws(parts[contrast], allowed).reshape(len(nus), -1)  # by ratio, then by thickness
+            _draw_cells(axes, cheapest.T)
+            axes.set_xticks(np.arange(len(nus)) + 0.5, [f"{nu:g}" for nu in nus], rotation=60)
+            axes.set_yticks(np.arange(len(eps)) + 0.5, map(as_fraction, eps))
+            axes.tick_params(length=0, labelsize=FONT_SIZE)
+            axes.set(xlabel="Poisson's ratio nu of the layer", ylabel="eps/l")
+            axes.set_title(f"E/mu = {contrast:,.0f}, errors below {allowed:.0%}", fontsize=FONT_SIZE + 1)
+            axes.label_outer()
+        patches = [Patch(color=colour, label=label) for colour, label in zip(MAP_COLOURS, MAP_TEXTS, strict=True)]
+        title, save = (
+            f"the cheapest law that is exact enough: {SET_UP_TITLES[sides]}",
+            record.path(f"cheapest_{sides}.svg"),
+        )
+        finish_picture(panels, save, title, patches, len(patches))
+
+
+def _draw_cells(axes: Axes, laws: IntArray) -> None:
+    """Draw numbers of laws, (rows, columns) from the bottom, as cells with colours and letters."""
+    axes.pcolormesh(laws, cmap=ListedColormap(MAP_COLOURS), vmin=0, vmax=len(MAP_TEXTS) - 1, edgecolors="white")
+    for (i, j), law in np.ndenumerate(laws):
+        axes.text(j + 0.5, i + 0.5, MAP_TEXTS[int(law)][0], ha="center", va="center", fontsize=FONT_SIZE)
 
 
 def _cheapest_laws(table: Table, allowed: float) -> IntArray:

@@ -10,7 +10,7 @@ from forms.law import BulkLaw
 from studies.dropped import ignore_range_warnings
 from studies.performance import SIZES, blocks
 from studies.sweeping import timed
-from studies.timing import compared, in_turn
+from studies.timing import check_ratios, compared, in_turn
 from thinlayer import ThinLayer, derivative, goals, march, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
@@ -47,8 +47,7 @@ def run(record: Record, *, quick: bool = False) -> None:
             table.extend(of_solve(dim, 2 * SMALL if quick else cells, 1 if quick else 2))
         of_march(SMALL, 1)
         table.extend(of_march(2 * SMALL if quick else CELLS[2], 1 if quick else 2))
-    for row in () if quick else table.rows:
-        record.check(f"{row['work']}, {row['unknowns']} unknowns", float(row["ratio"]), high=float(row["limit"]))
+    check_ratios(record, () if quick else table)
 
 
 class Works:

@@ -27,7 +27,7 @@ from studies.friction_cost import WORKS, friction
 from studies.other_programs import MODULES, ngsolve, scikit_fem
 from studies.problems import SNAP_LAW_ARGS, SUPPORTS, top_loaded
 from studies.sweeping import timed
-from studies.timing import Stages, compared, in_turn
+from studies.timing import Stages, check_ratios, compared, in_turn, timed_in_turn
 from thinlayer import ArcLength, Bond, SolveError, Structure, ThinLayer, estimate, goals, march, solve
 from thinlayer.discretisation.coefficient import LoadInput
 from thinlayer.discretisation.layer import SurfaceLaw
@@ -86,9 +86,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     for part, rows in parts(quick=quick).items():
         for row in rows():
             table.append({name: ({"part": part} | row).get(name) for name in COLUMNS})
-    for row in () if quick else table.rows:
-        if math.isfinite(limit := float(row["limit"] or math.inf)):
-            record.check(f"{row['work']}, {row['unknowns']} unknowns", float(row["ratio"] or math.nan), high=limit)
+    check_ratios(record, () if quick else table)
 
 
 def parts(*, quick: bool = False) -> dict[str, Callable[[], Iterable[Row]]]:
@@ -237,9 +235,7 @@ def marches(n: int, repeats: int) -> Iterable[Row]:
         linear, limit = partial(solve, soft, 1.0), math.inf if times else ESTIMATE_LIMIT
         ours: Callable[[], object] = partial(estimate, linear(), goals=[goals.Compliance()])
         ours = partial(march, model, times, keep="last") if times else ours
-        works_in_turn: dict[str, Callable[[], tuple[float, object]]]
-        works_in_turn = {work: partial(timed, ours), "linear": partial(timed, linear)}
-        (took, result), (reference, _) = in_turn(works_in_turn, repeats, FIRST).values()
+        (took, result), (reference, _) = timed_in_turn({work: ours, "linear": linear}, repeats).values()
         steps = len(result.t) - 1 if isinstance(result, History) else 1
         row = {"dim": 2, "unknowns": soft.unknowns, "seconds": took / steps}
         yield compared(work, row, "linear solve", {"seconds": reference}, limit)

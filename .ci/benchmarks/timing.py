@@ -5,7 +5,9 @@ from __future__ import annotations
 import ctypes
 import math
 import time
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,6 +16,7 @@ from petsc4py import PETSc
 
 from geometry.parallel import ResultType
 from studies.sweeping import timed
+from thinlayer.running.record import Record
 from thinlayer.solving.petsc import PREFIX, OptionValue, set_defaults
 from thinlayer.system.ranks import destroy
 from thinlayer.system.table import Row
@@ -62,6 +65,20 @@ def in_turn(
     while len(runs) < repeats or (repeats > 1 and time.perf_counter() - begin < ENOUGH):
         runs.append([work() for work in works.values()])
     return {name: min(results, key=key) for name, results in zip(works, zip(*runs, strict=True), strict=True)}
+
+
+def timed_in_turn(
+    works: Mapping[WorkName, Callable[[], ResultType]], repeats: int
+) -> dict[WorkName, tuple[float, ResultType]]:
+    """Return the least processor time of each work, s, and its result; works run in turn, see `in_turn`."""
+    return in_turn({name: partial(timed, work) for name, work in works.items()}, repeats, itemgetter(0))
+
+
+def check_ratios(record: Record, rows: Iterable[Row]) -> None:
+    """Check the ratio of times in each row of `compared` that has a limit."""
+    for row in rows:
+        if math.isfinite(limit := float(row["limit"] or math.inf)):
+            record.check(f"{row['work']}, {row['unknowns']} unknowns", float(row["ratio"] or math.nan), high=limit)
 
 
 def peak(work: Callable[[], object]) -> float:

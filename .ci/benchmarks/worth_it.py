@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from operator import itemgetter
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from studies.dropped import ignore_range_warnings
 from studies.junctions import far_weights
 from studies.problems import GLUE, GLUE_EPS, STEEL
 from studies.sweeping import Curves, timed
+from studies.timing import timed_in_turn
 from studies.wall import BRICK_SIZE, CLAY, MORTAR
 from thinlayer import Structure, Surface, ThinLayer, estimate, plotting, solve
 from thinlayer.discretisation.model import Model
@@ -106,12 +106,9 @@ def compare_models(record: Record, name: str, runs: int) -> dict[str, dict[str, 
     def solved(label: str) -> State:
         return solve(models[label]())
 
-    # models in turn, so that a busy machine slows all of them
-    turns = [[timed(partial(solved, label)) for label in models] for _ in range(runs)]
-    for label, results in zip(models, zip(*turns, strict=True), strict=True):
-        seconds, state = min(results, key=itemgetter(0))
+    for label, (seconds, state) in timed_in_turn({label: partial(solved, label) for label in models}, runs).items():
         add_row(label, seconds, state, state, state.load_work())
-    seconds, estimated = min((timed(lambda: estimate(solved(ORDERS[0]))) for _ in range(runs)), key=itemgetter(0))
+    ((seconds, estimated),) = timed_in_turn({BETTER: lambda: estimate(solved(ORDERS[0]))}, runs).values()
     goal, law, four = estimated.goals["compliance"], rows[ORDERS[0]], rows[ROWS[4]]
     add_row(BETTER, seconds, estimated.better, estimated.inside, goal.better)
     record.check(f"{name}: work, 4 rows, between bounds", four["work"], low=goal.lower, high=goal.upper)
