@@ -62,14 +62,11 @@ def run(record: Record, *, quick: bool = False) -> None:
             bias, half_width = first.bias[name], NORMAL_QUANTILE * first.deviation[name]
             row = {"true": true, "fitted": first.values[name], "deviation": first.deviation[name], "bias": bias}
             holding = {"with": abs(errors[name]) <= half_width + abs(bias), "without": abs(errors[name]) <= half_width}
-            table.append(
-                {"order": order, "modulus": name} | row | {key: np.sum(is_in) for key, is_in in holding.items()}
-            )
+            row |= {key: float(np.sum(is_in)) for key, is_in in holding.items()}
+            table.append({"order": order, "modulus": name} | row)
         record.check(f"order {order}: error of the linear step, over the standard deviation", distance, high=0.3)
-        low = table["with"][-2:].min()
-        record.check(
-            f"order {order}: fewest tests in which an interval with the law's error holds", low, low=MIN_HOLDING
-        )
+        what, holding_tests = "fewest tests in which an interval with the law's error holds", table["with"][-2:]
+        record.check(f"order {order}: {what}", holding_tests.min(), low=MIN_HOLDING)
     fewest = [table["without"][k : k + 2].min() for k in (0, 2)]
     record.check("order 0: fewest tests in which an interval without the law's error holds", fewest[0], high=500)
     record.check("order 1: the same", fewest[1], low=MIN_HOLDING)

@@ -15,7 +15,7 @@ from scipy.linalg import expm
 from forms import BulkLaw, LinearElastic, MohrCoulomb
 from forms.base import Array
 from forms.tensors import Expr
-from geometry import block, disc, read, ring, sandwich
+from geometry import block, disc, fibre, read, ring, sandwich
 from geometry.joint import Joint, Profile
 from geometry.shapes.sizing import GridArgs
 from geometry.topology import BoolArray
@@ -259,11 +259,53 @@ young = LinearElastic.young
 STEEL, ALUMINIUM, STONE = young(E=210e3, nu=0.3), young(E=70e3, nu=0.33), young(E=20e3, nu=0.2)
 GLUE, GLUE_EPS = young(E=2e3, nu=0.4), 0.2  # 2 GPa where the layer is 0.2 mm thick
 JOINT, JOINT_EPS = young(E=1e3, nu=0.2), 0.01  # 1 GPa where joints are 10 mm thick
+FIBRE_RADIUS, RIM_RADIUS, STRETCH = 0.4, 1.0, 0.1  # the rim is stretched along x
+GLASS, RESIN = young(E=5.0, nu=0.3), young(E=1.0, nu=0.2)
+COATING = LinearElastic(lmbda=0.6, mu=0.7)  # of a fibre, at the thickness 1
+TUBE_HUB = young(E=70e3, nu=0.34)
+TUBE_GLUE, TUBE_GLUE_EPS = young(E=2e3, nu=0.3), 0.2  # 2 GPa where the layer is 0.2 mm thick
+TUBE_RADII, TUBE_LENGTH = (6.0, 12.0, 18.0), 8.0  # mm: bore, S, rim
+PLATE_SUPPORTS: dict[str, Support] = {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
+PRESSURE_LOADS: StructureArguments = {"supports": PLATE_SUPPORTS, "tractions": {"BOTTOM": (50.0, 0.0)}}  # in the bore
+PUSH_LOADS: StructureArguments = {"supports": {"RIGHT/UPPER": 0.0}, "tractions": {"LEFT/LOWER": (0.0, -40.0)}}  # shaft
 HUB_RADII = (10.0, 15.0, 20.0)  # mm: inside of the shaft, S, outside of the hub
 ROD_RADIUS, ROD_HEIGHT = 12.0, 10.0  # mm: of each cylinder
 ROD_STRESS, ROD_BENDING = 20.0, 30.0  # MPa: mean, and at the edge
 ARCH_WEIGHT = (0.0, -0.025)  # MN/m^3
 ARCH_RADIUS, MIDDLE = 1.15, 0.1  # m: joints are measured over the middle two thirds of their length
+
+
+def coated_fibre(h: float) -> Problem:
+    """A fibre in a disc of resin whose rim is stretched along x; the thin layer is the coating.
+
+    Args:
+        h: cell size; lengths and stresses have no units.
+
+    Returns:
+        The joint, and the arguments of its `Structure`.
+    """
+    joint = fibre(FIBRE_RADIUS, RIM_RADIUS, h, cell="quadrilateral", degree=2)
+    rim: Support = {"x": lambda x, t: STRETCH * x[0], "y": 0.0}
+    return joint, {"body": {"FIBRE": GLASS, "MATRIX": RESIN}, "supports": {"OUTSIDE": rim}}
+
+
+def tubes(h: float, loads: StructureArguments) -> Problem:
+    """A tube glued into another tube, in an axisymmetric section.
+
+    In the section x is the radius and y the axis. The facet set "BOTTOM" of the joint is the bore (the inner side
+    of the inner tube), "LEFT" the upper end of both tubes, where y is largest.
+
+    Args:
+        h: cell size, mm.
+        loads: supports and tractions.
+
+    Returns:
+        The joint, and the arguments of its `Structure`.
+    """
+    bore, on_S, rim = TUBE_RADII
+    section = sandwich(TUBE_LENGTH, on_S - bore, rim - on_S, h, cell="quadrilateral", structured=True)
+    bodies: StructureArguments = {"body": {"LOWER": STEEL, "UPPER": TUBE_HUB}, "plane": "axisymmetric"}
+    return section.rotated(-np.pi / 2).moved((on_S, 0.0)), bodies | loads
 
 
 def glued_hub(h: float) -> Problem:

@@ -44,15 +44,13 @@ def bar(friction: float) -> Table:
 
 def pull(friction: float) -> History:
     """Pull the bar with the law on S; the table of the history has the additional column "force"."""
-    layer = CohesiveFriction(
-        K, K, STRENGTH, STRENGTH, 20 * TOUGHNESS, TOUGHNESS, friction=friction, closure="bilateral"
-    )
-    structure = Structure(
-        block(LENGTH, HEIGHT, HEIGHT, cell="quadrilateral", structured=True), body=LinearElastic.young(E, 0.0),
-        supports={"RIGHT": {"x": lambda x, t: t}}, tractions={"TOP": (0.0, -PRESSURE)},
-    )  # fmt: skip
+    toughnesses = 20 * TOUGHNESS, TOUGHNESS
+    law = CohesiveFriction(K, K, STRENGTH, STRENGTH, *toughnesses, friction=friction, closure="bilateral")
+    bar, body = block(LENGTH, HEIGHT, HEIGHT, cell="quadrilateral", structured=True), LinearElastic.young(E, 0.0)
+    supports, tractions = {"RIGHT": {"x": lambda x, t: t}}, {"TOP": (0.0, -PRESSURE)}
+    structure = Structure(bar, body=body, supports=supports, tractions=tractions)
     observe = {"force": lambda state: state.reaction("RIGHT").force[0]}
-    return march(structure.interface(layer), TIMES, observe=observe)
+    return march(structure.interface(law), TIMES, observe=observe)
 
 
 def run(record: Record) -> None:

@@ -21,7 +21,7 @@ from forms import (
     TractionLaw,
     VonMises,
 )
-from studies import bands, cylinders, phases, problems
+from studies import bands, phases, problems
 from studies import fig3_mohr_coulomb as fig3
 from studies.bands import MODULI, RETURN_PATH
 from studies.problems import (
@@ -242,13 +242,13 @@ SWEEPS: dict[str, Sweep] = {
     "ring": glued_sweep(layer_fn(problems.GLUE, problems.GLUE_EPS), "order 0", orders=(0.9, 1.1)),
     "ring order1": glued_sweep(layer_fn(problems.GLUE, problems.GLUE_EPS, order=1), "order 1", orders=(1.8, 2.2),
         pick_eps=None),
-    "fibre": glued_sweep(layer_fn(cylinders.COATING), problem=cylinders.coated_fibre, h=(0.05, 0.1),
+    "fibre": glued_sweep(layer_fn(problems.COATING), problem=problems.coated_fibre, h=(0.05, 0.1),
         eps=(0.08, 0.04, 0.02, 0.01), orders=(0.9, 1.1), unit="R"),
-    "tubes": glued_sweep(layer_fn(cylinders.GLUE, cylinders.GLUE_EPS), "inner pressure", orders=(0.93, 1.1),
-        problem=partial(cylinders.tubes, loads=cylinders.PRESSURE_LOADS), pick_eps=None),
-    "tubes push": glued_sweep(layer_fn(cylinders.GLUE, cylinders.GLUE_EPS), "shaft pushed", orders=(0.9, 1.25),
-        problem=partial(cylinders.tubes, loads=cylinders.PUSH_LOADS),
-        where=lambda x: abs(x[1] + cylinders.TUBE_LENGTH / 2) < 0.3 * cylinders.TUBE_LENGTH),  # off their ends
+    "tubes": glued_sweep(layer_fn(problems.TUBE_GLUE, problems.TUBE_GLUE_EPS), "inner pressure", orders=(0.93, 1.1),
+        problem=partial(problems.tubes, loads=problems.PRESSURE_LOADS), pick_eps=None),
+    "tubes push": glued_sweep(layer_fn(problems.TUBE_GLUE, problems.TUBE_GLUE_EPS), "shaft pushed", orders=(0.9, 1.25),
+        problem=partial(problems.tubes, loads=problems.PUSH_LOADS),
+        where=lambda x: abs(x[1] + problems.TUBE_LENGTH / 2) < 0.3 * problems.TUBE_LENGTH),  # off their ends
     "own_mesh": Sweep(layer_fn(problems.JOINT, problems.JOINT_EPS), problem=problems.arch, orders=(0.9, 1.1), unit="m",
         h=("P2", "P1"), eps=(0.04, 0.02, 0.01, 0.005), bodies="extended", where=problems.is_inside_joints, pick_eps=middle),
     "butt_joint": Sweep(layer_fn(problems.GLUE, problems.GLUE_EPS), problem=problems.rods, h=((4.0, 2.5), (6.0, 4.0)),

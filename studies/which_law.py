@@ -32,13 +32,7 @@ NUS = (0.0, 0.2, 0.3, 0.4, 0.45, 0.48, 0.49, 0.499, 0.4999, 0.5)
 QUICK_NUS = (0.3, 0.45, 0.49, 0.499, 0.5)
 E_BODY = 100.0
 CONTRASTS = (10, 200, 200_000)  # Young's modulus of the bodies over the shear modulus of the layer
-LAW_NAMES = {
-    "order_0": "order 0",
-    "order_1": "LinearElastic, order 1",
-    "edges": "order 1, free ends",
-    "rubber": "Rubber, order 1",
-    "rubber_edges": "Rubber, free ends",
-}
+LAW_NAMES = ("order_0", "order_1", "edges", "rubber", "rubber_edges")
 CORRECTED_LAWS = {"order_1": "edges", "rubber": "rubber_edges"}  # law -> the same law, corrected at free ends
 MAP_LABELS = {"0: order 0": "order_0", "1: LinearElastic, order 1": "order_1", "R: Rubber, order 1": "rubber"}
 MAP_TEXTS, MAP_COLOURS = (*MAP_LABELS, "m: meshed layer"), ("#5e9bc8", "#b7dfc0", "#fff7b0", "#f8b26a")
@@ -276,11 +270,8 @@ def draw(record: Record) -> None:
             axes.set_title(f"E/mu = {contrast:,.0f}, errors below {allowed:.0%}", fontsize=FONT_SIZE + 1)
             axes.label_outer()
         patches = [Patch(color=colour, label=label) for colour, label in zip(MAP_COLOURS, MAP_TEXTS, strict=True)]
-        title, save = (
-            f"the cheapest law that is exact enough: {SET_UP_TITLES[sides]}",
-            record.path(f"cheapest_{sides}.svg"),
-        )
-        finish_picture(panels, save, title, patches, len(patches))
+        title = f"the cheapest law that is exact enough: {SET_UP_TITLES[sides]}"
+        finish_picture(panels, record.path(f"cheapest_{sides}.svg"), title, patches, len(patches))
 
 
 def _draw_cells(axes: Axes, laws: IntArray) -> None:

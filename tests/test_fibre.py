@@ -9,7 +9,7 @@ import pytest
 
 from forms import LinearElastic
 from geometry import fibre
-from studies.cylinders import COATING, GLASS, RADIUS, RESIN, RIM, STRETCH, coated_fibre
+from studies.problems import COATING, FIBRE_RADIUS, GLASS, RESIN, RIM_RADIUS, STRETCH, coated_fibre
 from tests.cylinders import MODES, Cylinders
 from tests.network_cases import springs
 from thinlayer import Structure, ThinLayer, compare, solve
@@ -57,11 +57,11 @@ def test_a_coating_and_its_law_differ_as_their_closed_forms_do():
     eps, (joint, setup) = 0.04, coated_fibre(0.1)
     structure, layer = Structure(joint, **setup), ThinLayer(COATING, eps, at=1.0)
     full = solve(structure.full(layer, bodies="extended"))
-    radii, laws = (RADIUS - eps / 2, RADIUS + eps / 2, RIM), (GLASS, COATING.scaled(eps), RESIN)
+    radii, laws = (FIBRE_RADIUS - eps / 2, FIBRE_RADIUS + eps / 2, RIM_RADIUS), (GLASS, COATING.scaled(eps), RESIN)
     coated = Cylinders.stretched(laws, radii, [None, None], (STRETCH, 0.0))
     assert full.energies()["bodies"] + full.energies()["layer"] == pytest.approx(coated.energy, rel=5e-5)
     springs = [(COATING.lmbda + 2 * COATING.mu, COATING.mu)]
-    jumps = Cylinders.stretched((GLASS, RESIN), (RADIUS, RIM), springs, (STRETCH, 0.0)).jumps(0)
+    jumps = Cylinders.stretched((GLASS, RESIN), (FIBRE_RADIUS, RIM_RADIUS), springs, (STRETCH, 0.0)).jumps(0)
     inner, outer = (
         np.array([coated.amplitudes(m, k, r)[:2] for m in MODES]) for k, r in ((0, radii[0]), (2, radii[1]))
     )
