@@ -115,7 +115,7 @@ def _fields_by_row(surface: Surface, fields: Any, stress: str, length: str) -> d
         fields: the argument of `along`.
         stress, length: texts that follow the names of stresses and of lengths, such as " (MPa)" and " (mm)".
     """
-    cases = entry_by_label("along: fields", fields, "field")
+    cases = entry_by_label("along", "fields", fields, object, "give a field, or label -> field")
     if not all(isinstance(case, (State, Contact)) for case in cases.values()):
         return {label: case if isinstance(case, Mapping) else {"": case} for label, case in cases.items()}
     rows: dict[str, dict[str, npt.ArrayLike]] = {}

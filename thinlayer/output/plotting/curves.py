@@ -67,10 +67,9 @@ def rates(
         >>> table = Table.of({"eps": [0.2, 0.1]} | errors)
         >>> picture = plotting.rates(table, save="rates.svg")
     """
-    tables: dict[str, Table | str | Path] = entry_by_label("rates: table", table, "table")
+    tables = entry_by_label("rates", "table", table, (Table, str, Path), "give what sweep returns")
     lines, styles, colours = dict[str, tuple[Array, Array]](), {}, {}
     for j, (case, source) in enumerate(tables.items()):
-        require(isinstance(source, (Table, str, Path)), f"rates: {case or 'table'}", source, "give what sweep returns")
         data = source if isinstance(source, Table) else Table.load(source)
         if lacking := [name for name in ("eps", *errors.values()) if name not in data.columns]:
             subject = f"the table {case!r}" if case else "the table"
@@ -208,9 +207,7 @@ def load_displacement(
         ...     {"beams": beams}, "opening", "force", *axes
         ... )
     """
-    sources: dict[str, History | Table] = entry_by_label("load_displacement: paths", paths, "history or table")
-    for label, path in sources.items():
-        require(isinstance(path, History | Table), f"load_displacement: {label}", path, "give a history or a table")
+    sources = entry_by_label("load_displacement", "paths", paths, (History, Table), "give a history or a table")
     tables = {label: path.table if isinstance(path, History) else path for label, path in sources.items()}
     panels = dict[str, CurvesByLabel]()
     for title, column in (load if isinstance(load, Mapping) else {"": load}).items():

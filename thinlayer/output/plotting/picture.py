@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -149,23 +149,25 @@ def finish_picture(
     return picture
 
 
-EntryType = TypeVar("EntryType")
-
-
-def entry_by_label(argument: str, entries: Mapping[str, EntryType] | EntryType, noun: str) -> dict[str, EntryType]:
+def entry_by_label(
+    function: str, argument: str, entries: Mapping[str, Any] | Any, kinds: type | tuple[type, ...], wanted: str
+) -> dict[str, Any]:
     """Convert an argument to a mapping, label -> entry; a single entry gets the label "".
 
     Args:
-        argument: name of the argument, for messages.
+        function, argument: names of the function that the user has called, and of its argument, for messages.
         entries: the argument.
-        noun: what an entry is, such as "state", for messages.
+        kinds: types of entries that are allowed.
+        wanted: text that says what to give, for messages.
 
     Raises:
-        InputError: the mapping is empty.
+        InputError: an entry has another type, or the mapping is empty.
     """
     by_label = dict(entries) if isinstance(entries, Mapping) else {"": entries}
     if not by_label:
-        raise InputError(f"{argument} is empty; give a {noun}, or label -> {noun}")
+        raise InputError(f"{function}: {argument} is empty; {wanted}")
+    for label, entry in by_label.items():
+        require(isinstance(entry, kinds), f"{function}: {label or argument}", entry, wanted)
     return by_label
 
 

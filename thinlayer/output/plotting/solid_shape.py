@@ -35,13 +35,7 @@ LAYER_STYLE: Style = {"color": MESHED_COLOUR, "line_width": 4, "lighting": False
 SEAM_STYLE: Style = {"color": LAW_COLOUR, "line_width": 3, "lighting": False}  # the two sides of S
 EDGE_STYLE: Style = {"color": EDGE_COLOUR, "line_width": 3, "lighting": False}
 BASE_STYLE: Style = {"color": BASE_COLOUR, "line_width": 8, "lighting": False}
-DISPLACEMENT_STYLE: Style = {
-    "scalars": "u",
-    "cmap": COLOUR_MAP,
-    "show_scalar_bar": False,
-    "ambient": 0.7,
-    "diffuse": 0.3,
-}
+BODY_STYLE: Style = {"scalars": "u", "cmap": COLOUR_MAP, "show_scalar_bar": False, "ambient": 0.7, "diffuse": 0.3}
 OUTLINE_STYLE: Style = {"color": OUTLINE_COLOUR, "line_width": 2, "lighting": False}
 SURFACE_STYLE: Style = {"scalars": "rgb", "rgb": True, "lighting": False}
 SUPPORT_SIZE_RATIO = 0.4  # size of the symbols of supports, over the length of an arrow
@@ -77,13 +71,8 @@ class SolidShape:
         """
         scale = scene.displacement_factor
         mesh = pyvista.UnstructuredGrid(grid.cells, grid.cell_codes, grid.points + scale * grid.u)
-        mesh.point_data.update(
-            {
-                "u": grid.component(scene.view.component),
-                "moved": scale * grid.u,
-                "coincident": grid.is_coincident().astype(float),
-            }
-        )
+        fields = {"u": grid.component(scene.view.component), "moved": scale * grid.u}
+        mesh.point_data.update(fields | {"coincident": grid.is_coincident().astype(float)})
         grids = {int(number): mesh.extract_cells(grid.region == number) for number in np.unique(grid.region)[::-1]}
         n, k = grid.base_x.shape[:2]
         cells = np.insert(np.arange(n * k).reshape(n, k), 0, k, axis=1)
@@ -136,7 +125,7 @@ class SolidShape:
         for mesh, line_style, n_lifts in grids:
             outside = outer_surface(mesh)
             if surface is None:
-                plotter.add_mesh(outside, clim=scene.colour_limits, **DISPLACEMENT_STYLE)
+                plotter.add_mesh(outside, clim=scene.colour_limits, **BODY_STYLE)
             lines = sharp_edges(outside)
             lines.points += n_lifts * LINE_LIFT * (x1 - x0) * towards
             nodes = lines.lines.reshape(-1, 3)[:, 1:]

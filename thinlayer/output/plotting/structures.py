@@ -30,6 +30,7 @@ STATUS_COLOURS = {  # statuses that occur together also differ as greys
 }  # fmt: skip
 NAN_COLOUR = "#c9c9c9"  # colour of NaN
 DEFAULT_VIEW = View()
+WANTED_STATES = "give states, of a history its last one or history.at(t)"
 
 
 def deformed(
@@ -74,7 +75,7 @@ def deformed(
         >>> view = plotting.View("y", unit="mm")
         >>> picture = plotting.deformed({"glue": state}, view, save="plates.png")
     """
-    labelled = _state_by_label(states, "deformed")
+    labelled = entry_by_label("deformed", "states", states, State, WANTED_STATES)
     return _draw_panels(labelled, view, None, Scene.draw_colour_bar, title, save, ax)
 
 
@@ -128,7 +129,7 @@ def on_surface(
         ...     return surface.frame(surface.traction(state))[-1]
         >>> picture = plotting.on_surface(state, normal_traction, save="t_N.png")
     """
-    labelled = _state_by_label(states, "on_surface")
+    labelled = entry_by_label("on_surface", "states", states, State, WANTED_STATES)
     surfaces = {label: Surface(state.model, seam) for label, state in labelled.items()}
     values = {label: field(surfaces[label], state) if callable(field) else field for label, state in labelled.items()}
     words, fields = number_words({label: np.asarray(f) for label, f in values.items()})
@@ -154,24 +155,6 @@ def on_surface(
         figure.legend(handles=patches, loc="outside lower center", ncols=columns, frameon=False, title=text)
 
     return _draw_panels(labelled, replace(view, component="size"), colour_s, draw_legend, "", save, ax)
-
-
-def _state_by_label(states: Mapping[str, State] | State, function_name: str) -> dict[str, State]:
-    """Convert the user's states to a mapping, label -> state; a single state gets the label "".
-
-    Args:
-        states: the mapping or the state.
-        function_name: name of the function that the user has called, for messages.
-
-    Raises:
-        InputError: an entry is not a state, or the mapping is empty.
-    """
-    panels = entry_by_label(f"{function_name}: states", states, "state")
-    for label, state in panels.items():
-        if not isinstance(state, State):
-            received = f"{label!r} is {state!r}" if label else f"states is {state!r}"
-            raise InputError(f"{function_name}: {received}; give states, of a history its last one or history.at(t)")
-    return panels
 
 
 ColourS = Callable[[Scene, str], SurfaceColours]
