@@ -39,8 +39,6 @@ def run(record: Record) -> None:
             reports[n, pair] = Surface(state.model).contact(state)
     columns = {"x_mm": "x", "u_T_mm": "u_T", "u_N_mm": "u_N", "p_MPa": "p", "t_MPa": "t_T", "status": "status"}
     table = record.new_table("table.csv")
-    counts = [{"squares": n, "lmbda": pair[0], **report.counts} for (n, pair), report in reports.items()]
-    record.results["counts"] = counts
     for (lmbda, mu), paper_counts, u_a in zip(MODULI, PAPER_COUNTS, U_A, strict=True):
         report, stiffness = reports[N, (lmbda, mu)], f"λ, μ = {lmbda:.3g}, {mu:.3g} N/mm³"
         nodes = ({column: row[name] for column, name in columns.items()} for row in report.table)
