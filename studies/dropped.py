@@ -294,7 +294,7 @@ def published_cases() -> list[DroppedCase]:
     roller_case = partial(DroppedCase, make_structure=roller_blocks, qois=(work, goals.Displacement((0.3, 0.4), up)))
     end_case = partial(DroppedCase, make_structure=free_pair, qois=(work, displacement))
     unequal_case = partial(end_case, make_structure=partial(free_pair, load=(1.0, 0.0), lower=SOFT_BODY))
-    steel_case = partial(end_case, make_structure=partial(free_pair, load=(0.3, -1.0), lower=STEEL, upper=STEEL))
+    steel_case = partial(end_case, make_structure=partial(free_pair, lower=STEEL, upper=STEEL))
     pressed_case = partial(end_case, make_structure=displaced, qois=(goals.Reaction("TOP", up), goals.MeanTraction(up)))
     hard_fn, plastic_fn = layer_fn(CubicHardening(60.0, 40.0, 3e5)), layer_fn(YIELDING_LAW)
     bearing_fn, viscous_fn = layer_fn(BEARING_LAW, None), layer_fn(VISCOUS_LAW)
@@ -344,7 +344,7 @@ def further_cases() -> list[DroppedCase]:
     end_goals, mid_goals = (work, displacement), (work, displacement, goals.MeanTraction((1.0, 0.0)))
     unlike_pair = partial(free_pair, load=(-0.6, 0.4), heights=(0.4, 0.7), lower=young(50.0, 0.2), upper=young(200.0, 0.35))
     sheet_blocks = partial(free_pair, load=(0.5, -0.6), plane="stress")
-    pair, steel_pair = partial(free_pair, load=(0.3, -1.0)), partial(free_pair, load=(0.0, -1.0), lower=STEEL, upper=STEEL)
+    steel_pair = partial(free_pair, load=(0.0, -1.0), lower=STEEL, upper=STEEL)
 
     def thin_blocks(eps: float) -> Structure:
         return free_pair(eps, heights=(2 * eps, 3 * eps))
@@ -358,7 +358,7 @@ def further_cases() -> list[DroppedCase]:
         DroppedCase("shapes: two seams", two_seams,
             lambda e: {"LOW": soft_layer_fn(30.0, 0.3)(e), "HIGH": soft_layer_fn(10.0, 0.2)(e / 2)}),
         DroppedCase("free ends: a body expands", heated_blocks, soft_layer_fn(30.0, 0.3), qois=(displacement,)),
-        DroppedCase("free ends: fixed moduli", pair, layer_fn(young(3.0, 0.35), None), qois=end_goals),
+        DroppedCase("free ends: fixed moduli", free_pair, layer_fn(young(3.0, 0.35), None), qois=end_goals),
         DroppedCase("laws: plastic in time, free ends", free_pair, layer_fn(YIELDING_LAW), dt=TIME_STEP, qois=end_goals),
         DroppedCase("laws: slips, free ends", free_pair, layer_fn(SLIPPING_LAW), qois=end_goals),
         DroppedCase("laws: as stiff as bodies, creeps", free_pair, layer_fn(STIFF_NORTON), dt=TIME_STEP, qois=end_goals),

@@ -44,7 +44,6 @@ from studies.sweeping import (
     end_state,
     halves,
     last_order,
-    middle,
     reaction_error,
     table_file,
 )
@@ -184,8 +183,8 @@ FIFTHS, TENTHS, TWENTIETHS = (0.2, 0.4, 0.6, 0.8, 1.0), (0.1, 0.2, 0.3, 0.4, 0.5
 # the mirrored stack is a wrong law
 STACK_VARIANTS = {"_order0": layer_fn(SUBLAYERS), "_mirrored": layer_fn(Stack(*SUBLAYERS.sublayers[::-1]), order=1)}
 
-static_sweep = partial(Sweep, problem=fourier, orders=(0.95, 1.05), pick_eps=middle)
-order_1_sweep = partial(Sweep, h=(1 / 32, 1 / 16), eps=halves(3, 5), orders=(1.9, 2.1), pick_eps=None)
+static_sweep = partial(Sweep, problem=fourier, orders=(0.95, 1.05), drawn=1)
+order_1_sweep = partial(Sweep, h=(1 / 32, 1 / 16), eps=halves(3, 5), orders=(1.9, 2.1), drawn=None)
 hard_sweep = partial(order_1_sweep, eps=halves(4, 5), orders=None, extras_fn=reaction_error)
 rubber_sweep = partial(order_1_sweep, eps=halves(3), orders=(1.9, 2.3), cells_through=2, extras_fn=reaction_error)
 glued_sweep = partial(Sweep, problem=problems.glued_hub, h=(1.0, 2.0), eps=EPS_MM, bodies="extended", unit="mm")
@@ -210,7 +209,7 @@ def phase_sweep(case: str, label: str) -> Sweep:
     """
     law, shear, pull = phases.CASES[case]
     problem = partial(phases.blocks, shear=shear, pull=pull)
-    return fine_sweep(layer_fn(law), label, problem, cells_through=2, pick_eps=None,
+    return fine_sweep(layer_fn(law), label, problem, cells_through=2, drawn=None,
         along_fn=phases.phases_along)
 
 
@@ -241,16 +240,16 @@ SWEEPS: dict[str, Sweep] = {
     "rubber incompressible": rubber_sweep(layer_fn(Incompressible(40.0), order=1), "nu = 0.5"),
     "ring": glued_sweep(layer_fn(problems.GLUE, problems.GLUE_EPS), "order 0", orders=(0.9, 1.1)),
     "ring order1": glued_sweep(layer_fn(problems.GLUE, problems.GLUE_EPS, order=1), "order 1", orders=(1.8, 2.2),
-        pick_eps=None),
+        drawn=None),
     "fibre": glued_sweep(layer_fn(problems.COATING), problem=problems.coated_fibre, h=(0.05, 0.1),
         eps=(0.08, 0.04, 0.02, 0.01), orders=(0.9, 1.1), unit="R"),
     "tubes": glued_sweep(layer_fn(problems.TUBE_GLUE, problems.TUBE_GLUE_EPS), "inner pressure", orders=(0.93, 1.1),
-        problem=partial(problems.tubes, loads=problems.PRESSURE_LOADS), pick_eps=None),
+        problem=partial(problems.tubes, loads=problems.PRESSURE_LOADS), drawn=None),
     "tubes push": glued_sweep(layer_fn(problems.TUBE_GLUE, problems.TUBE_GLUE_EPS), "shaft pushed", orders=(0.9, 1.25),
         problem=partial(problems.tubes, loads=problems.PUSH_LOADS),
         where=lambda x: abs(x[1] + problems.TUBE_LENGTH / 2) < 0.3 * problems.TUBE_LENGTH),  # off their ends
     "own_mesh": Sweep(layer_fn(problems.JOINT, problems.JOINT_EPS), problem=problems.arch, orders=(0.9, 1.1), unit="m",
-        h=("P2", "P1"), eps=(0.04, 0.02, 0.01, 0.005), bodies="extended", where=problems.is_inside_joints, pick_eps=middle),
+        h=("P2", "P1"), eps=(0.04, 0.02, 0.01, 0.005), bodies="extended", where=problems.is_inside_joints, drawn=1),
     "butt_joint": Sweep(layer_fn(problems.GLUE, problems.GLUE_EPS), problem=problems.rods, h=((4.0, 2.5), (6.0, 4.0)),
         eps=EPS_MM, unit="mm", orders=(0.9, None), where=lambda x: np.hypot(x[0], x[2]) < 0.75 * problems.ROD_RADIUS),
     "kelvin_voigt": Sweep(layer_fn(KELVIN_VOIGT), times=TENTHS),

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import gc
 import math
 import re
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -14,7 +12,6 @@ import numpy.typing as npt
 
 from forms import BulkLaw
 from forms.base import Array
-from geometry.parallel import ResultType
 from studies.problems import LayerOfThickness, Problem, fourier
 from thinlayer import Structure, Surface, Table, ThinLayer, compare, plotting, solve
 from thinlayer.discretisation.layer import SurfaceLaw
@@ -73,8 +70,7 @@ class Sweep:
             `check_floors`. The sweep of a wrong law has the name of the right law's sweep and one more word.
         check: function of the record and of the tables so far (name of a sweep -> table) that makes further checks; None:
             none.
-        pick_eps: function that chooses one of the thicknesses, at which deformed structures are drawn; None: no
-            picture.
+        drawn: which thickness deformed structures are drawn at: 0 is the largest; None: no picture.
         unit: unit of lengths; "": none.
         slow: whether the sweep is left out with --quick.
     """
@@ -96,7 +92,7 @@ class Sweep:
     along_fn: Callable[[State, Surface], dict[str, Array]] | None = None
     floors: ErrorFloors = field(default_factory=dict)
     check: Callable[[Record, Tables], None] | None = None
-    pick_eps: Callable[[Sequence[float]], float] | None = max
+    drawn: int | None = 0
     unit: str = ""
     slow: bool = False
 
@@ -118,7 +114,7 @@ class Sweep:
         joint, setup = self.problem(self.h[quick])
         structure, case_file = Structure(joint, **setup), name.replace(" ", "_")
         times = self.times[self.quick_steps] if self.times and quick else self.times
-        drawn_eps = self.pick_eps(eps) if self.pick_eps and pictured else None
+        drawn_eps = None if self.drawn is None or not pictured else sorted(eps, reverse=True)[: self.drawn + 1][-1]
         law = self.layer_fn(eps[0]).law
         record.parameters[name] = {"layer": str(law), "h": self.h[quick], "times": times}
 
@@ -157,19 +153,6 @@ class Sweep:
         for what, column in (ERROR_COLUMNS | reaction_column).items() if self.orders and len(eps) > 1 else ():
             record.check(f"last observed order of the {what}, {name}", last_order(table, column), low=low, high=high)
         return table
-
-
-def timed(work: Callable[[], ResultType]) -> tuple[float, ResultType]:
-    """Return the processor time of some work, s, and its result."""
-    gc.collect()
-    start = time.process_time()
-    result = work()
-    return time.process_time() - start, result
-
-
-def middle(eps: Sequence[float]) -> float:
-    """Return the thickness in the middle of `eps`, in order of size."""
-    return sorted(eps)[len(eps) // 2]
 
 
 def end_state(solution: Solution) -> State:

@@ -9,8 +9,7 @@ from forms import LinearElastic, VonMises
 from forms.law import BulkLaw
 from studies.dropped import ignore_range_warnings
 from studies.performance import SIZES, blocks
-from studies.sweeping import timed
-from studies.timing import check_ratios, compared, in_turn
+from studies.timing import check_ratios, compared, in_turn, timed
 from thinlayer import ThinLayer, derivative, goals, march, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
@@ -90,11 +89,11 @@ class Works:
     def rows(self, reference: str, seconds: float, works: Mapping[str, tuple[float, float]]) -> list[Row]:
         """Return rows of the table, for the seconds and the limit of each work, and for the seconds of a reference."""
         of = {"dim": self._dim, "unknowns": self.unknowns}
-        rows = [
-            compared(work, of | {"seconds": spent}, reference, {"seconds": seconds}, limit)
-            for work, (spent, limit) in works.items()
-        ]
-        return [{name: row[name] for name in COLUMNS} for row in rows]
+        rows = list[Row]()
+        for work, (spent, limit) in works.items():
+            row = compared(work, of | {"seconds": spent}, reference, {"seconds": seconds}, limit)
+            rows.append({name: row[name] for name in COLUMNS})
+        return rows
 
 
 def of_solve(dim: int, cells: int, repeats: int) -> list[Row]:

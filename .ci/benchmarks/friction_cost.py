@@ -11,8 +11,7 @@ from petsc4py import PETSc
 from forms import HolonomicCoulomb, LinearElastic
 from geometry import wall
 from studies.problems import sliding_bar
-from studies.sweeping import timed
-from studies.timing import compared, in_turn, peak, solve_once
+from studies.timing import compared, in_turn, peak, solve_once, timed
 from thinlayer import Structure
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.parts.contact_part import ContactPart

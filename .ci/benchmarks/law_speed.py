@@ -8,7 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from forms import BulkLaw, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack
-from studies.sweeping import timed
+from studies.timing import timed
 from thinlayer import SolveError
 from thinlayer.pointwise.compiled_law import CompiledLaw
 from thinlayer.running.record import Record

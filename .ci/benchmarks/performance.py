@@ -26,8 +26,7 @@ from studies.by_hand import CHOLESKY, K_N, K_T, LOAD, MULTIGRID, E, by_hand
 from studies.friction_cost import WORKS, friction
 from studies.other_programs import MODULES, ngsolve, scikit_fem
 from studies.problems import SNAP_LAW_ARGS, SUPPORTS, top_loaded
-from studies.sweeping import timed
-from studies.timing import Stages, check_ratios, compared, in_turn, timed_in_turn
+from studies.timing import Stages, check_ratios, compared, in_turn, timed, timed_in_turn
 from thinlayer import ArcLength, Bond, SolveError, Structure, ThinLayer, estimate, goals, march, solve
 from thinlayer.discretisation.coefficient import LoadInput
 from thinlayer.discretisation.layer import SurfaceLaw

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import math
 import time
 from collections.abc import Callable, Hashable, Iterable, Mapping
@@ -15,7 +16,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from geometry.parallel import ResultType
-from studies.sweeping import timed
 from thinlayer.running.record import Record
 from thinlayer.solving.petsc import PREFIX, OptionValue, set_defaults
 from thinlayer.system.ranks import destroy
@@ -25,6 +25,14 @@ from thinlayer.system.table import Row
 Measured = Mapping[str, float]
 WorkName = TypeVar("WorkName", bound=Hashable)
 ENOUGH = 20.0  # s for which short works are repeated in turn: the load of shared cores varies within seconds
+
+
+def timed(work: Callable[[], ResultType]) -> tuple[float, ResultType]:
+    """Return the processor time of some work, s, and its result."""
+    gc.collect()
+    start = time.process_time()
+    result = work()
+    return time.process_time() - start, result
 
 
 class Stages(dict[str, float]):

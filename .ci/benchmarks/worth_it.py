@@ -13,8 +13,8 @@ from geometry import sandwich, wall
 from studies.dropped import ignore_range_warnings
 from studies.junctions import far_weights
 from studies.problems import GLUE, GLUE_EPS, STEEL
-from studies.sweeping import Curves, timed
-from studies.timing import timed_in_turn
+from studies.sweeping import Curves
+from studies.timing import timed, timed_in_turn
 from studies.wall import BRICK_SIZE, CLAY, MORTAR
 from thinlayer import Structure, Surface, ThinLayer, estimate, plotting, solve
 from thinlayer.discretisation.model import Model
