@@ -210,7 +210,7 @@ def _add_command(commands: CommandParsers, name: str, work: CommandFunction, exa
         what: sentence that describes the command in its help; "": the docstring of `work`.
     """
     what = what or work.__doc__ or name
-    summary, epilog = what.rstrip("."), f"Example: %(prog)s {example}"
+    summary, epilog = what.rstrip(".").replace("%", "%%"), f"Example: %(prog)s {example}"  # argparse formats both
     parser = commands.add_parser(name, help=summary[0].lower() + summary[1:], description=what, epilog=epilog)
     parser.set_defaults(work=work)
     return parser
