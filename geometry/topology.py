@@ -133,13 +133,16 @@ def facet_nodes(
     """Return (n, m) numbers of the m nodes of n facets, as a facet's Lagrange element orders them.
 
     Args:
-        cell_nodes: (n_cells, k) numbers of the k nodes of each cell, in the order of a Lagrange element; for example the
-            vertices, or the nodes of a function space.
+        cell_nodes: (n_cells, k) numbers of the k nodes of each cell, in the order of an element of Lagrange or, without
+            nodes inside faces and cells, of a serendipity element; for example the vertices, or the nodes of a function
+            space.
         cell_type: type of the cells, such as "triangle".
         cells: (n,) row in `cell_nodes` of a cell at each facet.
         local: (n,) number of the facet within this cell.
     """
-    nodes_of_facets = local_facets(cell_type, geometry_degree(cell_type, cell_nodes.shape[1]))
+    n_nodes = cell_nodes.shape[1]
+    nodes_of_facets = local_facets(cell_type, 1 + (n_nodes > corner_count(cell_type)))
+    nodes_of_facets = nodes_of_facets[:, (nodes_of_facets < n_nodes).all(axis=0)]
     return np.take_along_axis(cell_nodes[cells], nodes_of_facets[local], axis=1)
 
 

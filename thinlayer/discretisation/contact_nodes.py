@@ -23,7 +23,6 @@ from geometry.topology import (
     IntArray,
     corner_count,
     facet_nodes,
-    geometry_degree,
     nodal_normal_vectors,
     sum_by_number,
     turned_towards,
@@ -62,7 +61,7 @@ def nodes_of_sides(V: fem.FunctionSpace, sides: Indices) -> tuple[IntArray, IntA
     """Return the nodes of a space on both sides of facets of S; nodes that face each other have the same position.
 
     Args:
-        V: the space, with Lagrange elements of degree 1 or 2.
+        V: the space, with Lagrange elements of degree 1 or 2, or serendipity elements of degree 2.
         sides: the n facets of this rank, as from `Domain.sides`.
 
     Returns:
@@ -71,13 +70,14 @@ def nodes_of_sides(V: fem.FunctionSpace, sides: Indices) -> tuple[IntArray, IntA
         1 if the node is this vertex, or lies inside an edge or facet that has this vertex.
     """
     cell_type, cell_nodes_of_V = V.mesh.topology.cell_name(), np.asarray(V.dofmap.list, np.int64)
-    has_vertex = vertex_weights(FACET_TYPES[cell_type], geometry_degree(cell_type, cell_nodes_of_V.shape[1])) > 0
+    has_vertex = vertex_weights(FACET_TYPES[cell_type], 1 + (cell_nodes_of_V.shape[1] > corner_count(cell_type))) > 0
     nodes, keys, vertex_numbers = [], [], np.asarray(V.mesh.geometry.input_global_indices, np.int64)
     for cells, local in zip(sides.T[::2], sides.T[1::2], strict=True):
         bits = 1 << vertex_numbers[_vertex_points(V.mesh, cells, local)].argsort(axis=1).argsort(axis=1)
-        keys.append(bits @ has_vertex.T.astype(np.int64))
+        nodes_of_facets = facet_nodes(cell_nodes_of_V, cell_type, cells, local)
+        keys.append(bits @ has_vertex[: nodes_of_facets.shape[1]].T.astype(np.int64))
         facing = np.take_along_axis(keys[-1].argsort(axis=1), keys[0].argsort(axis=1).argsort(axis=1), axis=1)
-        nodes.append(np.take_along_axis(facet_nodes(cell_nodes_of_V, cell_type, cells, local), facing, axis=1))
+        nodes.append(np.take_along_axis(nodes_of_facets, facing, axis=1))
     return np.stack(nodes), keys[0]
 
 

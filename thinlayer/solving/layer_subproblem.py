@@ -457,5 +457,5 @@ def _facet_nodes(model: Model, joint: Joint, rows: IntArray, cells: IntArray, po
     """
     local, kind = joint.table.local_in(rows, cells), joint.cell_type
     nodes = facet_nodes(np.asarray(model.V.dofmap.list, np.int64), kind, model.domain.local_cells[cells], local)
-    weights = vertex_weights(FACET_TYPES[kind], model.structure.degree)
+    weights = vertex_weights(FACET_TYPES[kind], model.structure.degree)[: nodes.shape[1]]
     return nodes, weights @ points[facet_nodes(joint.corners, kind, cells, local)]
