@@ -16,7 +16,7 @@ from tests import reference
 from tests.refused import refused
 from tests.test_columns import LOWER, UPPER, check_column, tensor_of
 from tests.test_fourier import ABOVE, BELOW
-from thinlayer import SolveError, Structure, Surface, ThinLayer, solve
+from thinlayer import SolveError, Structure, Surface, ThinLayer, estimate, solve
 from thinlayer.solving import linear_solvers
 
 pytestmark = pytest.mark.few(5)
@@ -34,6 +34,18 @@ def turned(joint: Joint) -> Joint:
 def test_column_of_two_bodies(cell, element, eps):
     joint = sandwich(1.0, 0.5, 0.7, 0.5, depth=0.8, cell=cell)
     check_column(turned(joint), TURN, {"LOWER": LOWER, "UPPER": UPPER}, eps, element=element)
+
+
+@pytest.mark.few(1)
+def test_an_estimate_with_serendipity_elements():
+    """They have no nodes inside faces; that with those of Lagrange is nearly the same."""
+    joint, errors = sandwich(2.0, 1.0, 1.0, 1.0, depth=1.0, cell="hexahedron"), []
+    for element in ("S2", "Q2"):
+        structure = Structure(
+            joint, body=UPPER, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10, 1)}, element=element
+        )
+        errors.append(estimate(solve(structure.interface(ThinLayer(LOWER, 0.05)))).goals["compliance"].better)
+    assert errors[0] == pytest.approx(errors[1], rel=0.02)
 
 
 @pytest.mark.parametrize("frame", ["global", "layer"])
