@@ -280,7 +280,7 @@ class MixedModeDamage(DamageResults, Law):
         needs = f"the elastic energy at the strength: it is {k[worst]:.3g} times that at the mode mixity {B[worst]:g}"
         self.require(k[worst] > 1, "toughness", f"more than {needs}", f"({self.G_I:.4g}, {self.G_II:.4g})")
         if type(self).softening_curve is not MixedModeDamage.softening_curve:
-            for extreme in (k.min(), k.max()):
+            for extreme in (k.min(), k.max()):  # rounded, as a curve is checked once
                 curve = self.softening_curve(1 + 2.0 ** round(math.log2(extreme - 1)))
                 self.require(isinstance(curve, SofteningCurve), "softening_curve", "a SofteningCurve", curve)
                 _check_curve(curve)

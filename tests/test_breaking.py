@@ -502,6 +502,14 @@ def test_data_of_glue_out_of_range():
     refused(InputError, "it is 0.784 times that at the mode mixity 0", brittle.plane_stress)
 
 
+@pytest.mark.parametrize("criterion", ["BK", "power"])
+def test_pure_modes_have_their_toughness(criterion):
+    """Also for exponents whose slope there is infinite. Wrong twin: a mixity of at least 1e-12, which makes .3 to .47."""
+    law = Cohesive(1e4, 1e4, 2.0, 2.0, 0.3, 3.0, 0.1, criterion=criterion)
+    assert along(law, (0.0, 4.0))[0].energies[0, 1] == pytest.approx(0.3, rel=1e-9)
+    assert along(law, (4.0, 0.0))[0].energies[0, 1] == pytest.approx(3.0, rel=1e-9)
+
+
 WRONG_CURVES = {
     "damage is 0.1 at x = 1,": {"damage": lambda curve, x: 1 - 0.9 / x},
     "stress over strength is 1.00.*; allowed: at most 1": {"damage": lambda curve, x: 1 - ufl.sqrt(ufl.as_ufl(1 / x))},

@@ -21,7 +21,7 @@ from forms.law import PlaneStressLaw
 from forms.law_tangents import evaluate, tangent_at_rest
 from forms.tensors import three_dimensional
 from forms.viscous import isotropic_energy
-from geometry import sandwich
+from geometry import block, sandwich
 from tests.own_laws import Mises
 from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, drive, march, solve
@@ -195,6 +195,15 @@ def test_models_and_points_ask_it():
             refused(InputError, message, ask)
     body = law_of(**WRONG["square"][0])
     refused(InputError, "Own declares linear", lambda: solve(column(LinearElastic(L, M), body=body)))
+
+
+def test_supports_alone_drive_a_step_from_its_linear_start():
+    """A law that hardens takes 6 linear solves. Wrong twin: 9, if rounding of forces cuts the start."""
+    body = law_of(stress=lambda law, step: of_mid(law, step) + 1e3 * law.m * ufl.inner(step.mid, step.mid) * step.mid)
+    joint = block(1.0, 0.5, 0.25, cell="quadrilateral")
+    supports = {"TOP": {"x": 0.02, "y": 0.03}}
+    state = solve(Structure(joint, body=body, supports=supports).interface(ThinLayer(LinearElastic(L, M), EPS)))
+    assert state.report.iterations <= 7
 
 
 def test_it_is_asked_again_for_other_numbers():

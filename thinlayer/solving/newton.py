@@ -178,7 +178,7 @@ class NewtonSolver(EquilibriumSolver):
             bc_step: increments of the prescribed displacements, zero at all other unknowns.
         """
         equations, scale = self.equations, self.equations.scale
-        reference = 0.0 if scale.are_rounding else float(scale.forces[0])
+        reference = 0.0 if scale.is_only_rounding else float(scale.forces[0])
         self._require_finite("stress", self._unconstrained_norm(r))
         r.scale(-1.0)
         self._prepare_ksp(bc_step, r)

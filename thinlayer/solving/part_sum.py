@@ -123,7 +123,7 @@ class ForceScale:
             self.forces = np.maximum(self.forces, FORCE_ROUNDING / ACCEPTED_RESIDUAL * (self._nesting.T @ self.forces))
 
     @property
-    def are_rounding(self) -> bool:
+    def is_only_rounding(self) -> bool:
         """Whether the reference force of the whole model is only that of rounding errors, as where supports move."""
         return bool(self.forces[0] <= self._least_by_rounding[0])
 
