@@ -12,8 +12,8 @@ import ufl
 from scipy.spatial.transform import Rotation
 
 from forms.base import Array, InputError, is_finite, require
-from forms.ends.constants import free_end
-from forms.ends.weights import EndStrips, EndWeights
+from forms.ends.constants import FreeEnd, free_end
+from forms.ends.weights import EndWeights
 from forms.law import BulkLaw, Step, choice, require_positive
 from forms.parameter_fields import (
     Parameter,
@@ -28,7 +28,7 @@ from forms.traits import warn_caller
 
 VOIGT_PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 VOIGT_INDEX = ((0, 5, 4), (5, 1, 3), (4, 3, 2))  # Voigt index of each component of a tensor
-MAX_FREE_END_NU = 0.45  # largest Poisson's ratio with free-end strips for laws without a pressure on S
+MAX_FREE_END_NU = 0.45  # largest Poisson's ratio with constants of free ends for laws without a pressure on S
 MODULUS_RATIO_TOLERANCE = 1e-9  # relative tolerance of ratios of moduli
 OUT_OF_PLANE_VOIGT = [2, 3, 4]
 IN_PLANE_VOIGT = [0, 1, 5]
@@ -164,17 +164,18 @@ class LinearElastic(LinearLaw, IsotropicLaw):
         """Ratio lmbda/(lmbda + 2 mu): thinning of a layer with free faces over the sum of its in-plane strains."""
         return self.lmbda / (self.lmbda + 2 * self.mu)
 
-    def end_strips(self) -> EndStrips | None:
-        """Return the strips along free ends in which the interface law of order 1 is less stiff than elsewhere.
+    def end_constants(self) -> FreeEnd | None:
+        """Return the constants of a free end with which the interface law of order 1 is corrected there.
 
         None if Poisson's ratio is not from 0 to `MAX_FREE_END_NU`, or if parameters vary along the layer. Above this
-        maximum the layer's pressure decays over a length greater than the strips. In plane stress the ratio that counts
-        is nu/(1 + nu) of the material.
+        maximum the layer's pressure decays over a length greater than the strip in which openings are corrected. In
+        plane stress the ratio that counts is nu/(1 + nu) of the material.
         """
         if self.fields:
             return None
         nu = poisson_ratio(self)
-        return EndStrips.of_end(free_end(nu)) if 0 <= nu <= MAX_FREE_END_NU * (1 + MODULUS_RATIO_TOLERANCE) else None
+        has_constants = 0 <= nu <= MAX_FREE_END_NU * (1 + MODULUS_RATIO_TOLERANCE)
+        return free_end(nu)._replace(kappa=1.0) if has_constants else None  # this law has no flow
 
     def stations_at_ends(self, weights: EndWeights) -> list[AnyStation]:
         """Return three stations near free ends: two for the mean strain, one for its change between the faces.

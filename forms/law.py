@@ -17,7 +17,8 @@ import ufl
 from ufl.classes import Zero
 
 from forms.base import Array, InputError, require
-from forms.ends.weights import EndStrips, EndWeights
+from forms.ends.constants import FreeEnd
+from forms.ends.weights import EndWeights
 from forms.layer_results import LayerResults
 from forms.parameter_fields import (
     MAX_CHECKED_PLACES,
@@ -418,17 +419,17 @@ class BulkLaw(Law):
         """
         return step.dt * self.dissipation(step)
 
-    def end_strips(self) -> EndStrips | None:
-        """Return the strips along free ends in which the interface law of order 1 is less stiff than elsewhere.
+    def end_constants(self) -> FreeEnd | None:
+        """Return the constants of a free end with which the interface law of order 1 is corrected there.
 
-        None: for this law the strips are not known.
+        None: they are not known for this law.
         """
         return None
 
     def stations_at_ends(self, weights: EndWeights) -> list[AnyStation]:
         """Return the stations that the interface law of order 1 has near free ends of the layer.
 
-        Only laws with `end_strips` define them.
+        Only laws with `end_constants` define them.
 
         Args:
             weights: reductions of the stiffness near free ends, UFL on S.

@@ -8,8 +8,8 @@ from typing import ClassVar
 
 from forms.base import Array
 from forms.elastic import IsotropicLaw, LinearElastic, LinearLaw, lame_stress, poisson_ratio
-from forms.ends.constants import free_end
-from forms.ends.weights import EndStrips, EndWeights
+from forms.ends.constants import FreeEnd, free_end
+from forms.ends.weights import EndWeights
 from forms.law import Step, require_positive
 from forms.stations import AnyStation, Faces, Station
 from forms.tensors import Expr, isotropic_tensor
@@ -38,8 +38,12 @@ class PressureLaw(LinearLaw):
         )
         return [mean, Station(self.plane_stress(), 1 / 12, lambda _, faces: faces.in_plane(faces.strain_change))]
 
-    def end_strips(self) -> EndStrips | None:
-        return None if self.fields else EndStrips.with_pressure(free_end(self._nu))
+    def end_constants(self) -> FreeEnd | None:
+        """Return the constants of a free end without those for openings; None if parameters vary along the layer.
+
+        The pressure is zero at the free end, which already makes the law less stiff against openings there.
+        """
+        return None if self.fields else free_end(self._nu)._replace(c_N=0.0, rho_N=0.0)
 
     def stations_at_ends(self, weights: EndWeights) -> list[AnyStation]:
         """Return three stations near free ends.

@@ -280,7 +280,7 @@ def s_terms(
         prescribed_strain: strain (3, 3), uniform through the layer, that is added to that of the displacements; None:
             zero.
         grad_eps: gradient (d,) of the thickness eps along S, UFL; None: eps is uniform.
-        ends: reductions of the stiffness near free ends, for laws with `end_strips`; None: no reductions.
+        ends: reductions of the stiffness near free ends, for laws with `end_constants`; None: no reductions.
 
     Raises:
         InputError: the law has no interface law of order 1.

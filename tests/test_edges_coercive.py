@@ -9,8 +9,7 @@ import ufl
 from dolfinx import fem
 
 from forms import LinearElastic, Rubber, work
-from forms.ends import free_end
-from forms.ends.weights import EndStrip, EndStrips
+from forms.ends import FreeEnd, free_end
 from geometry import sandwich
 from geometry.sheet import straight_ends
 from thinlayer import Structure, ThinLayer
@@ -64,10 +63,10 @@ def test_openings_that_are_weaker_alone_are_not_convex():
     """c_N M taken off the stiffness of openings over one thickness, with all of the stress along S: nu = .45."""
     law = LinearElastic.shear(1.0, 0.45)
     plain_model = model(law, 0.25, "plain")
-    end, layer, sides = free_end(0.45), plain_model.layers["S"], plain_model.sides_of("S")
-    strips = EndStrips(EndStrip(end.c_N, 1.0), EndStrip(), EndStrip(), 0.0, 0.0)
+    c_N, layer, sides = free_end(0.45).c_N, plain_model.layers["S"], plain_model.sides_of("S")
+    constants = FreeEnd(0.45, c_N, m_N=c_N / 2, rho_N=0.0, c_T=1e-12, m_T=1e-12, kappa=1.0)
     ends = straight_ends(plain_model.applicability["S"].free_rim, layer.sheet)
-    weights = FacetWeights.of_ends(ends, layer.sheet, EPS, strips).expressions(plain_model.domain, sides)
+    weights = FacetWeights.of_ends(ends, layer.sheet, EPS, constants).expressions(plain_model.domain, sides)
     opened = lambda u: ufl.dot(sides.jump(u), sides.n)
     taken = lambda u, v: -weights.a_N * (law.lmbda + 2 * law.mu) * opened(u) * opened(v) * sides.measure
     spectrum = eigenvalues(plain_model, taken)

@@ -8,7 +8,7 @@ from functools import cache
 import pytest
 
 from forms import Incompressible, LinearElastic, Rubber
-from forms.ends.weights import EndStrips
+from forms.ends import FreeEnd
 from geometry import sandwich
 from tests.ranges_told import with_warnings
 from tests.test_order1 import relative_errors
@@ -107,7 +107,7 @@ def test_coarse_ends_are_left_alone(width, wrong, monkeypatch):
 def test_errors_of_the_law_that_knows_its_ends(nu, monkeypatch):
     """To 15 %, jumps to 1.6e-5, which is their mesh's error; of order 2, unlike above. That program takes every kappa."""
     unpatched = errors(nu, EPS[1], ThinLayer(rubber(nu), EPS[1], order=1, edges="free", at=1.0))
-    monkeypatch.setattr(EndStrips, "for_spreading_length", lambda self, length: self)
+    monkeypatch.setattr(FreeEnd, "for_spreading_length", lambda self, length: self)
     rows = [errors(nu, eps, ThinLayer(rubber(nu), eps, order=1, edges="free", at=1.0)) for eps in EPS]
     assert rows[1] == pytest.approx(WITH_ENDS[nu], rel=0.15, abs=1.6e-5)
     orders = [math.log2(a / b) for a, b in zip(*rows, strict=True)]

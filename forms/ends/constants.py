@@ -14,6 +14,9 @@ from forms.base import Array, require
 
 TABLE_COLUMNS = ("nu", "c_N", "m_N", "rho_N", "c_T", "m_T")
 TABLE_FILE = Path(__file__).parent / "table.csv"
+MAX_OPENING_STRIP = 3.0  # largest length, over the thickness, of the strip that is weaker against openings
+# Spreading lengths, over the thickness: up to the first a pressure is not linear near an end, from the second it is.
+SPREAD_LENGTHS = (8.0, 10.0)
 
 
 class FreeEnd(NamedTuple):
@@ -55,6 +58,47 @@ class FreeEnd(NamedTuple):
         """
         lmbda = lame_over_mu(self.nu)
         return self.c_N * (lmbda + 2) / lmbda if lmbda else 0.0
+
+    @property
+    def opening_strip(self) -> float:
+        """Length of the strip along the end in which the layer is less stiff against openings.
+
+        A loss of stiffness that is uniform in the strip reduces the layer's force, and its first moment about the end,
+        by as much as the end does. The strip is at most `MAX_OPENING_STRIP` long; if this bound is active, the first
+        moment is reduced by less.
+        """
+        return min(2 * self.m_N / self.c_N, MAX_OPENING_STRIP) if self.c_N else MAX_OPENING_STRIP
+
+    @property
+    def shear_strip(self) -> float:
+        """Length of the strip along the end in which the layer is less stiff against shear, as in `opening_strip`."""
+        return 2 * self.m_T / self.c_T
+
+    @property
+    def strips(self) -> list[tuple[float, float]]:
+        """Pairs (c, length) for the strips along the end in which the law for openings, shear and flow is changed.
+
+        c/length is the relative loss of stiffness in a strip, or the relative gain of resistance to the flow along S.
+        c = 0: no change.
+        """
+        return [(self.c_N, self.opening_strip), (self.c_T, self.shear_strip), (1 / self.kappa - 1, 1.0)]
+
+    @property
+    def reach(self) -> float:
+        """Length of the longest strip in which the law is changed."""
+        return max(length for c, length in self.strips if c)
+
+    def for_spreading_length(self, length: float) -> FreeEnd:
+        """Return the constants for a layer in which a pressure evens out over at most `length` thicknesses along S.
+
+        For nu > 0.49 the flow at an end has less resistance than in an infinite layer (kappa > 1). This only holds if
+        the pressure grows linearly over many thicknesses, which a narrow S or soft bodies can prevent. The change
+        1/kappa - 1 of the resistance is therefore left out up to the first of `SPREAD_LENGTHS`, and whole from the
+        second; between them it grows linearly, so that no result jumps.
+        """
+        shortest, longest = SPREAD_LENGTHS
+        share = min(max((length - shortest) / (longest - shortest), 0.0), 1.0)
+        return self if self.kappa <= 1 else self._replace(kappa=1 / (1 + share * (1 / self.kappa - 1)))
 
 
 def lame_over_mu(nu: float) -> float:

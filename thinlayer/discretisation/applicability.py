@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from forms.base import InputError
 from forms.elastic import MAX_FREE_END_NU, MODULUS_RATIO_TOLERANCE, LinearElastic, poisson_ratio
-from forms.ends.weights import EndStrips
+from forms.ends.constants import FreeEnd
 from forms.law import BulkLaw
 from forms.law_tangents import acoustic_tensor, declared_or_computed_tangent, is_isotropic, tangent_at_rest
 from forms.parameter_fields import parameter_numbers
@@ -173,9 +173,9 @@ class Applicability:
         return f"not corrected, as {violation.reason}" if violation else "corrected" if self.weights else "none"
 
     @cached_property
-    def strips(self) -> EndStrips | None:
-        """Strips of S along free ends in which the layer is less stiff; None if not known for the layer's law."""
-        return self.law.end_strips()
+    def end_constants(self) -> FreeEnd | None:
+        """Constants of free ends with which the layer's law is corrected; None if they are not known."""
+        return self.law.end_constants()
 
     @cached_property
     def E_over_mu(self) -> float:
@@ -193,11 +193,11 @@ class Applicability:
 
         The layer must meet all other conditions of the use "ends", see `why_not`.
         """
-        assert self.strips is not None
+        assert self.end_constants is not None
         spreading_length = min(self.relative_width, (self.E_over_mu / BODY_COMPLIANCE_FACTOR) ** (1 / 3))
-        strips = self.strips.for_spreading_length(spreading_length)
+        constants = self.end_constants.for_spreading_length(spreading_length)
         sheet, eps = self.layer.sheet, self.layer.eps
-        return FacetWeights.of_ends(straight_ends(self.free_rim, sheet), sheet, eps, strips)
+        return FacetWeights.of_ends(straight_ends(self.free_rim, sheet), sheet, eps, constants)
 
     @cached_property
     def weights(self) -> FacetWeights | None:
@@ -323,7 +323,7 @@ def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
         R = float(joint.points[r.free_rim.vertices, 0].min()) / r.layer.eps
         if R < MIN_RADIUS_RATIO * (1 - MODULUS_RATIO_TOLERANCE):
             yield Violation("radius", f"free ends have a radius of {R:.3g} thicknesses; allowed: {MIN_RADIUS_RATIO:g}")
-    if r.strips is None:
+    if r.end_constants is None:
         known_text = f"LinearElastic with nu from 0 to {MAX_FREE_END_NU:g}, Rubber and Incompressible, by numbers"
         yield Violation("no constants", f"free ends are not known of this {r.layer.law_name}: they are of {known_text}")
         return
@@ -332,11 +332,11 @@ def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
         at, decay = place_text(joint.points[r.loose_rim[r.coarse_mask].vertices[0, 0]]), r.decay_lengths.min()
         reason = f"cells at free ends must not be longer than the fall of the pressure there, {decay:.3g}, as at {at}"
         yield Violation("coarse", reason, "make them shorter (h_ends=...)")
-    if r.relative_width < r.strips.max_length:
+    if r.relative_width < (reach := r.end_constants.reach):
         reason = f"its area over the length of free ends is {r.relative_width:.3g} thicknesses"
-        yield Violation("short", f"S is short: {reason}; allowed: {r.strips.max_length:.3g}")
+        yield Violation("short", f"S is short: {reason}; allowed: {reach:.3g}")
     if r.unchecked_weights.strips_overlap:
-        yield Violation("overlap", f"strips of {r.strips.max_length * thin.eps:.3g} along free ends lie on one another")
+        yield Violation("overlap", f"strips of {reach * thin.eps:.3g} along free ends lie on one another")
 
 
 def _straight_end_conditions(r: Applicability, E_over_mu: float) -> Iterator[Violation]:

@@ -27,9 +27,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from forms.elastic import poisson_ratio
-from forms.ends.constants import free_end
-from forms.ends.weights import EndStrips
+from forms.ends.constants import FreeEnd
 from forms.tensors import Expr
 from forms.work import Interface
 from geometry.seam import FacetName
@@ -37,7 +35,7 @@ from geometry.sheet import Rim, StraightEnd, straight_ends
 from geometry.topology import FloatArray, ridge_keys
 from thinlayer.discretisation.coefficient import Coordinates, LoadInput, Pressure
 from thinlayer.discretisation.forces import Forces, LoadRegion
-from thinlayer.discretisation.layer import SeamLayer, law_with_numbers
+from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.mesh_functions import cellwise_function
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.sides import strip_shares
@@ -113,17 +111,19 @@ def _end_load(load: SideLoad, at: Coordinates, model: Model, layer: SeamLayer, s
         sides: the two sides of S, for the layer's seam.
     """
     mesh, on_base = model.domain.mesh, layer.name in model.joint.base_seams
+    constants = model.applicability[layer.name].end_constants
+    assert constants is not None  # weights were made of them
     for end in straight_ends(load.rim, layer.sheet):
         cell_factors = np.zeros((len(model.joint.cells), 1, 5))
         upper_cells = model.joint.surface_cells[layer.sheet.facets, 1]
-        cell_factors[upper_cells, 0] = _transfer_factors(end, load.rim, layer)
+        cell_factors[upper_cells, 0] = _transfer_factors(end, load.rim, layer, constants)
         facet_factors = sides.upper(cellwise_function(model.domain, ("DG", 0, (5,)), cell_factors))
         m, offset = fem.Constant(mesh, end.m), fem.Constant(mesh, end.offset)
         end_coordinates = at.with_place(at.x + (offset - ufl.dot(m, at.x)) * m)
         yield end_coordinates.traction(load.load, load.what, m), _transfer_region(facet_factors, m, sides, on_base)
 
 
-def _transfer_factors(end: StraightEnd, rim: Rim, layer: SeamLayer) -> FloatArray:
+def _transfer_factors(end: StraightEnd, rim: Rim, layer: SeamLayer, constants: FreeEnd) -> FloatArray:
     """Return five factors (n, 5) on the n facets of S that distribute a traction on the side of a free end over S.
 
     The first three multiply the traction's components along m (outward in S), along n and along the end. The products
@@ -134,16 +134,16 @@ def _transfer_factors(end: StraightEnd, rim: Rim, layer: SeamLayer) -> FloatArra
         end: the straight free end.
         rim: the loaded ridges.
         layer: the layer.
+        constants: constants of the layer's free ends.
     """
     sheet, eps, kinematics = layer.sheet, layer.eps, layer.structure.kinematics
-    constants = free_end(poisson_ratio(law_with_numbers(layer.layer, kinematics)))
-    strips, points, share_of_strip = EndStrips.of_end(constants), sheet.joint.points, partial(strip_shares, end, sheet)
+    points, share_of_strip = sheet.joint.points, partial(strip_shares, end, sheet)
     weighted_areas = sheet.facet_integrals(kinematics.factors_at(points[sheet.vertices].mean(axis=1)))
     midpoints = points[rim.vertices].mean(axis=1)
     end_factor = kinematics.factors_at(midpoints[end.contains(midpoints)]).mean()
-    l_N, l_T = strips.opening.length, strips.shear.length
-    transfer_lengths = strips.transfer_length_axial, strips.transfer_length_shear, 2 * ANTIPLANE_LOAD_DISTANCE
-    facet_fractions = [share_of_strip(eps * length) for length in transfer_lengths]
+    l_N, l_T = constants.opening_strip, constants.shear_strip
+    mean_distances = constants.rho_N, constants.c_T, ANTIPLANE_LOAD_DISTANCE
+    facet_fractions = [share_of_strip(2 * eps * distance) for distance in mean_distances]
     force_factors = [eps * end.length * end_factor * share / (share @ weighted_areas) for share in facet_fractions]
     opening_factor = constants.inward_displacement / l_N * share_of_strip(eps * l_N)
     shear_factor = constants.c_T / l_T * share_of_strip(eps * l_T)

@@ -10,7 +10,8 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from forms.ends.weights import EndStrips, EndWeights
+from forms.ends.constants import FreeEnd
+from forms.ends.weights import EndWeights
 from forms.work import Interface
 from geometry.domain import Domain
 from geometry.joint import Joint
@@ -104,7 +105,7 @@ class FacetWeights:
             facet.
         m: (n, d) unit normal in S of the nearest end, outward, in d dimensions; zero where there is none.
         offset: (n,) value of m . x at points x of the nearest end, a length.
-        sheet, eps, strips: the seam, its thickness and the strips along ends, from which the weights are made.
+        sheet, eps, constants: the seam, its thickness and the constants of free ends, of which the weights are made.
     """
 
     a_N: FloatArray
@@ -114,28 +115,28 @@ class FacetWeights:
     offset: FloatArray
     sheet: Sheet
     eps: float
-    strips: EndStrips
+    constants: FreeEnd
 
     @classmethod
-    def of_ends(cls, ends: list[StraightEnd], sheet: Sheet, eps: float, strips: EndStrips) -> FacetWeights:
+    def of_ends(cls, ends: list[StraightEnd], sheet: Sheet, eps: float, constants: FreeEnd) -> FacetWeights:
         """Return the weights of straight free ends on a seam.
 
         Args:
             ends: the free ends.
             sheet: the seam.
             eps: thickness of the layer, a length.
-            strips: lengths and weights of the strips along a free end.
+            constants: constants of a free end with which the law is corrected.
         """
         joint, count = sheet.joint, len(sheet.facets)
         weights = np.zeros((3, count))
         nearest, m, offset = np.full(count, np.inf), np.zeros((count, joint.dim)), np.full(count, NO_END * joint.size)
         centroids = np.stack([sheet.facet_means(c) for c in joint.points[sheet.vertices].mean(axis=1).T], axis=1)
         for end in ends:
-            for k, strip in enumerate((strips.opening, strips.shear, strips.resistance)):
-                weights[k] += strip.c / strip.length * strip_shares(end, sheet, strip.length * eps)
+            for k, (c, length) in enumerate(constants.strips):
+                weights[k] += c / length * strip_shares(end, sheet, length * eps)
             is_closer = end.is_in_front(centroids) & (end.distance(centroids) < nearest)
             nearest[is_closer], m[is_closer], offset[is_closer] = end.distance(centroids)[is_closer], end.m, end.offset
-        return cls(weights[0], weights[1], weights[2], m, offset, sheet, eps, strips)
+        return cls(weights[0], weights[1], weights[2], m, offset, sheet, eps, constants)
 
     @property
     def strips_overlap(self) -> bool:
@@ -149,14 +150,14 @@ class FacetWeights:
             domain: the mesh; the cells above S store the weights of the facets.
             sides: the two sides of S.
         """
-        joint, mesh, eps, strips = self.sheet.joint, domain.mesh, self.eps, self.strips
+        joint, mesh, eps = self.sheet.joint, domain.mesh, self.eps
         values = np.zeros((len(joint.cells), 4 + joint.dim))
         upper_cells = joint.surface_cells[self.sheet.facets, 1]
         values[upper_cells] = np.column_stack([self.a_N, self.a_T, 1 / (1 + self.flow_resistance), self.offset, self.m])
         fields = sides.upper(cellwise_function(domain, ("DG", 0, (4 + joint.dim,)), values[:, None]))
         m = ufl.as_vector([fields[4 + k] for k in range(joint.dim)])
         distance = fields[3] - ufl.dot(m, sides.upper(ufl.SpatialCoordinate(mesh)))
-        lengths = strips.transfer_length_axial, strips.transfer_length_shear
-        reaches = [fem.Constant(mesh, eps * length) if length else None for length in lengths]
+        mean_distances = self.constants.rho_N, self.constants.c_T  # of the tractions that balance those at the end
+        reaches = [fem.Constant(mesh, 2 * rho * eps) if rho else None for rho in mean_distances]
         f_N, f_T = (1.0 if r is None else ufl.max_value(0.0, ufl.min_value(1.0, distance / r)) for r in reaches)
         return EndWeights(m, fields[0], fields[1], f_N, f_T, fields[2])
