@@ -305,16 +305,6 @@ class StraightEnd(NamedTuple):
         """
         return np.asarray((np.abs(self.distance(x)) <= (self.levels[1] - self.levels[0]) / 2) & self._is_beside(x))
 
-    def adjoins(self, x: FloatArray) -> BoolArray:
-        """Return (n,) whether each of n places of S lies on the end, or in the strip that leads from the end into S.
-
-        `is_in_front` describes this strip.
-
-        Args:
-            x: (n, d) coordinates of the places in d dimensions, lengths.
-        """
-        return self.contains(x) | self.is_in_front(x)
-
     def is_in_front(self, x: FloatArray) -> BoolArray:
         """Return (n,) whether each of n places of S is in the strip that leads from the end, normal to it, into S.
 

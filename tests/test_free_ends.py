@@ -13,7 +13,7 @@ from forms.base import InputError
 from forms.ends import free_end
 from forms.ends.constants import TABLE_COLUMNS, flow_factor
 from forms.ends.corner import CornerField
-from studies.half_strip import compute_free_end
+from studies.free_ends import compute_free_end
 from tests.refused import refused
 
 DEGREE, LEVELS = 8, 8  # errors below 1e-8: the corner's energy is r^1.4 to r^1.2, r = 0.5 * 0.2^8

@@ -1,4 +1,14 @@
-"""Constants of a free end of a layer as functions of Poisson's ratio."""
+"""Constants of a free end of a layer as functions of Poisson's ratio.
+
+`estimate(state).better` needs no constants, but short cells: it has the errors of the layer's mesh. These are relative
+errors of traction and jump inside S, and of the compliance, of blocks with nu = 0.3 (`tests/test_edges.py` checks the
+first row):
+
+    cells at ends   eps/width   law with constants     `better` of order 0
+    2 eps           1/64        1e-5, 4e-5, 8e-5       6e-4, 1e-3, 7e-4
+    eps/12          1/64        3e-6, 2e-5, 6e-5       4e-5, 5e-5, 6e-5
+    eps/12          1/16        6e-5, 4e-4, 1e-3       2e-4, 2e-4, 2e-4
+"""
 
 from __future__ import annotations
 
@@ -25,7 +35,7 @@ class FreeEnd(NamedTuple):
     The constants hold in plane strain. For plane stress take them at nu/(1 + nu) of the material in place of nu. All
     quantities are dimensionless: lengths are divided by the thickness of the layer, stresses by mu. M is lmbda + 2 mu,
     w_N the opening of the layer, w_T its slip. "Missing tractions" are the tractions of an infinite layer minus those
-    of the layer with the end. At nu = 0.5 c_N, m_N and rho_N are infinite. Source: `studies/half_strip.py`.
+    of the layer with the end. At nu = 0.5 c_N, m_N and rho_N are infinite. Source: `studies/free_ends.py`.
 
     Attributes:
         nu: Poisson's ratio of the layer.
@@ -133,22 +143,13 @@ def free_end(nu: float) -> FreeEnd:
     return FreeEnd(nu, c_N, m_N, rho_N=scaled_rho_N / s, c_T=c_T, m_T=m_T, kappa=kappa)
 
 
-def chebyshev_poisson_ratios(n: int) -> Array:
-    """Return the Poisson's ratios (n,) of the `n` rows of a table, from the largest to the smallest.
-
-    In terms of s = sqrt(1 - 2 nu) they are Chebyshev points.
-    """
-    s = (1 - np.cos(np.pi * (np.arange(n) + 0.5) / n)) / 2
-    return np.asarray((1 - s**2) / 2)
-
-
 @cache
 def _chebyshev_coefficients() -> Array:
     """Return Chebyshev coefficients (n, 5), from n rows of `TABLE_FILE`, for the functions that `free_end` interpolates.
 
-    The rows have the order of `chebyshev_poisson_ratios`.
-    The columns belong to the five functions in `free_end`; in place of the first, y, the column has (y^2 - 1/12)/s. The
-    variable of the polynomials is 2 s - 1 with s = sqrt(1 - 2 nu).
+    In terms of s = sqrt(1 - 2 nu) the rows are Chebyshev points between 0 and 1. The columns of the result belong to the
+    five functions in `free_end`; in place of the first, y, the column has (y^2 - 1/12)/s. The variable of the
+    polynomials is 2 s - 1.
     """
     table = dict(zip(TABLE_COLUMNS, np.loadtxt(TABLE_FILE, delimiter=",", skiprows=1).T, strict=True))
     nu = table["nu"]

@@ -35,6 +35,10 @@ A law with a pressure on S (`forms.rubber`) needs only the terms of shear. Its p
 makes it less stiff against openings. The loss of force is that of c_N if the flow along S within one thickness of an
 end is multiplied by kappa (`FreeEnd.kappa`). On a facet of which only the fraction s is in this strip, the resistances
 to the flow add up. The factor on the flow is then 1/(1 + (1/kappa - 1) s).
+
+What the constants are worth: with f_N = f_T = 1 errors are up to 9 times as large, with kappa = 1 those of the forces on
+rubber bearings 2 to 60 times. Strips of 1.5 and 0.7 thicknesses for all nu make errors in blocks 1.1 to 2.7 times
+smaller, but up to 4.5 times larger in discs, where first moments count.
 """
 
 from __future__ import annotations

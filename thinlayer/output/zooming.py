@@ -231,9 +231,10 @@ class Zoom:
         free_rim, points = self._applicability.free_rim, self.state.model.joint.points
         ends, ends_and_points = straight_ends(free_rim, self._seam_layer.sheet), []
         rim_x = points[np.unique(free_rim.vertices)]
+        within = SINGLE_END_DISTANCE * self.eps
+        is_close = [end.contains(rim_x) | (end.is_in_front(rim_x) & (end.distance(rim_x) <= within)) for end in ends]
         for end in ends:
-            close = [other.adjoins(rim_x) & (other.distance(rim_x) <= SINGLE_END_DISTANCE * self.eps) for other in ends]
-            x = rim_x[end.contains(rim_x) & (np.sum(close, axis=0) == 1)]
+            x = rim_x[end.contains(rim_x) & (np.sum(is_close, axis=0) == 1)]
             if len(x):
                 ends_and_points.append((end, x[np.argsort(x @ end.along)]))
         return ends_and_points
