@@ -104,7 +104,8 @@ class FreeEnd(NamedTuple):
         For nu > 0.49 the flow at an end has less resistance than in an infinite layer (kappa > 1). This only holds if
         the pressure grows linearly over many thicknesses, which a narrow S or soft bodies can prevent. The change
         1/kappa - 1 of the resistance is therefore left out up to the first of `SPREAD_LENGTHS`, and whole from the
-        second; between them it grows linearly, so that no result jumps.
+        second; between them it grows linearly, so that no result jumps. Whole in all layers it would make errors beside
+        soft bodies up to 1.4 times as large.
         """
         shortest, longest = SPREAD_LENGTHS
         share = min(max((length - shortest) / (longest - shortest), 0.0), 1.0)
