@@ -107,6 +107,15 @@ def test_the_mean_traction_is_that_of_the_load(kind):
     assert math.hypot(*forces) == pytest.approx(load * surface.integral(1.0), rel=1e-9)
 
 
+def test_the_better_state_has_no_reactions_of_the_state_before():
+    """A goal has them."""
+    result = estimated("moved")
+    (goal,) = (goal for name, goal in result.goals.items() if name.startswith("reaction"))
+    assert abs(goal.change) > 1e-3 * abs(goal.value)
+    refused(InputError, r"ask estimate for goals\.Reaction", lambda: result.better.reaction("TOP"))
+    assert math.isnan(result.better.prescribed_work)
+
+
 def test_the_mean_traction_has_nothing_of_supports_at_ends_of_s():
     """Over nodes that nothing holds: within a cell's share of the mean of the law's tractions."""
     state = solve(structure(supports={"LEFT": 0}).interface(LAYER))

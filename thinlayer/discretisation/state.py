@@ -261,7 +261,8 @@ class State(Configuration):
         """
         model = self.model
         if self.reactions is None:
-            raise InputError("this state has no reactions: it was not solved for")
+            hint = "; ask estimate for goals.Reaction(place, direction)" * self.with_meshed_layers
+            raise InputError(f"this state has no reactions: it was not solved for{hint}")
         part_reactions = [row for part in model.parts for row in part.reaction(model, self.u)]
         all_reactions = [*zip(model.held_places, self.reactions, strict=True), *part_reactions]
         reactions = [(place, resultant(model, values)) for place, values in all_reactions]

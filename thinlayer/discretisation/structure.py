@@ -358,6 +358,7 @@ def require_body_law(name: str, law: Law) -> None:
             if depends_on_normal(law):
                 reason = "its stress depends on the normal of S, which a body has not"
                 reason += ", or its class does not say isotropic = True" * isinstance(law, KernelLaw)
+                reason += "; take frame='global'" * (getattr(law, "frame", "") == "layer")
     if reason:
         raise InputError(f"body {name!r}: {law_name} is for layers: {reason}")
     if traits.softens:

@@ -139,8 +139,10 @@ def estimate(
     errors = {name: LayerError(meshed_layers[name], *relative_errors(square)) for name, square in squares.items()}
     goal_errors = {}
     for name, goal in named_goals.items():
-        goal_bounds = bounds.get(name, GoalBounds(goal.value(last_state, model), math.nan, math.nan))
-        goal_errors[name] = _goal_error(name, goal_values[name], goal.scale(last_state, model), goal_bounds, has_bounds)
+        goal_bounds = bounds.get(name) or GoalBounds(goal.value(last_state, model), math.nan, math.nan)
+        goal_errors[name] = _goal_error(
+            name, goal_values[name], goal.scale(first_state, model), goal_bounds, has_bounds
+        )
     traction, jump = relative_errors(sum(squares.values(), np.zeros(4)))
     seconds, data = time.perf_counter() - start, (subproblem, first_state, old_state, adjoints, named_goals, options)
     return Estimate(solution, last_state, errors, goal_errors, traction, jump, seconds, layer_state, energy, *data)

@@ -538,8 +538,10 @@ class GlobalLocal:
 
     def states(self, last: BodyEquilibrium) -> tuple[State, State]:
         """Return a state of the interface model and a state of the meshed layers, both for the last iterate `last`."""
-        w = self.layers.equilibrate_dirichlet(last.face_u)
-        return replace(self.state, u=self._to_fem(last.u), with_meshed_layers=True), self.layers.state(w)
+        w, u = self.layers.equilibrate_dirichlet(last.face_u), self._to_fem(last.u)
+        # reactions and their work are those of the state before; goals have those of this one
+        better = replace(self.state, u=u, reactions=None, prescribed_work=math.nan, with_meshed_layers=True)
+        return better, self.layers.state(w)
 
     def run(
         self, goals: Mapping[str, Goal], values: Mapping[str, float], bounds: dict[str, GoalBounds], width: float | None
