@@ -10,7 +10,7 @@ import numpy as np
 
 from forms import Incompressible, LinearElastic, Rubber, formulas
 from geometry import sandwich
-from thinlayer import Structure, Surface, ThinLayer, plotting, solve
+from thinlayer import Structure, ThinLayer, plotting, solve
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.supports import Place, Support
 from thinlayer.running.record import Record
@@ -46,11 +46,6 @@ def run(record: Record, *, nu: Sequence[float] = POISSON_RATIOS, quick: bool = F
     record.check(f"{check_name}, shape factors from 5 on", errors["meshed"][is_wide].max(), high=0.013)
     record.check(f"{check_name}, all shape factors", errors["meshed"].max(), high=0.03)
     record.check("least excess of the law of order 0", (table["order_0"] / exact).min() - 1, low=0.01)
-    is_finite = table["nu"] < 0.5
-    eps, lmbda = RADIUS / (2 * table["shape"][is_finite]), np.array([_lmbda(nu) for nu in table["nu"][is_finite]])
-    pressure_ratios = lmbda / (exact[is_finite] * eps - 2 * MU)  # pressure of order 0 over pressure in closed form
-    max_error = np.abs(table["too_stiff"][is_finite] / pressure_ratios - 1).max()
-    record.check("largest distance of what is told of order 0 from closed forms", max_error, high=0.01)
 
 
 def _stiffness_row(record: Record, structure: Structure, shape_factor: float, nu: float) -> dict[str, float]:
@@ -58,12 +53,10 @@ def _stiffness_row(record: Record, structure: Structure, shape_factor: float, nu
     row = {"shape": shape_factor, "nu": nu, "closed": formulas.disc_stiffness(_lmbda(nu), MU, eps, RADIUS)}
     for name in MODEL_LABELS:
         if nu == 0.5 and name == "order_0":
-            row |= {name: math.inf, "too_stiff": math.inf}  # the plates cannot separate
+            row[name] = math.inf  # the plates cannot separate
             continue
         state = record.add_report(solve(_model(structure, name, eps, nu)))
         row[name] = state.reaction("TOP").force[1] / (math.pi * RADIUS**2 * LIFT)
-        if name == "order_0":
-            row["too_stiff"] = Surface(state.model).table(state)["too_stiff"].max()
     return row
 
 

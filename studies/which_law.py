@@ -78,20 +78,18 @@ def _error_row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float,
 
     Returns:
         Table row with the relative errors "traction_LAW", "jump_LAW" and "compliance_LAW", and "warned_LAW", 1 or 0. A
-        law without this material has None. "too_stiff" is the factor by which order 0 overestimates the stiffness.
+        law without this material has None.
     """
     lmbda = 2 * nu / (1 - 2 * nu) * mu if nu < 0.5 else math.inf
     errors_of, structure = set_up.error_function(record, lmbda, mu, eps), set_up.structure(eps)
     columns = [f"{quantity}_{law}" for law in LAW_NAMES for quantity in QUANTITIES]
-    row: dict[str, float | None] = dict.fromkeys([*columns, "too_stiff", *(f"warned_{law}" for law in LAW_NAMES)])
+    row: dict[str, float | None] = dict.fromkeys([*columns, *(f"warned_{law}" for law in LAW_NAMES)])
     for law, layer in set_up.layers(lmbda, mu, eps).items():
         with warnings.catch_warnings(record=True, action="always") as caught_warnings:
             state = record.add_report(solve(structure.interface(layer)))
         warned = any(issubclass(warning.category, RangeWarning) for warning in caught_warnings)
         row[f"warned_{law}"] = float(default_comm().bcast(warned))  # rank 0 warns
         row |= {f"{quantity}_{law}": error for quantity, error in zip(QUANTITIES, errors_of(state), strict=True)}
-        if law == "order_0" and nu < 0.5:
-            row["too_stiff"] = Surface(state.model).table(state)["too_stiff"][0]
     return row
 
 

@@ -94,8 +94,6 @@ def compared(c, folder):
     meshed = c.meshed()
     errors = [compare(meshed, c.state)[f"error_{name}"] for name in ("traction", "jump")]
     assert 1e-6 < min(errors) < max(errors) < 0.25
-    names = {"too_stiff", f"too_stiff {c.seam}"}
-    assert {name for name in compare(meshed, c.state, seam=c.seam) if "stiff" in name} <= names
     return [*forces(c, meshed), *((error, 0, 0) for error in errors)]
 
 

@@ -20,7 +20,6 @@ WARNINGS = {  # key of a RangeWarning -> words of its message
     "facets": "S is curved and its facets are straight",
     "fit": "not converged after",
     "fracture zone": "the fracture zone of",
-    "free ends": "is nearly incompressible",
     "friction angle": "if it is in radians",
     "hard": "times as hard as the softer body",
     "incompressible": "is incompressible:",

@@ -41,10 +41,9 @@ def test_slip_on_straight_facets():
     model = Structure(ring(1.0, 1.5, 2.0, h=0.3), body=STIFF, supports=supports, tractions=tractions).interface(layer)
     per_area = layer.law.lmbda + 2 * layer.law.mu, layer.law.mu  # of a law per thickness
     assert jump_stiffness(model.layers["S"]) == pytest.approx(per_area, rel=1e-12)
-    _, (before, after) = with_warnings(lambda: solve(model))
-    assert times_too_stiff(before) == pytest.approx(times_too_stiff(after), rel=0.02)
-    assert times_too_stiff(after) > 2
-    assert "its facets are straight, 3.3 degrees off its normal" in before
+    _, (message,) = with_warnings(lambda: solve(model))
+    assert times_too_stiff(message) > 2
+    assert "its facets are straight, 3.3 degrees off its normal" in message
 
 
 @pytest.mark.parametrize("degree", [1, 2])
@@ -65,14 +64,12 @@ def test_slip_that_nothing_resists_but_facets(degree):
 
 @pytest.mark.parametrize("slip", [0.0, 2e-3])
 def test_slip_beside_opening(slip):
-    """The work of shear, mu/eps |w_T|^2, is asked for by both, the law and the layer."""
+    """The error of openings is that of a strip; slip takes a part of the traction."""
     law, eps = LinearElastic.shear(3.0, 0.499), 1 / 16
     joint = sandwich(1.0, 0.3, 0.3, 1 / 16, h_S=1 / 128, h_ends=1 / 256)
     model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0, "TOP": 0.0}).interface(ThinLayer(law, eps, at=1.0))
-    excess_work = excess(model, lambda x: (slip + 0 * x[0], 1e-3 + 0 * x[0]))
-    pure = strip_excess(0.5 / (eps * np.sqrt(law.lmbda / law.mu / 12)))
-    work = law.lmbda * 1e-6 / (1 + pure)
-    assert excess_work == pytest.approx(pure * work / (work + law.mu * slip**2), rel=3e-3)
+    error, _ = excess(model, lambda x: (slip + 0 * x[0], 1e-3 + 0 * x[0]))
+    assert error == pytest.approx(strip_excess(0.5 / (eps * np.sqrt(law.lmbda / law.mu / 12))), rel=0.01)
 
 
 # ---------------------------------------------------------------- thick, hard, overlapping

@@ -193,7 +193,6 @@ CASES = [
     ("omit start= and out=", lambda: march(glue_state(), [2.0], start=1.0), lambda: march(glue_state(), [2.0])),
 ]  # fmt: skip
 OTHERS = {"plain", "oblique", "overlap"}  # whose remedies, edges=None or a mesh, are tried under another key
-OF_A_COLUMN = {"functions", "not elastic", "anisotropic", "incompressible", "no excess"}  # which a table lacks, unasked
 
 
 @pytest.mark.few(8)
@@ -209,4 +208,4 @@ def test_what_a_refusal_advises_works(words, call, remedies):
 def test_each_key_of_a_refusal_has_its_remedy_tried():
     sources = "".join(path.read_text() for path in (CLONE / "thinlayer").rglob("*.py"))
     keys = {*re.findall(r'Violation\(\s*"([^"]+)"', sources)}
-    assert keys - {words for words, *_ in CASES} == OTHERS | OF_A_COLUMN
+    assert keys - {words for words, *_ in CASES} == OTHERS

@@ -149,7 +149,7 @@ def test_strengths_of_corners_between_rigid_faces(nu):
     model = Structure(joint(), body=rigid, supports={"BOTTOM": 0}).interface(ThinLayer(law, EPS))
     H_N, H_T = STRENGTHS[nu]
     for jump, expected in (([0.0, w[1]], H_N * law.lmbda * w[1]), ([w[0], 0.0], H_T * law.mu * w[0])):
-        zoom = Zoom(opened(model, lambda x, jump=jump: (jump[0] + 0 * x[0], jump[1] + 0 * x[0])).state)
+        zoom = Zoom(opened(model, lambda x, jump=jump: (jump[0] + 0 * x[0], jump[1] + 0 * x[0])))
         right = {corner.side: corner for corner in zoom.corners if corner.m[0] > 0}
         lower = right["lower"].H[0] * EPS ** (right["lower"].exponent - 1)
         sign = -1 if jump[0] else 1  # axes point away from the end
@@ -208,7 +208,7 @@ def test_layers_of_revolution_are_stretched_around_the_axis():
     """As much as along r, where the upper face widens; the shear stress that this brings about balances t_N."""
     plates = Structure(joint(), body=BODY, supports={"BOTTOM": {"y": 0}}, plane="axisymmetric")
     model = plates.interface(ThinLayer(GLUE, EPS, order=1, at=1.0))
-    zoom, wide = Zoom(opened(model, lambda x: (0.01 * x[0], 0.002 + 0 * x[0])).state), 0.01
+    zoom, wide = Zoom(opened(model, lambda x: (0.01 * x[0], 0.002 + 0 * x[0]))), 0.01
     stress = zoom.stress([[0.65, 0.0]] * 3, [-0.5, 0.0, 0.5])
     lmbda, mu = zoom.law.lmbda, zoom.law.mu
     t = lmbda * wide + (lmbda + 2 * mu) * 0.002 / EPS

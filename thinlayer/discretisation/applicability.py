@@ -360,31 +360,6 @@ def _straight_end_conditions(r: Applicability, E_over_mu: float) -> Iterator[Vio
         yield Violation("curved end", str(error))
 
 
-def _pressure_excess_conditions(r: Applicability) -> Iterator[Violation]:
-    """Check that the error of the pressure in the interface law of `r.layer` can be estimated; yield each violation.
-
-    An interface law of order 0 lets no material flow along S, and so overestimates the pressure.
-    `thinlayer.surface.pressure_excess` estimates the excess.
-    """
-    seam_layer = r.layer
-    if seam_layer.thin_layer and seam_layer.thin_layer.eigenstrain is not None:
-        yield Violation("eigenstrain", "the layer has an eigenstrain")
-    if seam_layer.law.fields:
-        yield Violation("functions", "the layer's parameters are functions")
-    if seam_layer.has_pressure_flow:
-        return
-    tangents = [C for _, _, C in seam_layer.initial_tangents.sublayers]
-    if not seam_layer.law.traits.linear or seam_layer.remembers or len(tangents) != 1 or tangents[0] is None:
-        yield Violation("not elastic", "the layer is not one linear elastic material")
-        return
-    if not is_isotropic(tangents[0]):
-        yield Violation("anisotropic", "the layer is not isotropic")
-    if r.law.traits.constrained and not r.law.volume_compliance:
-        yield Violation("incompressible", "the pressure of the interface law has no bound")
-    if (lmbda := average_lame(tangents[0])[0]) < 0:
-        yield Violation("no excess", f"lmbda of the layer is {lmbda:.4g}")
-
-
 def _subproblem_conditions(r: Applicability) -> Iterator[Violation]:
     """Check that the layer `r.layer`, meshed without bodies, can be solved for given displacements of its faces.
 
@@ -459,7 +434,6 @@ CONDITIONS_OF_USE: dict[str, tuple[Condition, ...]] = {
     "ends": (_thickness_conditions, _free_end_law_conditions),
     "estimate": (_thickness_conditions, _support_conditions, _subproblem_conditions, _neumann_conditions),
     "bonded": (_bonded_conditions,),
-    "excess of pressure": (_thickness_conditions, _pressure_excess_conditions),
     "alone": (_thickness_conditions, _rate_conditions, _subproblem_conditions),
     "corners": (_thickness_conditions, _rate_conditions, _subproblem_conditions, _corner_conditions),
 }

@@ -15,7 +15,6 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.output.surface import Surface
 from thinlayer.solving.history import TIME_TOLERANCE, History, Solution, state_at
-from thinlayer.surface.pressure_excess import times_too_stiff
 from thinlayer.system.fingerprint import differences, differences_text
 from thinlayer.system.ranks import errors_on_all, require_same
 
@@ -49,9 +48,6 @@ def compare(
           norm of the interface model's field, and nan if this norm is zero up to rounding errors.
         - "traction", "jump": these L2 norms of the interface model's fields. The units are those of stress and length,
           in 2D times the root of a length, in 3D and axisymmetry times the root of an area.
-        - "too_stiff", or "too_stiff NAME" for each of several seams: the factor by which the law overestimates the
-          layer's stiffness against the openings in this state (see `Surface.table`). The entry exists for isotropic
-          elastic layers, unless their law has an unknown pressure on S.
 
     Raises:
         InputError: the states do not belong to a full and an interface model of the same structure. Joint, bodies,
@@ -103,7 +99,7 @@ def compare(
         norms[name] = surface.norm(limit_f, indicator)
         is_nonzero = norms[name] > (JUMP_ROUNDING_RATIO * u_norm if name == "jump" else 0.0)
         row[f"error_{name}"] = surface.norm(method(full) - limit_f, indicator) / norms[name] if is_nonzero else math.nan
-    return row | norms | _too_stiff_factors(interface, seam)
+    return row | norms
 
 
 def _require_equal(quantity: str, is_equal: bool, full: object, interface: object) -> None:
@@ -116,23 +112,6 @@ def _require_equal(quantity: str, is_equal: bool, full: object, interface: objec
     """
     if not is_equal:
         raise InputError(f"compare needs the same {quantity}, not {full} and {interface}")
-
-
-def _too_stiff_factors(state: State, seam: str) -> dict[str, float]:
-    """Return the factor by which each interface law overestimates its layer's stiffness in a state. Collective.
-
-    Args:
-        state: state of an interface model.
-        seam: name of the seam whose layer is examined; "S": all layers.
-
-    Returns:
-        "too_stiff", or "too_stiff NAME" if the joint has several seams -> factor. Layers for which the factor is not
-        defined, and laws with an unknown pressure on S, are left out.
-    """
-    several = len(state.model.joint.seams) > 1
-    layers = [layer for name, layer in state.model.layers.items() if seam in (S, name) and not layer.has_pressure_flow]
-    factors = {f"too_stiff {layer.name}" if several else "too_stiff": times_too_stiff(state, layer) for layer in layers}
-    return {name: factor for name, factor in factors.items() if factor is not None}
 
 
 def _require_same_body_extent(full: FullModel, interface: InterfaceModel) -> None:

@@ -21,7 +21,6 @@ from thinlayer.output.tractions import consistent_tractions, layer_tractions, ma
 from thinlayer.solving.history import History
 from thinlayer.surface.law_points import LawPoints, layer_points, layer_shares
 from thinlayer.surface.lines import level_points
-from thinlayer.surface.pressure_excess import sublayer_moduli, times_too_stiff
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.table import Row, Table
 
@@ -276,13 +275,6 @@ class Surface(SurfaceMesh):
           lower face if the other phases lie above phase 0.
         - "broken", "breaking": of laws such as `Breaking` the fractions of the area that are damaged by more than 0.999,
           and less; also of full models. Other laws may add columns.
-        - "too_stiff": factor by which an interface law of order 0 or 1 overestimates an isotropic elastic layer's
-          stiffness against the openings of the state. These laws do not let material flow along S. The factor is that
-          of the layer alone, and leaves out its shear. The error of a structure with soft bodies is smaller. If the
-          factor exceeds 1.1, and changes the traction by more than 10 %, a RangeWarning advises `Rubber` with order=1
-          or a meshed layer.
-        - "delta": length over which the pressure of such a layer evens out, eps sqrt(lmbda/(12 mu)). If openings vary
-          with the wave number k along S, the factor is 1 + (k delta)^2.
         """
         self._require_same_joint(state)
         model, rows = state.model, []
@@ -301,8 +293,6 @@ class Surface(SurfaceMesh):
                 row |= {name: float(areas @ (status[:, 0] == name)) for name in seam_statuses(model, seam)}
             if layer:
                 row |= {name: share for name, share in layer_shares(state, seam).items() if name not in row}
-            if layer and status is not None and (stiffness_factor := times_too_stiff(state, layer)) is not None:
-                row |= {"delta": layer.eps * sublayer_moduli(layer)[0].decay_length, "too_stiff": stiffness_factor}
             rows.append(row)
         columns = dict.fromkeys(name for row in rows for name in row)
         return Table({name: row.get(name) for name in columns} for row in rows)

@@ -65,7 +65,7 @@ def sweep(run: RowFunction, eps: Iterable[float], out: str | Path | None = None,
         ...
         >>> table = sweep(run, [0.1, 0.05])
         >>> print(table.columns)
-        ['eps', 'error_traction', 'error_jump', 'order_traction', 'order_jump', 'traction', 'jump', 'too_stiff']
+        ['eps', 'error_traction', 'error_jump', 'order_traction', 'order_jump', 'traction', 'jump']
     """
     with errors_on_all(default_comm()):
         require_csv(out, resume)

@@ -25,11 +25,11 @@ from thinlayer.discretisation.state import State
 from thinlayer.surface.fracture_zone import short_zone_remark
 from thinlayer.surface.pressure_excess import (
     STIFFNESS_ERROR_LIMIT,
+    SUPPORT_HINT,
     FaceDisplacements,
     Remark,
     SublayerModuli,
     acts_as_springs,
-    free_end_remark,
     jump_stiffness,
     stiffness_remark,
     sublayer_moduli,
@@ -49,14 +49,13 @@ MIN_STEP_TO_TIME_CONSTANT = 1e-9  # step over a time constant of a law below whi
 CAVITATION_STRESS_RATIO = 2.5
 
 
-def warn_of_model(model: Model, durations: Sequence[float] = ()) -> None:
+def warn_of_model(model: Model) -> None:
     """Warn once, before a solve, if elements lock or an interface law is outside its range. Collective.
 
     Elements lock if they are far too stiff, as linear ones are for nearly incompressible bodies.
 
     Args:
         model: the model.
-        durations: times since the loads began, > 0, at which results are wanted. (): the loads are sudden.
     """
     setup = model.structure
     for law, C in zip(setup.body_laws_at_extremes, setup.extreme_body_tangents, strict=True):
@@ -72,7 +71,7 @@ def warn_of_model(model: Model, durations: Sequence[float] = ()) -> None:
         for key, remark in _bond_line_remarks(model, layer):
             model.warn(key, remark, layer.name)
     for layer in _strain_layers(model):
-        for key, remark in _model_remarks(model, layer, durations):
+        for key, remark in _model_remarks(model, layer):
             model.warn(key, remark, layer.name)
     for name, applicability in model.applicability.items() if model.broken else ():
         if applicability.layer.has_pressure_flow and (coarse := applicability.coarse_mask).any():
@@ -109,22 +108,21 @@ def _bond_line_remarks(model: Model, layer: SeamLayer) -> Iterator[Remark]:
             yield "bond line", f"{text}: {effect}; give {remedy}"
 
 
-def _model_remarks(model: Model, layer: SeamLayer, durations: Sequence[float]) -> Iterator[Remark]:
+def _model_remarks(model: Model, layer: SeamLayer) -> Iterator[Remark]:
     """Yield warnings about a layer that follow from the model alone, as pairs (key that identifies the warning, text).
 
     Args:
         model: the model, which need not be solved yet.
         layer: the layer.
-        durations: times since the loads began, > 0, at which results are wanted. (): the loads are sudden.
     """
     sublayers = sublayer_moduli(layer)
     yield from _facet_remarks(model, layer)
     if not acts_as_springs(sublayers):
         yield from _thickness_remarks(model, layer, sublayers)
-    if layer.has_pressure_flow or _judged_by_jumps(layer, sublayers):
-        return
-    immediate_moduli = [] if durations and layer.law.traits.rate else [sublayers]
-    yield from free_end_remark(model, layer, [*immediate_moduli, *(sublayer_moduli(layer, dt) for dt in durations)])
+    is_incompressible = any(ply.decay_length == math.inf for ply in sublayers) and not layer.has_pressure_flow
+    if is_incompressible and len(model.applicability[layer.name].uncorrected_rim.vertices):
+        text = f"{layer} is incompressible: its law holds [u_N] at zero, but at free ends it is squeezed out"
+        yield "incompressible", f"{text}; use order=1, mesh the layer (structure.full), {SUPPORT_HINT}"
 
 
 def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
@@ -204,8 +202,7 @@ def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | Non
         layer: the layer.
         start: time at which the loads began; None: they are sudden in every state.
     """
-    model, sublayers = states[0].model, sublayer_moduli(layer)
-    if not (model.linear or acts_as_springs(sublayers)):
+    if not (states[0].model.linear or acts_as_springs(sublayer_moduli(layer))):
         # The mean over S is tested, as jumps are large at single places in any case. The limit is above 1, because
         # under the same load jumps do not vanish with the thickness. Linear models are not tested: their results are
         # proportional to loads of any size.
@@ -217,23 +214,8 @@ def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | Non
             text = f"at t = {faces.state.t:.4g} {layer} closes by {max_mean:.3g} times its thickness, on average over S"
             most_text = f"most near {x}, by {faces.closing.max():.3g} times"
             yield "overlap", f"{text} ({most_text}): bodies overlap; check loads, thickness and parameters"
-    if layer.law.traits.linear and not layer.has_pressure_flow:
-        remarks = [*stiffness_remark(layer, states, start)]
-        yield from remarks or (free_end_remark(model, layer, [sublayers]) if _judged_by_jumps(layer, sublayers) else ())
-
-
-def _judged_by_jumps(layer: SeamLayer, sublayers: list[SublayerModuli]) -> bool:
-    """Whether a layer's pressure is judged by the jumps in solved states, rather than by the model alone.
-
-    This holds for layers of one sublayer, with a linear law without memory and with a shear stiffness. Only if their
-    jumps lead to no warning, a test of the pressure at free ends of S follows.
-
-    Args:
-        layer: the layer.
-        sublayers: the moduli of its sublayers.
-    """
-    is_single = layer.law.traits.linear and not layer.remembers and len(sublayers) == 1
-    return is_single and sublayers[0].decay_length < math.inf
+    if not layer.has_pressure_flow:
+        yield from stiffness_remark(layer, states, start)
 
 
 def _strain_layers(model: Model) -> list[SeamLayer]:

@@ -156,9 +156,7 @@ def march(
             require_theta_suits(equations, theta, [start, *targets])
         identity = {"start": start, "theta": theta, "tolerance": plan.tolerance} | ({"first": first} if on_path else {})
         journal = Journal(equations, identity, observe or {}, keep, folder)
-        min_duration, max_duration = min(first, targets[0] - start), targets[-1] - start  # durations of sudden loads
-        load_durations = dict.fromkeys([min_duration, math.sqrt(min_duration * max_duration), max_duration])
-        warn_of_model(model, () if on_path or initial_states else [*load_durations])
+        warn_of_model(model)
         has_planned_steps = not on_path and plan.tolerance is None
         if has_planned_steps:
             warn_of_steps(model, start, targets, theta)
