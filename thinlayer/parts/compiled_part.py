@@ -21,7 +21,7 @@ from thinlayer.discretisation.state import Configuration
 from thinlayer.discretisation.time_functions import TimeLevel
 from thinlayer.parts.part import Block, FileOrder, Part, PartTraits, Softening, StepOutcome, TimeStep
 from thinlayer.pointwise.column_term import ColumnTerm
-from thinlayer.pointwise.compiled_term import CompiledTerm, Response
+from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.pointwise.quadrature import MeshOrigin, add_integral_to_nodes
 from thinlayer.system.ranks import destroy
 
@@ -34,24 +34,6 @@ KINK_MESSAGE = (
 UNDERFLOW_LIMIT = 1e-300  # smallest such change
 CHANGE_TOLERANCE = 1e-12  # relative difference of parameters at several times that counts as rounding error
 SAMPLED_STEP_FRACTIONS = (0.21, 0.5, 0.83)  # fractions of a step at which parameters are sampled for changes in time
-
-
-def find_softening(points: CompiledTerm, e: Array, e_old: Array, memory: Array, response: Response) -> Softening | None:
-    """Find out whether the stress of a layer's law falls during a step at some quadrature points. Collective.
-
-    Args:
-        points: the law with its quadrature points.
-        e, e_old: (points, m) strains at the end and at the beginning of the step, as m Mandel components.
-        memory: (points, values) internal variables at the beginning of the step.
-        response: response of the law in this step.
-
-    Returns:
-        Class name of the law, and a text for messages with the number of points where the stress falls. None: it falls
-        at no point.
-    """
-    term = points.term
-    count = points.comm.allreduce(points.count_softening_points(e, e_old, memory, response))
-    return (type(term.law.law_3d).__name__, f"at {count} points of the {term.key or LAYER_KIND}") if count else None
 
 
 def prescribed_strain_function(points: CompiledTerm) -> Callable[[float], Array]:
@@ -295,7 +277,9 @@ class CompiledPart(Part):
     def undeclared_softening(self) -> Softening | None:
         if self._in_body or not self.law.traits.may_soften:
             return None
-        return find_softening(self.points, self._e, self._e_old, self._memory, self._response)
+        local_count = self.points.count_softening_points(self._e, self._e_old, self._memory, self._response)
+        count, term = self.comm.allreduce(local_count), self.points.term
+        return (type(term.law.law_3d).__name__, f"at {count} points of the {term.key or LAYER_KIND}") if count else None
 
     def relaxing_law_name(self) -> str:
         return next((type(law.law_3d).__name__ for _, law in self.law.sublayers if depends_on_step_length(law)), "")

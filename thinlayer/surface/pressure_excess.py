@@ -301,6 +301,8 @@ def stiffness_remark(layer: SeamLayer, states: Sequence[State], start: float | N
     Yields:
         Key of the warning, and its message; at most one such pair.
     """
+    if not (layer.law.traits.linear or any(ply.rubbery for ply in sublayer_moduli(layer))):
+        return  # tangents of non-linear laws do not change in time
     openings = [float(np.abs(FaceDisplacements.of(state, layer).normal_jump).max()) for state in states]
     opened = [k for k, opening in enumerate(openings) if opening >= MIN_OPENING_RATIO * max(openings)]
     first = next((k for k, opening in enumerate(openings) if opening > 0), 0)
