@@ -206,9 +206,9 @@ def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | Non
         # The mean over S is tested, as jumps are large at single places in any case. The limit is above 1, because
         # under the same load jumps do not vanish with the thickness. Linear models are not tested: their results are
         # proportional to loads of any size.
-        mean_closings = [FaceDisplacements.of(state, layer).mean_closing for state in states]
+        mean_closings = [FaceDisplacements(state, layer).mean_closing for state in states]
         if (max_mean := max(mean_closings)) > OVERLAP_CLOSING:
-            faces = FaceDisplacements.of(states[int(np.argmax(mean_closings))], layer)
+            faces = FaceDisplacements(states[int(np.argmax(mean_closings))], layer)
             facet, corner = np.unravel_index(faces.closing.argmax(), faces.closing.shape)
             x = place_text(faces.surface.corner_points.x[:, facet, corner])
             text = f"at t = {faces.state.t:.4g} {layer} closes by {max_mean:.3g} times its thickness, on average over S"
@@ -276,6 +276,7 @@ def _thickness_remarks(model: Model, layer: SeamLayer, sublayers: list[SublayerM
         return
     softer = min(in_plane_modulus(C, layer.initial_tangents.n) for C in body_tangents if C is not None)
     layer_modulus = max(sublayer.E_plane for sublayer in sublayers)
+    # at a quarter of the body's modulus jumps are 23 to 34 % off, tractions 3 to 10 % (nu = 0.3, eps to 1/8 of the width)
     if layer_modulus > softer > 0:
         text = f"{layer} is {layer_modulus / softer:.3g} times as hard as the softer body (moduli in the plane of S)"
         remedy = "use order=1, mesh the layer (structure.full), or check its parameters"

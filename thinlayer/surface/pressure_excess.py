@@ -146,19 +146,17 @@ class FaceDisplacements:
     number of quadrature points on each facet.
 
     Attributes:
-        surface: the mesh of the seam.
         state: the state.
         layer: the layer.
     """
 
-    surface: SurfaceMesh
     state: State
     layer: SeamLayer
 
-    @classmethod
-    def of(cls, state: State, layer: SeamLayer) -> FaceDisplacements:
-        """Return the displacements of the faces of `layer` in `state`, on the whole seam of the layer."""
-        return cls(surface_of(state.model, layer.name), state, layer)
+    @property
+    def surface(self) -> SurfaceMesh:
+        """The mesh of the whole seam of the layer."""
+        return surface_of(self.state.model, self.layer.name)
 
     @cached_property
     def sides(self) -> FloatArray:
@@ -177,9 +175,9 @@ class FaceDisplacements:
 
     @property
     def slip_squared(self) -> FloatArray:
-        """Squares of the tangential jumps, (n, k), at the k corners of n facets, plus the square of `jump_rounding`."""
+        """Squares of the tangential jumps, (n, k), at the k corners of n facets."""
         slip = self.sides[1] - self.sides[0] - self.normal_jump * self.surface.corner_points.n
-        return np.asarray((slip**2).sum(axis=0) + self.jump_rounding**2)
+        return np.asarray((slip**2).sum(axis=0))
 
     @property
     def closing(self) -> FloatArray:
@@ -228,7 +226,7 @@ def pressure_excess(state: State, layer: SeamLayer, sublayers: list[SublayerModu
         int (p_0 - p) wb/int p wb: the relative error of the stiffness against openings; and the L2 norm of p_0 - p over
         that of the law's traction. Openings as small as the rounding error of displacements have no error.
     """
-    faces = FaceDisplacements.of(state, layer)
+    faces = FaceDisplacements(state, layer)
     surface, joint = faces.surface, faces.surface.joint
     area, eps = float(surface.integral(1.0)), surface.thickness(layer, surface.vertices)
     eps_at_points, compliance = surface.at_points(eps), eps * sum(ply.compliance for ply in sublayers)
@@ -303,7 +301,7 @@ def stiffness_remark(layer: SeamLayer, states: Sequence[State], start: float | N
     """
     if not (layer.law.traits.linear or any(ply.rubbery for ply in sublayer_moduli(layer))):
         return  # tangents of non-linear laws do not change in time
-    openings = [float(np.abs(FaceDisplacements.of(state, layer).normal_jump).max()) for state in states]
+    openings = [float(np.abs(FaceDisplacements(state, layer).normal_jump).max()) for state in states]
     opened = [k for k, opening in enumerate(openings) if opening >= MIN_OPENING_RATIO * max(openings)]
     first = next((k for k, opening in enumerate(openings) if opening > 0), 0)
     rows = []
