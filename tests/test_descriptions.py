@@ -11,9 +11,10 @@ import pytest
 
 from forms import Anisotropic, Incompressible, LinearElastic, Norton, Rubber, Stack, VonMises
 from tests.documents import CLONE
+from tests.json_schema import is_valid
 from tests.refused import refused
 from thinlayer.running.description import Description
-from thinlayer.running.toml_table import DescriptionError
+from thinlayer.running.toml_table import DescriptionError, read_input_file
 
 LEAST = """
 mesh = "joint.msh"
@@ -24,8 +25,11 @@ tractions = {TOP = [3, -50]}
 
 
 def described(tmp_path, text, *settings):
+    """The content of a description; what is read has the JSON schema."""
     (tmp_path / "joint.toml").write_text(text)
-    return Description.read(tmp_path / "joint.toml", settings)
+    description = Description.read(tmp_path / "joint.toml", settings)
+    assert is_valid(read_input_file(tmp_path / "joint.toml", settings).values)
+    return description
 
 
 def lame(E, nu):

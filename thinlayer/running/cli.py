@@ -172,6 +172,7 @@ def command_line_parser() -> argparse.ArgumentParser:
     draw = _add_run_options(_add_command(commands, "draw", _draw_study, "fig6_stratified"))
     drawn = [study.name for study in studies().values() if study.drawn]
     draw.add_argument("study", metavar="STUDY", choices=drawn, help="name of a study; the command list prints all")
+    _add_command(commands, "schema", _print_schema, "> thinlayer.schema.json")
     _add_json_option(_add_command(commands, "list", _print_studies, "--json"))
     _add_json_option(_add_command(commands, "info", _print_versions, "--json"))
     return parser
@@ -267,6 +268,14 @@ def _run_without_command(parser: Parser, args: argparse.Namespace, _: Petsc) -> 
 def _print_studies(_: Parser, args: argparse.Namespace, __: Petsc) -> int:
     """List the studies in groups, with their times on one core (benchmarks only with --json)."""
     return _print_answer(args, {name: vars(study) for name, study in studies().items()}, list_text())
+
+
+def _print_schema(_: Parser, __: argparse.Namespace, ___: Petsc) -> int:
+    """Print the JSON schema of descriptions, by which editors complete and check them."""
+    from thinlayer.running.description import description_schema
+
+    print_safely(json.dumps(description_schema(), indent=1, ensure_ascii=False))
+    return OK
 
 
 def _print_versions(_: Parser, args: argparse.Namespace, __: Petsc) -> int:

@@ -10,22 +10,30 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from thinlayer.running.materials import Materials, read_materials
-from thinlayer.running.quantities import read_units, with_numbers
+from thinlayer.running.materials import Materials, material_schemas, materials_reader
+from thinlayer.running.quantities import UNITS, with_numbers, with_unit_texts
 from thinlayer.running.toml_table import (
+    NUMBER,
+    TEXT,
+    TEXTS,
+    VECTOR,
+    Keys,
     Reader,
-    Readers,
+    Schema,
     TimeSeries,
     TomlTable,
+    attribute_texts,
     choice_reader,
     is_increasing,
+    names_reader,
     positive_reader,
     read_input_file,
     series_reader,
+    table_or_other_reader,
+    variants_schema,
 )
 
 Place = str | tuple[float, ...]
@@ -34,11 +42,11 @@ Support = float | Mapping[str, float | TimeSeries]  # one number for all compone
 Traction = Vector | TimeSeries | Mapping[str, float | TimeSeries]  # components, or {"pressure": number}
 Arguments = Mapping[str, Any]  # arguments of a function of the package, by name
 
-GOAL_READERS: dict[str, Readers] = {
+GOAL_READERS: dict[str, dict[str, Reader]] = {
     "compliance": {},
-    "reaction": {"place": TomlTable.text, "direction": TomlTable.vector},
-    "mean_traction": {"direction": TomlTable.vector, "seam": TomlTable.text},
-    "displacement": {"x": TomlTable.vector, "direction": TomlTable.vector, "side": choice_reader("lower", "upper")},
+    "reaction": {"place": TEXT, "direction": VECTOR},
+    "mean_traction": {"direction": VECTOR, "seam": TEXT},
+    "displacement": {"x": VECTOR, "direction": VECTOR, "side": choice_reader("lower", "upper")},
 }  # kind of goal -> readers of its arguments
 STANDARD_QUANTITIES = ("traction", "jump")  # quantities that every estimate has, in addition to goals
 
@@ -103,9 +111,7 @@ class Description:
                 allowed.
         """
         file_table = with_numbers(read_input_file(path, settings))
-        law_hint = "the parameters of a law, such as E and nu, in a table"
-        required = {"mesh": MESH_HINT, "body": f"{law_hint} [body]", "layer": f"{law_hint} [layer]"}
-        description = cls(file_table, **file_table.entries(ENTRY_READERS, required))
+        description = cls(file_table, **file_table.entries(ENTRY_KEYS))
         motions = [v for u in description.supports.values() for v in (u.values() if isinstance(u, Mapping) else [u])]
         has_strain = any(entry.eigenstrain for entry in (*description.body.values(), *description.layer.values()))
         if not (description.tractions or description.body_force or description.loads or any(motions) or has_strain):
@@ -131,6 +137,27 @@ class Description:
                 self.file_table.refuse(text, *series.key_path)
 
 
+def description_schema() -> Schema:
+    """Return the JSON schema of input files of `estimate`, by which editors complete and check them."""
+    schema = with_unit_texts(ENTRY_KEYS.schema(attribute_texts(Description)))
+    materials = {name: with_unit_texts(material, "", name) for name, material in material_schemas().items()}
+    draft = {"$schema": "http://json-schema.org/draft-07/schema#", "title": "Input file of thinlayer's estimate"}
+    return {**draft, **schema, "definitions": materials}
+
+
+MESH_HINT, LAW_HINT = (
+    'the name of a mesh file, mesh = "joint.msh"',
+    "the parameters of a law, such as E and nu, in a table",
+)
+# one name of a facet set, several, or a table with the sides of each seam by its name, which `geometry.read` checks
+FACETS = table_or_other_reader(Reader(lambda section, key: section.values[key], {"type": "object"}), TEXTS)
+MESH_KEYS = Keys(
+    {"path": TEXT, "S": FACETS, "upper": TEXTS, "lower": TEXTS, "direction": VECTOR, "names": FACETS, "regions": TEXT}
+    | {"join": positive_reader("a part of the size"), "scale": positive_reader("a factor")},
+    {"path": MESH_HINT},
+)
+
+
 def _read_mesh(section: TomlTable, key: str) -> Arguments:
     """Read the mesh entry of the input file, and return the arguments of `geometry.read` by name.
 
@@ -141,25 +168,10 @@ def _read_mesh(section: TomlTable, key: str) -> Arguments:
         section: the whole input file.
         key: "mesh". Its value is the path of the mesh file, or a table of arguments.
     """
-    value, side_readers = section.values[key], dict[str, Reader].fromkeys(("upper", "lower"), TomlTable.texts)
-    table = section.as_table({"path": value} if isinstance(value, str) else value, "path and arguments of read", key)
-    readers: Readers = {"path": TomlTable.text, "S": _read_S_facets, **side_readers, "direction": TomlTable.vector}
-    others: Readers = {
-        "names": _read_S_facets,
-        "regions": TomlTable.text,
-        "join": positive_reader("a part of the size"),
-    }
-    arguments = table.entries({**readers, **others, "scale": positive_reader("a factor")}, {"path": MESH_HINT})
-    return {"S": None, **arguments} if side_readers.keys() <= arguments.keys() else arguments
-
-
-def _read_S_facets(section: TomlTable, key: str) -> object:
-    """Read which facets form S, at `key` in the table `section`: one name of a facet set, several names, or a table.
-
-    The table has the sides of each seam by the name of the seam; only `geometry.read` checks it.
-    """
     value = section.values[key]
-    return value if isinstance(value, Mapping) else section.texts(key)
+    table = section.as_table({"path": value} if isinstance(value, str) else value, "path and arguments of read", key)
+    arguments = table.entries(MESH_KEYS)
+    return {"S": None, **arguments} if {"upper", "lower"} <= arguments.keys() else arguments
 
 
 def _read_supports(section: TomlTable, key: str) -> dict[Place, Support]:
@@ -171,16 +183,23 @@ def _read_supports(section: TomlTable, key: str) -> dict[Place, Support]:
         normal.
     """
     table, supports = section.table(key, "places with what they prescribe, such as LEFT = 0"), dict[Place, Support]()
-    for name, value in table.values.items():
+    for name in table.values:
         place = _parse_place(name)
-        if isinstance(value, Mapping):
-            readers = dict.fromkeys("xyzn" if isinstance(place, str) else "xyz", series_reader(TomlTable.number))
-            supports[place] = table.table(name, "components").entries(readers, kind="component")
-            if not value:
-                table.refuse("it has no components; give some, such as {x = 0}", name)
-        else:
-            supports[place] = table.number(name)
+        supports[place] = _support_reader("xyzn" if isinstance(place, str) else "xyz")(table, name)
     return supports
+
+
+def _support_reader(components: str) -> Reader:
+    """Return a reader of what a support prescribes: a number, or a table of some of these components."""
+    keys = Keys(dict.fromkeys(components, series_reader(NUMBER)))
+
+    def read(section: TomlTable, key: str) -> dict[str, float | TimeSeries]:
+        values = section.table(key, "components").entries(keys, kind="component")
+        if not values:
+            section.refuse("it has no components; give some, such as {x = 0}", key)
+        return values
+
+    return table_or_other_reader(Reader(read, {**keys.schema(), "minProperties": 1}), NUMBER)
 
 
 def _parse_place(text: str) -> Place:
@@ -194,34 +213,14 @@ def _parse_place(text: str) -> Place:
     return text
 
 
-def _read_tractions(section: TomlTable, key: str) -> dict[str, Traction]:
-    """Read the tractions on facet sets, a table at `key` in the input file `section`.
-
-    Returns:
-        Name of a facet set -> components of the traction, or {"pressure": number}. Components and pressure may also be
-        values in time.
-    """
-    table = section.table(key, "names of facet sets with a vector, such as TOP = [0, -50]")
-    return {name: series_reader(_read_traction)(table, name) for name in table.values}
-
-
-def _read_traction(section: TomlTable, key: str) -> Traction:
-    if isinstance(section.values[key], Mapping):
-        required = {"pressure": "a stress, > 0 where it presses"}
-        return section.table(key, "pressure").entries({"pressure": series_reader(TomlTable.number)}, required)
-    return section.vector(key)
-
-
-def _read_body_force(section: TomlTable, key: str) -> Vector | dict[str, Vector]:
-    """Read the force per volume at `key` in the input file `section`.
-
-    Returns:
-        Components of the force for all bodies, or name of a region or seam -> components.
-    """
-    value = section.values[key]
-    if not isinstance(value, Mapping):
-        return section.vector(key)
-    return section.table(key, "names of regions and seams").entries(dict.fromkeys(value, TomlTable.vector))
+PRESSURE_KEYS = Keys({"pressure": series_reader(NUMBER)}, {"pressure": "a stress, > 0 where it presses"})
+PRESSURE = Reader(lambda section, key: section.table(key, "pressure").entries(PRESSURE_KEYS), PRESSURE_KEYS.schema())
+LOAD_READERS = {"force": series_reader(VECTOR), "body": TEXT}
+LOAD_HINTS = {"place": "where the load acts", "first": "where the load acts", "second": "where the load acts"}
+POINT_LOAD_KEYS, LINE_LOAD_KEYS = (
+    Keys({**readers, **LOAD_READERS}, {**{key: LOAD_HINTS[key] for key in readers}, "force": "the vector of the force"})
+    for readers in ({"place": VECTOR}, {"first": TEXT, "second": TEXT})
+)
 
 
 def _read_loads(section: TomlTable, key: str) -> tuple[Arguments, ...]:
@@ -231,13 +230,10 @@ def _read_loads(section: TomlTable, key: str) -> tuple[Arguments, ...]:
         For each load, arguments by name: those of `LineLoad` if its table names a first and a second facet set, else
         those of `PointLoad`.
     """
-    loads = []
-    for table in section.tables(key, "place and force, or first, second and force"):
-        on_edges = {"first", "second"} & table.values.keys()
-        where: Readers = dict.fromkeys(("first", "second"), TomlTable.text) if on_edges else {"place": TomlTable.vector}
-        needed = {**dict.fromkeys(where, "where the load acts"), "force": "the vector of the force"}
-        loads.append(table.entries({**where, "force": series_reader(TomlTable.vector), "body": TomlTable.text}, needed))
-    return tuple(loads)
+    tables = section.tables(key, "place and force, or first, second and force")
+    are_on_edges = [{"first", "second"} & table.values.keys() for table in tables]
+    all_keys = [LINE_LOAD_KEYS if on_edges else POINT_LOAD_KEYS for on_edges in are_on_edges]
+    return tuple(table.entries(keys) for table, keys in zip(tables, all_keys, strict=True))
 
 
 def _read_times(section: TomlTable, key: str) -> tuple[float, ...]:
@@ -255,10 +251,25 @@ def _read_goals(section: TomlTable, key: str) -> dict[str, Arguments]:
         kind = goal_table.text("kind", GOAL_READERS) if "kind" in goal_table.values else name
         if kind not in GOAL_READERS:
             table.refuse(f"kind is missing; allowed: {', '.join(GOAL_READERS)}, also as the goal's key", name)
-        readers = GOAL_READERS[kind]
-        required = {key: f"{kind} has {', '.join(readers)}" for key in readers if key not in ("seam", "side")}
-        arguments[name] = {"kind": kind, **goal_table.entries({"kind": TomlTable.text, **readers}, required)}
+        arguments[name] = {"kind": kind, **goal_table.entries(_goal_keys(kind))}
     return arguments
+
+
+def _goal_keys(kind: str) -> Keys:
+    readers, text = GOAL_READERS[kind], f"{kind} has {', '.join(GOAL_READERS[kind])}"
+    return Keys({"kind": TEXT, **readers}, {key: text for key in readers if key not in ("seam", "side")})
+
+
+def _goals_schema() -> Schema:
+    """Return the JSON schema of the table of goals, in which a goal's name may stand for its kind."""
+    variants = {kind: _goal_keys(kind).schema() for kind in GOAL_READERS}
+    named, refused = (
+        {k: variants_schema("kind", variants, k) for k in variants},
+        dict.fromkeys(STANDARD_QUANTITIES, False),
+    )
+    named["compliance"] = {"anyOf": [{"const": True}, named["compliance"]]}
+    others = variants_schema("kind", variants, "")
+    return {"type": "object", "properties": {**named, **refused}, "additionalProperties": others}
 
 
 def _read_tolerances(section: TomlTable, key: str) -> dict[str, float]:
@@ -269,7 +280,8 @@ def _read_tolerances(section: TomlTable, key: str) -> dict[str, float]:
     value, what = section.values[key], "the largest relative change that is allowed, between 0 and 1"
     table = section.as_table(value if isinstance(value, Mapping) else {"traction": value}, what, key)
     goals = section.values.get("goals") or {"compliance": True}
-    tolerances = table.entries(dict.fromkeys([*STANDARD_QUANTITIES, *goals], positive_reader(what)), kind="quantity")
+    keys = Keys(dict.fromkeys([*STANDARD_QUANTITIES, *goals], positive_reader(what)))
+    tolerances = table.entries(keys, kind="quantity")
     return {name: table.checked(name, lambda number: number < 1, f"is not < 1; it is {what}") for name in tolerances}
 
 
@@ -277,24 +289,33 @@ def _is_names_or_switch(value: object) -> bool:
     return isinstance(value, bool) or (isinstance(value, list) and all(isinstance(name, str) for name in value))
 
 
-MESH_HINT = 'the name of a mesh file, mesh = "joint.msh"'
+POSITIVE = {**NUMBER.schema, "exclusiveMinimum": 0}
+CHANGE = {**POSITIVE, "exclusiveMaximum": 1}
+CONTENT = "names of facet sets with a vector, such as TOP = [0, -50]"
+LOADS = {"type": "array", "items": {"anyOf": [POINT_LOAD_KEYS.schema(), LINE_LOAD_KEYS.schema()]}}
+SUPPORTS = {"type": "object", "additionalProperties": _support_reader("xyzn").schema}
 ENTRY_READERS: dict[str, Reader] = {
-    "mesh": _read_mesh,
-    "units": read_units,
-    "body": read_materials,
-    "layer": partial(read_materials, are_layers=True),
-    "supports": _read_supports,
-    "tractions": _read_tractions,
-    "body_force": _read_body_force,
-    "loads": _read_loads,
+    "mesh": Reader(_read_mesh, {**MESH_KEYS.schema(), **TEXT.schema, "type": ["string", "object"]}),
+    "units": UNITS,
+    "body": materials_reader("body"),
+    "layer": materials_reader("layer"),
+    "supports": Reader(_read_supports, SUPPORTS),
+    "tractions": names_reader(series_reader(table_or_other_reader(PRESSURE, VECTOR)), CONTENT),
+    "body_force": table_or_other_reader(names_reader(VECTOR, "names of regions and seams"), VECTOR),
+    "loads": Reader(_read_loads, LOADS),
     "plane": choice_reader("strain", "stress", "axisymmetric"),
     "element": choice_reader("P2", "Q2", "S2"),  # of degree 2, as interface laws of order 1 need it
     "bodies": choice_reader("kept", "extended"),
-    "times": _read_times,
-    "goals": _read_goals,
-    "tolerance": _read_tolerances,
-    "bonded": lambda file, key: file.checked(key, lambda is_on: isinstance(is_on, bool), "is neither true nor false"),
-    "sensitivities": lambda file, key: file.checked(
-        key, _is_names_or_switch, "is neither true, false nor a list of names"
+    "times": Reader(_read_times, {"type": "array", "items": POSITIVE, "minItems": 1}),
+    "goals": Reader(_read_goals, _goals_schema()),
+    "tolerance": Reader(_read_tolerances, {**CHANGE, "type": ["number", "object"], "additionalProperties": CHANGE}),
+    "bonded": Reader(
+        lambda file, key: file.checked(key, lambda is_on: isinstance(is_on, bool), "is neither true nor false"),
+        {"type": "boolean"},
+    ),
+    "sensitivities": Reader(
+        lambda file, key: file.checked(key, _is_names_or_switch, "is neither true, false nor a list of names"),
+        {"type": ["boolean", "array"], "items": {"type": "string"}},
     ),
 }
+ENTRY_KEYS = Keys(ENTRY_READERS, {"mesh": MESH_HINT, "body": f"{LAW_HINT} [body]", "layer": f"{LAW_HINT} [layer]"})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache
 from typing import Any, TypeVar
 
@@ -15,11 +15,30 @@ from forms.elastic import LinearElastic
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw, scalar_field_names
 from forms.series import Stack
-from thinlayer.running.toml_table import Reader, TomlTable, choice_reader, positive_reader
+from thinlayer.running.toml_table import (
+    NUMBER,
+    Keys,
+    Reader,
+    Schema,
+    TomlTable,
+    attribute_texts,
+    choice_reader,
+    positive_reader,
+    variants_schema,
+)
 
 LawType = TypeVar("LawType", bound=BulkLaw)
-ELASTIC_KEYS = ("E", "nu", "K", "G", "mu", "lmbda")
+ELASTIC_PAIRS: Moduli = (("E", "nu"), ("G", "nu"), ("mu", "nu"), ("K", "G"), ("K", "mu"), ("lmbda", "mu"))
 ELASTIC_PAIRS_TEXT = "E and nu, G and nu, K and G, or lmbda and mu (G is mu)"
+Moduli = tuple[tuple[str, ...], ...]
+SHEAR_MODULI: Moduli = (("E",), ("G",), ("mu",))
+DEFAULT_LAW = "LinearElastic"
+HINTS = {"eps": "the thickness of the layer, a length", "fraction": "share of the thickness"}
+OTHER_READERS: dict[str, dict[str, Reader]] = {
+    "body": {"eigenstrain": NUMBER},
+    "layer": {"eps": positive_reader(HINTS["eps"]), "eigenstrain": NUMBER},
+    "sublayer": {"fraction": positive_reader(HINTS["fraction"])},
+}  # kind of a material -> readers of its keys besides those of its law
 
 
 @dataclass(frozen=True)
@@ -40,35 +59,37 @@ class MaterialEntry:
 Materials = Mapping[str | None, MaterialEntry]  # by the name of a region or seam; None: all
 
 
-def read_materials(section: TomlTable, key: str, *, are_layers: bool = False) -> Materials:
-    """Read the materials of all bodies, or those of all layers, from an input file.
+def materials_reader(kind: str) -> Reader:
+    """Return a reader of the materials of all bodies, or of all layers, in an input file.
 
     The table of materials has the parameters of one law for all; or it has a table of parameters for each name of a
-    region or seam.
+    region or seam. The reader returns name -> `MaterialEntry`. The name None stands for all regions or seams.
 
     Args:
-        section: the whole input file.
-        key: key of the table of materials, "body" or "layer".
-        are_layers: whether the materials are those of layers, which have a thickness.
-
-    Returns:
-        Name of a region or seam -> its material. The key None stands for all regions or seams.
+        kind: "body" or "layer".
 
     Raises:
-        DescriptionError: an unknown law, an unknown or missing parameter, moduli that do not determine an elastic law,
-            or parameters that the law refuses.
+        DescriptionError: (the reader) an unknown law, an unknown or missing parameter, moduli that do not determine an
+            elastic law, or parameters that the law refuses.
     """
-    content, eps_hint = "the parameters of a law, such as E and nu", "the thickness of the layer, a length"
-    whole = section.table(key, content)
-    are_tables = [isinstance(value, dict) for value in whole.values.values()]
-    if any(are_tables) and not all(are_tables):
-        whole.refuse(f"it has tables with names beside keys without one; give each name a table with {content}")
-    tables = {name: whole.table(name, content) for name in whole.values} if any(are_tables) else {None: whole}
-    materials, needed = dict[str | None, MaterialEntry](), {"eps": positive_reader(eps_hint)} if are_layers else {}
-    for name, table in tables.items():
-        law, entries = _read_law(table, {**needed, "eigenstrain": TomlTable.number}, dict.fromkeys(needed, eps_hint))
-        materials[name] = MaterialEntry(law, entries.get("eps", 0.0), entries.get("eigenstrain"))
-    return materials
+    content, reference = "the parameters of a law, such as E and nu", {"$ref": f"#/definitions/{kind}"}
+
+    def read(section: TomlTable, key: str) -> Materials:
+        whole = section.table(key, content)
+        are_tables = [isinstance(value, dict) for value in whole.values.values()]
+        if any(are_tables) and not all(are_tables):
+            whole.refuse(f"it has tables with names beside keys without one; give each name a table with {content}")
+        tables = {name: whole.table(name, content) for name in whole.values} if any(are_tables) else {None: whole}
+        materials = dict[str | None, MaterialEntry]()
+        for name, table in tables.items():
+            law, entries = _read_law(table, kind)
+            materials[name] = MaterialEntry(law, entries.get("eps", 0.0), entries.get("eigenstrain"))
+        return materials
+
+    named = {"type": "object", "additionalProperties": reference}
+    are_all_tables = {"additionalProperties": {"type": "object"}, "minProperties": 1}
+    completed = {"anyOf": [reference, named, True]}  # true; Taplo completes keys by "anyOf", and not by "if"
+    return Reader(read, {"if": are_all_tables, "then": named, "else": reference, **completed})
 
 
 @cache
@@ -78,38 +99,87 @@ def laws_by_name() -> dict[str, type[BulkLaw]]:
     return {name: law for name, law in classes.items() if issubclass(law, BulkLaw) and law not in (BulkLaw, KernelLaw)}
 
 
-def _read_law(
-    section: TomlTable, extra_readers: Mapping[str, Reader], required: Mapping[str, str]
-) -> tuple[BulkLaw, dict[str, Any]]:
+PARAMETER_SCHEMAS: dict[str, Schema] = {
+    "Array": {"type": "array", "items": {"type": ["array", "number"], "items": NUMBER.schema}},
+    "str": {"type": "string"},
+    "bool": {"type": "boolean"},
+}  # type of a law's parameter other than a number -> JSON schema
+
+
+def _law_keys(name: str, others: Mapping[str, Reader]) -> tuple[Keys, Moduli]:
+    """Return the keys of a material with a law, and the sets of elastic moduli of which it has one; (): none.
+
+    Args:
+        name: name of the law.
+        others: readers of keys besides those of the law.
+    """
+    needed = {key: HINTS[key] for key in others if key in HINTS}
+    if name == "Stack":
+        schema = {"type": "array", "items": {"$ref": "#/definitions/sublayer"}}
+        keys = {"law": choice_reader(name), **others, "sublayers": Reader(_read_sublayers, schema)}
+        return Keys(keys, {**needed, "sublayers": "tables with a law"}), ()
+    law_class: Any = laws_by_name()[name]  # mypy does not see that classes can be hashed, as `scalar_field_names` needs
+    parameters = {f.name: f for f in fields(law_class) if f.init}
+    moduli = ELASTIC_PAIRS if "lmbda" in parameters else SHEAR_MODULI if "mu" in parameters else ()
+    elastic_keys = dict.fromkeys(key for keys in moduli for key in keys)
+    non_elastic_keys = [key for key in parameters if key not in elastic_keys]
+    number_keys = {*elastic_keys, *scalar_field_names(law_class)}
+    readers = {
+        key: NUMBER if key in number_keys else Reader(_read_parameter, PARAMETER_SCHEMAS[str(parameters[key].type)])
+        for key in (*elastic_keys, *non_elastic_keys)
+    }
+    allowed_text = f"{name} has {', '.join([ELASTIC_PAIRS_TEXT] * bool(moduli) + non_elastic_keys)}"
+    hints = {key: allowed_text for key in non_elastic_keys if parameters[key].default is MISSING}
+    return Keys({"law": choice_reader(name), **others, **readers}, {**hints, **needed}), moduli
+
+
+def _read_law(section: TomlTable, kind: str) -> tuple[BulkLaw, dict[str, Any]]:
     """Read a law from a table {law = name, parameter = value, ...}, or the law of a stack from {sublayers = [...]}.
 
     Args:
         section: the table.
-        extra_readers: key that the table may have besides the law -> function that reads its value.
-        required: key that the table must have besides the law -> explanation of the key, for errors.
+        kind: "body", "layer" or "sublayer".
 
     Returns:
         The law, and key -> value of all entries of the table.
     """
-    if "sublayers" in section.values or section.values.get("law") == "Stack":
-        stack_readers = {"law": choice_reader("Stack"), "sublayers": _read_sublayers, **extra_readers}
-        entries = section.entries(stack_readers, {**required, "sublayers": "tables with a law"}, "key of Stack")
+    name = "Stack" if "sublayers" in section.values else DEFAULT_LAW
+    if "law" in section.values and name != "Stack":
+        name = section.text("law", laws_by_name(), "law of strains")
+    keys, moduli = _law_keys(name, OTHER_READERS[kind])
+    entries = section.entries(keys, f"key of {name}")
+    if name == "Stack":
         return _make_law(section, lambda: Stack(*entries["sublayers"])), entries
-    name = section.text("law", laws_by_name(), "law of strains") if "law" in section.values else "LinearElastic"
-    law_class: Any = laws_by_name()[name]  # mypy does not see that classes can be hashed, as `scalar_field_names` needs
-    parameters = {f.name: f for f in fields(law_class) if f.init}
-    elastic_keys = ELASTIC_KEYS if "lmbda" in parameters else ("E", "G", "mu") if "mu" in parameters else ()
-    non_elastic_keys = [key for key in parameters if key not in elastic_keys]
-    number_keys = {*elastic_keys, *scalar_field_names(law_class)}
-    readers = {k: TomlTable.number if k in number_keys else _read_parameter for k in (*elastic_keys, *non_elastic_keys)}
-    allowed_text = f"{name} has {', '.join([ELASTIC_PAIRS_TEXT] * bool(elastic_keys) + non_elastic_keys)}"
-    hints = {**{key: allowed_text for key in non_elastic_keys if parameters[key].default is MISSING}, **required}
-    entries = section.entries({"law": TomlTable.text, **extra_readers, **readers}, hints, f"key of {name}")
-    moduli = {key: entries[key] for key in elastic_keys if key in entries}
-    arguments = {key: entries[key] for key in non_elastic_keys if key in entries}
-    if elastic_keys:
-        arguments |= _lame_moduli(section, name, moduli) if "lmbda" in parameters else _find_mu(section, name, moduli)
-    return _make_law(section, lambda: law_class(**arguments)), entries
+    arguments = {key: value for key, value in entries.items() if key not in ("law", *OTHER_READERS[kind])}
+    given_moduli = {key: arguments.pop(key) for key in [*arguments] if any(key in keys for keys in moduli)}
+    if moduli and {*given_moduli} not in map(set, moduli):
+        allowed = f"a pair: {ELASTIC_PAIRS_TEXT}" if moduli == ELASTIC_PAIRS else "one: mu (which is G), or E = 3 mu"
+        section.refuse(f"moduli are {' and '.join(given_moduli) or 'missing'}; {name} has {allowed}")
+    return _make_law(section, lambda: laws_by_name()[name](**_lame_moduli(given_moduli), **arguments)), entries
+
+
+def material_schemas() -> dict[str, Schema]:
+    """Return the JSON schemas of a "body", a "layer" and a "sublayer" in an input file, and of what they refer to."""
+    others = {key: reader for readers in OTHER_READERS.values() for key, reader in readers.items()}
+    variants, stack_keys = {}, _law_keys("Stack", {})[0].readers
+    for name, law in laws_by_name().items():
+        keys, moduli = _law_keys(name, others)
+        if name == DEFAULT_LAW:  # the table of a stack needs no key `law`
+            keys, moduli = replace(keys, readers={**stack_keys, **keys.readers}), (*moduli, ("sublayers",))
+        names = {key for choice in moduli for key in choice}
+        choices = [{"required": m, "properties": dict.fromkeys(sorted(names - {*m}), False)} for m in moduli]
+        required = {"required": [key for key in keys.hints if key not in HINTS]}
+        texts = {key: f"{name}: {text}" for key, text in attribute_texts(law).items()}
+        variants[name] = {**keys.schema(texts), **required, **({"oneOf": choices} if choices else {})}
+    kinds: dict[str, Schema] = {
+        kind: {
+            "allOf": [{"$ref": "#/definitions/material"}],
+            "required": [key for key in readers if key in HINTS],
+            "properties": {key: False for key in others if key not in readers},
+        }
+        for kind, readers in OTHER_READERS.items()
+    }
+    return {**kinds, "material": variants_schema("law", variants, DEFAULT_LAW)}
 
 
 def _make_law(section: TomlTable, make: Callable[[], LawType]) -> LawType:
@@ -120,9 +190,8 @@ def _make_law(section: TomlTable, make: Callable[[], LawType]) -> LawType:
 
 
 def _read_sublayers(section: TomlTable, key: str) -> list[tuple[float, BulkLaw]]:
-    explanation, tables = "share of the thickness", section.tables(key, "a fraction of the thickness and a law")
-    laws = [_read_law(table, {"fraction": positive_reader(explanation)}, {"fraction": explanation}) for table in tables]
-    return [(entries["fraction"], law) for law, entries in laws]
+    tables = section.tables(key, "a fraction of the thickness and a law")
+    return [(entries["fraction"], law) for law, entries in (_read_law(table, "sublayer") for table in tables)]
 
 
 def _read_parameter(section: TomlTable, key: str) -> object:
@@ -134,35 +203,19 @@ def _read_parameter(section: TomlTable, key: str) -> object:
         section.refuse("it must be a table of numbers", key)
 
 
-def _find_mu(section: TomlTable, name: str, moduli: Mapping[str, float]) -> dict[str, float]:
-    """Return {"mu": shear modulus} for an incompressible law, from the one modulus that the user gives.
+def _lame_moduli(moduli: Mapping[str, float]) -> Mapping[str, float]:
+    """Return Lamé's moduli, {"lmbda": ..., "mu": ...}, from the moduli in an input file; for one modulus only "mu".
 
     Args:
-        section: table of the law, for errors.
-        name: name of the law, for errors.
-        moduli: the given modulus: "mu", "G" (the same) or "E", which is 3 mu.
+        moduli: one of `ELASTIC_PAIRS` or of `SHEAR_MODULI` with values, or {}.
     """
-    if len(moduli) != 1:
-        section.refuse(f"moduli are {' and '.join(moduli) or 'missing'}; {name} has one: mu (which is G), or E = 3 mu")
-    ((key, value),) = moduli.items()
-    return {"mu": value / 3 if key == "E" else value}
-
-
-def _lame_moduli(section: TomlTable, name: str, moduli: Mapping[str, float]) -> dict[str, float]:
-    """Return Lamé's moduli, {"lmbda": ..., "mu": ...}, of an isotropic law, from two constants that the user gives.
-
-    Args:
-        section: table of the law, for errors.
-        name: name of the law, for errors.
-        moduli: the given constants: E and nu, G and nu, K and G, or lmbda and mu. Other sets are refused.
-    """
-    constants = {"G" if key == "mu" and "lmbda" not in moduli else key: value for key, value in moduli.items()}
-    if len(moduli) != 2 or constants.keys() not in ({"E", "nu"}, {"G", "nu"}, {"K", "G"}, {"lmbda", "mu"}):
-        section.refuse(f"moduli are {' and '.join(moduli) or 'missing'}; {name} has a pair: {ELASTIC_PAIRS_TEXT}")
-    if "lmbda" in constants:
-        return constants
+    if "lmbda" in moduli or not moduli:
+        return moduli
+    constants = {"G" if key == "mu" else key: value for key, value in moduli.items()}
     if "K" in constants:
         return {"lmbda": constants["K"] - 2 * constants["G"] / 3, "mu": constants["G"]}
-    make, modulus = (LinearElastic.young, "E") if "E" in constants else (LinearElastic.shear, "G")
-    law = _make_law(section, lambda: make(constants[modulus], constants["nu"]))
-    return {"lmbda": law.lmbda, "mu": law.mu}
+    if "nu" in constants:
+        make, modulus = (LinearElastic.young, "E") if "E" in constants else (LinearElastic.shear, "G")
+        law = make(constants[modulus], constants["nu"])
+        return {"lmbda": law.lmbda, "mu": law.mu}
+    return {"mu": constants["E"] / 3 if "E" in constants else constants["G"]}

@@ -1,22 +1,25 @@
 """Tables of an input file in TOML, functions that read and check their values, and errors that say where a value is.
 
-The input file of the command `estimate` is called a description (`running/description.py`). A function that takes a
-table and a key, and returns the checked value there, is called a reader.
+The input file of the command `estimate` is called a description (`running/description.py`). A `Reader` checks the value
+at a key of a table, and has the JSON schema by which editors check and complete it.
 """
 
 from __future__ import annotations
 
 import itertools
+import re
 import tomllib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from inspect import cleandoc
 from pathlib import Path
 from typing import Any, NoReturn, TypeGuard
 
 from forms.base import InputError, is_finite, unknown_name_message
 
 KeyPath = tuple[str, ...]
+Schema = Mapping[str, Any]  # JSON schema, draft 7, of values or tables
 
 
 class DescriptionError(InputError):
@@ -153,22 +156,21 @@ class TomlTable:
         except InputError as error:
             self.refuse(str(error), *keys)
 
-    def entries(self, readers: Readers, required: Mapping[str, str] | None = None, kind: str = "key") -> dict[str, Any]:
+    def entries(self, keys: Keys, kind: str = "key") -> dict[str, Any]:
         """Read and check all entries of the table; return key -> value.
 
         Args:
-            readers: allowed key -> function that takes the table and the key, checks the value and returns it.
-            required: required key -> explanation of the key, for errors; None: no key is required.
+            keys: the allowed and the required keys.
             kind: word for a key in errors, such as "component".
 
         Raises:
             DescriptionError: a key is not allowed, a required key is missing, or a value is wrong.
         """
-        if unknown_keys := [key for key in self.values if key not in readers]:
-            self.refuse(unknown_name_message(kind, unknown_keys[0], readers))
-        if missing := [f"{key} is missing: {what}" for key, what in (required or {}).items() if key not in self.values]:
+        if unknown_keys := [key for key in self.values if key not in keys.readers]:
+            self.refuse(unknown_name_message(kind, unknown_keys[0], keys.readers))
+        if missing := [f"{key} is missing: {what}" for key, what in keys.hints.items() if key not in self.values]:
             self.refuse(missing[0])
-        return {key: reader(self, key) for key, reader in readers.items() if key in self.values}
+        return {key: reader(self, key) for key, reader in keys.readers.items() if key in self.values}
 
     def checked(self, key: str, is_allowed: Callable[[Any], bool], error_text: str) -> Any:
         """Return the value at `key`, after a check of it.
@@ -259,41 +261,134 @@ class TomlTable:
         return [self.as_table(table, what, key, str(number)) for number, table in enumerate(tables, 1)]
 
 
-Reader = Callable[[TomlTable, str], Any]
-Readers = Mapping[str, Reader]
+@dataclass(frozen=True)
+class Reader:
+    """Function that checks the value at a key of a table and returns it, with the JSON schema of such values.
+
+    Attributes:
+        read: function of the table and the key.
+        schema: the schema. The function may refuse more, but accepts nothing that the schema refuses.
+    """
+
+    read: Callable[[TomlTable, str], Any]
+    schema: Schema
+
+    def __call__(self, section: TomlTable, key: str) -> Any:
+        """Return the checked value at `key` in the table `section`."""
+        return self.read(section, key)
+
+
+@dataclass(frozen=True)
+class Keys:
+    """Keys that a table of an input file may have.
+
+    Attributes:
+        readers: key -> reader of its value.
+        hints: required key -> explanation, for errors.
+    """
+
+    readers: Mapping[str, Reader]
+    hints: Mapping[str, str] = field(default_factory=dict)
+
+    def schema(self, texts: Mapping[str, str] | None = None) -> Schema:
+        """Return the JSON schema of such a table; `texts` describes some of its keys, which editors show."""
+        words = {key: {"description": text} for key, text in (texts or {}).items()}
+        properties = {key: {**reader.schema, **words.get(key, {})} for key, reader in self.readers.items()}
+        return {"type": "object", "properties": properties, "required": [*self.hints], "additionalProperties": False}
+
+
+def attribute_texts(described: type) -> dict[str, str]:
+    """Return attribute -> its description in the docstring of a class."""
+    section = cleandoc(described.__doc__ or "").partition("\nAttributes:\n")[2].partition("\n\n")[0]
+    texts = re.findall(r"^    (\w[\w, ]*): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
+    return {name: " ".join(text.split()) for names, text in texts for name in names.split(", ")}
+
+
+NUMBER = Reader(TomlTable.number, {"type": "number"})
+VECTOR = Reader(TomlTable.vector, {"type": "array", "items": NUMBER.schema, "minItems": 2, "maxItems": 3})
+TEXT = Reader(TomlTable.text, {"type": "string", "minLength": 1})
+TEXTS = Reader(TomlTable.texts, {**TEXT.schema, "type": ["string", "array"], "items": TEXT.schema, "minItems": 1})
+
+
+def types_of(schema: Schema) -> list[str]:
+    """Return the types of values that a JSON schema allows; []: it names none."""
+    types = schema.get("type", [])
+    return [types] if isinstance(types, str) else types
+
+
+def variants_schema(key: str, variants: Mapping[str, Schema], default: str) -> Schema:
+    """Return the JSON schema of a table in which the value at one key says which other keys there are.
+
+    Args:
+        key: the key.
+        variants: value at the key -> JSON schema of the table with its other keys.
+        default: value that stands for a missing one; if it is not in `variants`, the key is required.
+    """
+    properties = {name: value for variant in variants.values() for name, value in variant["properties"].items()}
+    schema: Schema = {}
+    for name, variant in variants.items():  # nested, as Taplo completes no keys of a schema with "allOf"
+        condition = {"properties": {key: {"const": name}}, "required": [key] if name != default else []}
+        allowed = {**variant, "properties": dict.fromkeys([key, *variant["properties"]], True)}
+        schema = {"if": condition, "then": allowed, "else": schema}
+    needed = [] if default in variants else [key]
+    return {"type": "object", "properties": {**properties, key: {"enum": [*variants]}}, "required": needed, **schema}
+
+
+def names_reader(item_reader: Reader, content: str) -> Reader:
+    """Return a reader of a table from any names to values; `content` says in errors what the table contains."""
+
+    def read(section: TomlTable, key: str) -> dict[str, Any]:
+        table = section.table(key, content)
+        return {name: item_reader(table, name) for name in table.values}
+
+    return Reader(read, {"type": "object", "additionalProperties": item_reader.schema})
+
+
+def table_or_other_reader(table_reader: Reader, other_reader: Reader) -> Reader:
+    """Return a reader that reads tables as the first reader does, and other values as the second one."""
+
+    def read(section: TomlTable, key: str) -> Any:
+        return (table_reader if isinstance(section.values[key], Mapping) else other_reader)(section, key)
+
+    types = ["object", *types_of(other_reader.schema)]
+    return Reader(read, {**table_reader.schema, **other_reader.schema, "type": types})
 
 
 def choice_reader(*allowed: str) -> Reader:
-    """Return a reader (function of a table and a key) of a text that must be one of `allowed`."""
-    return lambda section, key: section.text(key, allowed)
+    """Return a reader of a text that must be one of `allowed`."""
+    return Reader(lambda section, key: section.text(key, allowed), {"enum": [*allowed]})
 
 
 def positive_reader(what: str) -> Reader:
-    """Return a reader (function of a table and a key) of a number > 0; `what` says in errors what the number is."""
+    """Return a reader of a number > 0; `what` says in errors what the number is."""
 
     def read(section: TomlTable, key: str) -> float:
         section.number(key)
         return float(section.checked(key, lambda number: number > 0, f"is not > 0; it is {what}"))
 
-    return read
+    return Reader(read, {**NUMBER.schema, "exclusiveMinimum": 0, "description": what})
 
 
 def series_reader(read: Reader) -> Reader:
     """Return a reader of a value that may depend on time, in the form {times = [...], values = [...]}.
 
-    The reader, a function of a table and a key, returns this form as a `TimeSeries`. It returns a constant value as
-    `read` does.
+    The reader returns this form as a `TimeSeries`. It returns a constant value as `read` does.
 
     Args:
         read: reader of a constant value, and of each entry of "values".
     """
+    what = "a history is {times = [0, 1], values = [0, 5]}: two or more times that grow"
+    list_schemas = {
+        name: {"type": "array", "items": item.schema} for name, item in (("times", NUMBER), ("values", read))
+    }
+    list_readers = {k: Reader(lambda table, name: table.values[name], schema) for k, schema in list_schemas.items()}
+    keys = Keys(list_readers, dict.fromkeys(list_readers, what))
 
     def read_value(section: TomlTable, key: str) -> object:
-        entry, what = section.values[key], "a history is {times = [0, 1], values = [0, 5]}: two or more times that grow"
-        if not isinstance(entry, Mapping) or not {"times", "values"} & entry.keys():
+        entry = section.values[key]
+        if not isinstance(entry, Mapping) or not list_readers.keys() & entry.keys():
             return read(section, key)
-        list_readers = dict.fromkeys(("times", "values"), lambda table, name: table.values[name])
-        times, values = section.table(key, what).entries(list_readers, dict.fromkeys(list_readers, what)).values()
+        times, values = section.table(key, what).entries(keys).values()
         if not (isinstance(values, list) and is_increasing(times) and len(times) == len(values) >= 2):
             section.refuse(what, key)
         items = section.as_table({str(k): value for k, value in enumerate(values, 1)}, what, key, "values")
@@ -301,7 +396,7 @@ def series_reader(read: Reader) -> Reader:
         section.time_series.append(series)
         return series
 
-    return read_value
+    return Reader(read_value, {"anyOf": [read.schema, keys.schema()]})
 
 
 def is_increasing(times: object) -> TypeGuard[list[float]]:
