@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from thinlayer.running.materials import Materials, material_schemas, materials_reader
+from thinlayer.running.materials import Materials, material_schema, materials_reader
 from thinlayer.running.quantities import UNITS, with_numbers, with_unit_texts
 from thinlayer.running.toml_table import (
     NUMBER,
@@ -139,10 +139,11 @@ class Description:
 
 def description_schema() -> Schema:
     """Return the JSON schema of input files of `estimate`, by which editors complete and check them."""
-    schema = with_unit_texts(ENTRY_KEYS.schema(attribute_texts(Description)))
-    materials = {name: with_unit_texts(material, "", name) for name, material in material_schemas().items()}
+    schema = ENTRY_KEYS.schema(attribute_texts(Description))
+    entries = {key: with_unit_texts(entry, key) for key, entry in schema["properties"].items()}
+    definitions = {"material": with_unit_texts(material_schema(), "material")}
     draft = {"$schema": "http://json-schema.org/draft-07/schema#", "title": "Input file of thinlayer's estimate"}
-    return {**draft, **schema, "definitions": materials}
+    return {**draft, **schema, "properties": entries, "definitions": definitions}
 
 
 MESH_HINT, LAW_HINT = (
@@ -182,24 +183,7 @@ def _read_supports(section: TomlTable, key: str) -> dict[Place, Support]:
         or component -> number or values in time. Components are "x", "y", "z" and, on a facet set, "n", along its
         normal.
     """
-    table, supports = section.table(key, "places with what they prescribe, such as LEFT = 0"), dict[Place, Support]()
-    for name in table.values:
-        place = _parse_place(name)
-        supports[place] = _support_reader("xyzn" if isinstance(place, str) else "xyz")(table, name)
-    return supports
-
-
-def _support_reader(components: str) -> Reader:
-    """Return a reader of what a support prescribes: a number, or a table of some of these components."""
-    keys = Keys(dict.fromkeys(components, series_reader(NUMBER)))
-
-    def read(section: TomlTable, key: str) -> dict[str, float | TimeSeries]:
-        values = section.table(key, "components").entries(keys, kind="component")
-        if not values:
-            section.refuse("it has no components; give some, such as {x = 0}", key)
-        return values
-
-    return table_or_other_reader(Reader(read, {**keys.schema(), "minProperties": 1}), NUMBER)
+    return {_parse_place(name): support for name, support in SUPPORTS(section, key).items()}
 
 
 def _parse_place(text: str) -> Place:
@@ -213,13 +197,24 @@ def _parse_place(text: str) -> Place:
     return text
 
 
+def _read_components(section: TomlTable, key: str) -> dict[str, float | TimeSeries]:
+    keys = FACET_COMPONENTS if isinstance(_parse_place(key), str) else VERTEX_COMPONENTS
+    if not section.values[key]:
+        section.refuse("it has no components; give some, such as {x = 0}", key)
+    return section.table(key, "components").entries(keys, kind="component")
+
+
+FACET_COMPONENTS, VERTEX_COMPONENTS = (Keys(dict.fromkeys(names, series_reader(NUMBER))) for names in ("xyzn", "xyz"))
+COMPONENTS = Reader(_read_components, {**FACET_COMPONENTS.schema(), "minProperties": 1})
+SUPPORTS = names_reader(table_or_other_reader(COMPONENTS, NUMBER), "places with what they prescribe, such as LEFT = 0")
 PRESSURE_KEYS = Keys({"pressure": series_reader(NUMBER)}, {"pressure": "a stress, > 0 where it presses"})
 PRESSURE = Reader(lambda section, key: section.table(key, "pressure").entries(PRESSURE_KEYS), PRESSURE_KEYS.schema())
+TRACTION = series_reader(table_or_other_reader(PRESSURE, VECTOR))
 LOAD_READERS = {"force": series_reader(VECTOR), "body": TEXT}
-LOAD_HINTS = {"place": "where the load acts", "first": "where the load acts", "second": "where the load acts"}
+LOAD_HINTS = {**dict.fromkeys(("place", "first", "second"), "where the load acts"), "force": "the vector of the force"}
 POINT_LOAD_KEYS, LINE_LOAD_KEYS = (
-    Keys({**readers, **LOAD_READERS}, {**{key: LOAD_HINTS[key] for key in readers}, "force": "the vector of the force"})
-    for readers in ({"place": VECTOR}, {"first": TEXT, "second": TEXT})
+    Keys({**places, **LOAD_READERS}, {key: LOAD_HINTS[key] for key in (*places, "force")})
+    for places in ({"place": VECTOR}, {"first": TEXT, "second": TEXT})
 )
 
 
@@ -231,9 +226,8 @@ def _read_loads(section: TomlTable, key: str) -> tuple[Arguments, ...]:
         those of `PointLoad`.
     """
     tables = section.tables(key, "place and force, or first, second and force")
-    are_on_edges = [{"first", "second"} & table.values.keys() for table in tables]
-    all_keys = [LINE_LOAD_KEYS if on_edges else POINT_LOAD_KEYS for on_edges in are_on_edges]
-    return tuple(table.entries(keys) for table, keys in zip(tables, all_keys, strict=True))
+    keys = [LINE_LOAD_KEYS if {"first", "second"} & table.values.keys() else POINT_LOAD_KEYS for table in tables]
+    return tuple(table.entries(table_keys) for table, table_keys in zip(tables, keys, strict=True))
 
 
 def _read_times(section: TomlTable, key: str) -> tuple[float, ...]:
@@ -263,13 +257,10 @@ def _goal_keys(kind: str) -> Keys:
 def _goals_schema() -> Schema:
     """Return the JSON schema of the table of goals, in which a goal's name may stand for its kind."""
     variants = {kind: _goal_keys(kind).schema() for kind in GOAL_READERS}
-    named, refused = (
-        {k: variants_schema("kind", variants, k) for k in variants},
-        dict.fromkeys(STANDARD_QUANTITIES, False),
-    )
-    named["compliance"] = {"anyOf": [{"const": True}, named["compliance"]]}
-    others = variants_schema("kind", variants, "")
-    return {"type": "object", "properties": {**named, **refused}, "additionalProperties": others}
+    properties = {kind: variants_schema("kind", variants, kind) for kind in variants}
+    properties["compliance"] = {"anyOf": [{"const": True}, properties["compliance"]]}
+    properties |= dict.fromkeys(STANDARD_QUANTITIES, False)
+    return {"type": "object", "properties": properties, "additionalProperties": variants_schema("kind", variants, "")}
 
 
 def _read_tolerances(section: TomlTable, key: str) -> dict[str, float]:
@@ -291,16 +282,14 @@ def _is_names_or_switch(value: object) -> bool:
 
 POSITIVE = {**NUMBER.schema, "exclusiveMinimum": 0}
 CHANGE = {**POSITIVE, "exclusiveMaximum": 1}
-CONTENT = "names of facet sets with a vector, such as TOP = [0, -50]"
 LOADS = {"type": "array", "items": {"anyOf": [POINT_LOAD_KEYS.schema(), LINE_LOAD_KEYS.schema()]}}
-SUPPORTS = {"type": "object", "additionalProperties": _support_reader("xyzn").schema}
 ENTRY_READERS: dict[str, Reader] = {
     "mesh": Reader(_read_mesh, {**MESH_KEYS.schema(), **TEXT.schema, "type": ["string", "object"]}),
     "units": UNITS,
     "body": materials_reader("body"),
     "layer": materials_reader("layer"),
-    "supports": Reader(_read_supports, SUPPORTS),
-    "tractions": names_reader(series_reader(table_or_other_reader(PRESSURE, VECTOR)), CONTENT),
+    "supports": Reader(_read_supports, SUPPORTS.schema),
+    "tractions": names_reader(TRACTION, "names of facet sets with a vector, such as TOP = [0, -50]"),
     "body_force": table_or_other_reader(names_reader(VECTOR, "names of regions and seams"), VECTOR),
     "loads": Reader(_read_loads, LOADS),
     "plane": choice_reader("strain", "stress", "axisymmetric"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields
 from functools import cache
 from typing import Any, TypeVar
 
@@ -72,7 +72,7 @@ def materials_reader(kind: str) -> Reader:
         DescriptionError: (the reader) an unknown law, an unknown or missing parameter, moduli that do not determine an
             elastic law, or parameters that the law refuses.
     """
-    content, reference = "the parameters of a law, such as E and nu", {"$ref": f"#/definitions/{kind}"}
+    content, material = "the parameters of a law, such as E and nu", _reference_schema(kind)
 
     def read(section: TomlTable, key: str) -> Materials:
         whole = section.table(key, content)
@@ -86,10 +86,18 @@ def materials_reader(kind: str) -> Reader:
             materials[name] = MaterialEntry(law, entries.get("eps", 0.0), entries.get("eigenstrain"))
         return materials
 
-    named = {"type": "object", "additionalProperties": reference}
+    named = {"type": "object", "additionalProperties": material}
     are_all_tables = {"additionalProperties": {"type": "object"}, "minProperties": 1}
-    completed = {"anyOf": [reference, named, True]}  # true; Taplo completes keys by "anyOf", and not by "if"
-    return Reader(read, {"if": are_all_tables, "then": named, "else": reference, **completed})
+    completed = {"anyOf": [material, named, True]}  # true; Taplo completes keys by "anyOf", and not by "if"
+    return Reader(read, {"if": are_all_tables, "then": named, "else": material, **completed})
+
+
+def _reference_schema(kind: str) -> Schema:
+    """Return the JSON schema of a material of a kind, which refers to `material_schema`."""
+    keys = OTHER_READERS[kind]
+    refused = {key: False for readers in OTHER_READERS.values() for key in readers if key not in keys}
+    needed = [key for key in keys if key in HINTS]
+    return {"allOf": [{"$ref": "#/definitions/material"}], "required": needed, "properties": refused}
 
 
 @cache
@@ -115,7 +123,7 @@ def _law_keys(name: str, others: Mapping[str, Reader]) -> tuple[Keys, Moduli]:
     """
     needed = {key: HINTS[key] for key in others if key in HINTS}
     if name == "Stack":
-        schema = {"type": "array", "items": {"$ref": "#/definitions/sublayer"}}
+        schema = {"type": "array", "items": _reference_schema("sublayer")}
         keys = {"law": choice_reader(name), **others, "sublayers": Reader(_read_sublayers, schema)}
         return Keys(keys, {**needed, "sublayers": "tables with a law"}), ()
     law_class: Any = laws_by_name()[name]  # mypy does not see that classes can be hashed, as `scalar_field_names` needs
@@ -158,28 +166,22 @@ def _read_law(section: TomlTable, kind: str) -> tuple[BulkLaw, dict[str, Any]]:
     return _make_law(section, lambda: laws_by_name()[name](**_lame_moduli(given_moduli), **arguments)), entries
 
 
-def material_schemas() -> dict[str, Schema]:
-    """Return the JSON schemas of a "body", a "layer" and a "sublayer" in an input file, and of what they refer to."""
+def material_schema() -> Schema:
+    """Return the JSON schema of a material in an input file, with the keys of bodies, layers and sublayers."""
     others = {key: reader for readers in OTHER_READERS.values() for key, reader in readers.items()}
-    variants, stack_keys = {}, _law_keys("Stack", {})[0].readers
+    variants = {}
     for name, law in laws_by_name().items():
         keys, moduli = _law_keys(name, others)
+        readers = dict(keys.readers)
         if name == DEFAULT_LAW:  # the table of a stack needs no key `law`
-            keys, moduli = replace(keys, readers={**stack_keys, **keys.readers}), (*moduli, ("sublayers",))
+            readers |= {"sublayers": _law_keys("Stack", {})[0].readers["sublayers"]}
+            moduli = (*moduli, ("sublayers",))
         names = {key for choice in moduli for key in choice}
         choices = [{"required": m, "properties": dict.fromkeys(sorted(names - {*m}), False)} for m in moduli]
-        required = {"required": [key for key in keys.hints if key not in HINTS]}
         texts = {key: f"{name}: {text}" for key, text in attribute_texts(law).items()}
-        variants[name] = {**keys.schema(texts), **required, **({"oneOf": choices} if choices else {})}
-    kinds: dict[str, Schema] = {
-        kind: {
-            "allOf": [{"$ref": "#/definitions/material"}],
-            "required": [key for key in readers if key in HINTS],
-            "properties": {key: False for key in others if key not in readers},
-        }
-        for kind, readers in OTHER_READERS.items()
-    }
-    return {**kinds, "material": variants_schema("law", variants, DEFAULT_LAW)}
+        hints = {key: hint for key, hint in keys.hints.items() if key not in others}
+        variants[name] = {**Keys(readers, hints).schema(texts), **({"oneOf": choices} if choices else {})}
+    return variants_schema("law", variants, DEFAULT_LAW)
 
 
 def _make_law(section: TomlTable, make: Callable[[], LawType]) -> LawType:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from thinlayer.running.toml_table import Reader, TomlTable, types_of
+from thinlayer.running.toml_table import Reader, Schema, TomlTable, types_of
 from thinlayer.system.units import QUANTITY, Units
 
 KEYS_BY_KIND = {  # keys of materials, loads and goals; None: of any kind, as it depends on an exponent
@@ -16,6 +16,7 @@ KEYS_BY_KIND = {  # keys of materials, loads and goals; None: of any kind, as it
 }  # fmt: skip
 KINDS = {key: kind for kind, keys in KEYS_BY_KIND.items() for key in keys.split()}
 TABLE_KINDS = {"supports": "length", "tractions": "stress", "body_force": "force per volume", "tolerance": "ratio"}
+ENTRY_KINDS = {**TABLE_KINDS, "times": "time"}
 
 
 LENGTH, FORCE = "(?:[nuµmcdk]?m|in|inch|ft)", "(?:[mkM]?N|lbf|kgf)"  # patterns of common units
@@ -25,7 +26,8 @@ UNIT_PATTERNS = {
     "time": "(?:[num]?s|second|min|minute|h|hour|d|day|week|year)",
     "ratio": f"(?:%|percent|permille|ppm|{LENGTH} */ *{LENGTH})",
     "angle": "(?:deg|degree|rad|radian)",
-    "force": f"{FORCE}(?: */ *{LENGTH})?",  # per length in plane structures
+    "force": f"{FORCE}(?: */ *{LENGTH})?",  # per length in a plane structure
+    "force per length": f"{FORCE} */ *{LENGTH}",
     "force per volume": f"{FORCE} */ *{LENGTH} *(?:\\^|\\*\\*) *3",
     None: "[^\\d\\s.,?][^,?]*",
 }  # kind of a quantity -> regular expression, for editors, of its common units; a file may have others
@@ -42,35 +44,36 @@ def read_units(section: TomlTable, key: str) -> tuple[str, ...]:
 UNITS = Reader(read_units, {"type": "string", "pattern": "^[^,?]*[^,? ][^,?]*(,[^,?]*[^,? ][^,?]*){1,2}$"})
 
 
-def _kinds_of_keys(*keys: str) -> dict[str, str | None]:
-    """Return key -> kind of quantity for the entries of a table, which is reached from the file by `keys`."""
-    kinds = TABLE_KINDS if not keys else {} if keys[0] in TABLE_KINDS else KINDS
-    return {**kinds, "times": "time", "force": "force"}
-
-
-def with_unit_texts(schema: Any, kind: str | None = "", *keys: str) -> Any:
-    """Return a JSON schema of input files in which numbers of a kind may also be texts with a unit.
+def _changed(value: Any, change: Callable[..., Any], kind: str | None, *keys: str) -> Any:
+    """Return a value of an input file with `change(value, kind, *keys)` in place of each value in its tables and lists.
 
     Args:
-        schema: the schema, or a part of it, with numbers.
-        kind: kind of the quantity; "": only numbers.
-        *keys: keys of the tables that lead to what the schema is about.
+        value: the value, also a table or a list; or a JSON schema of such a value.
+        change: function of a value whose own values are already changed; see the next arguments.
+        kind: kind of quantity; "": no quantity; None: a quantity of any kind.
+        *keys: keys of nested tables, and last that of the value; in a list its number, from 1.
     """
-    if isinstance(schema, list):
-        return [with_unit_texts(item, kind, *keys) for item in schema]
-    if not isinstance(schema, Mapping):
-        return schema
-    kinds = _kinds_of_keys(*keys)
-    walked = {
-        word: {name: with_unit_texts(item, kinds.get(name, kind), *keys, name) for name, item in value.items()}
-        if word == "properties"
-        else with_unit_texts(value, kind, *keys)
-        for word, value in schema.items()
-    }
-    if kind == "" or "number" not in types_of(schema):
-        return walked
-    number = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-    return {**walked, "type": [*types_of(schema), "string"], "pattern": f"^ *{number} *{UNIT_PATTERNS[kind]} *$"}
+    if isinstance(value, Mapping):
+        force = "force in the plane" if isinstance(place := value.get("place"), list) and len(place) == 2 else "force"
+        kinds = {} if keys[0] in TABLE_KINDS else KINDS
+        kinds = {**kinds, "times": "time", "force": "force per length" if "first" in value else force}
+        value = {name: _changed(item, change, kinds.get(name, kind), *keys, name) for name, item in value.items()}
+    if isinstance(value, list):
+        value = [_changed(item, change, kind, *keys, str(number)) for number, item in enumerate(value, 1)]
+    return change(value, kind, *keys)
+
+
+def with_unit_texts(schema: Schema, key: str) -> Schema:
+    """Return the JSON schema of the value at `key` in an input file, in which quantities may be texts with a unit."""
+
+    def add_text(part: Any, kind: str | None, *_: str) -> Any:
+        if kind == "" or not isinstance(part, Mapping) or "number" not in types_of(part):
+            return part
+        number = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+        return {**part, "type": [*types_of(part), "string"], "pattern": f"^ *{number} *{UNIT_PATTERNS[kind]} *$"}
+
+    changed: Schema = _changed(schema, add_text, ENTRY_KINDS.get(key, ""), key)
+    return changed
 
 
 def with_numbers(file_table: TomlTable) -> TomlTable:
@@ -81,16 +84,10 @@ def with_numbers(file_table: TomlTable) -> TomlTable:
     """
 
     def convert(value: Any, kind: str | None, *keys: str) -> Any:
-        """Return a value, or all values in a table or list, with numbers; texts of the kind "" stay texts."""
-        if isinstance(value, Mapping):
-            is_plane = isinstance(place := value.get("place"), list) and len(place) == 2
-            per_length = (is_plane and file_table.values.get("plane") != "axisymmetric") or "first" in value
-            kinds = {**_kinds_of_keys(*keys), "force": "force per length" if per_length else "force"}
-            return {name: convert(item, kinds.get(name, kind), *keys, name) for name, item in value.items()}
-        if isinstance(value, list):
-            return [convert(item, kind, *keys, str(number)) for number, item in enumerate(value, 1)]
         if kind == "" or keys[-1] == "place" or not isinstance(value, str) or not QUANTITY.fullmatch(value):
             return value
+        if kind == "force in the plane":
+            kind = "force" if file_table.values.get("plane") == "axisymmetric" else "force per length"
         if "units" not in file_table.values and kind not in ("ratio", "angle"):
             file_table.refuse(f"{value!r} has a unit; name those of the plain numbers: units = 'mm, MPa'", *keys)
         with file_table.locate_errors("units"):
@@ -98,4 +95,5 @@ def with_numbers(file_table: TomlTable) -> TomlTable:
         with file_table.locate_errors(*keys):
             return units(value, kind)
 
-    return replace(file_table, values=convert(file_table.values, ""))
+    entries = file_table.values.items()
+    return replace(file_table, values={k: _changed(v, convert, ENTRY_KINDS.get(k, ""), k) for k, v in entries})
