@@ -16,12 +16,13 @@ from forms.base import InputError, require
 from forms.kinematics import Kinematics
 from forms.tensors import Expr
 from geometry.domain import Domain
+from geometry.joint import Joint
 from geometry.seam import LAYER, FacetName, S
 from geometry.sheet import Sheet
 from thinlayer.discretisation.boundary import boundary_tags
 from thinlayer.discretisation.coefficient import Coordinates, LoadInput, Pressure, values_by_body
 from thinlayer.discretisation.form_compilation import compiled
-from thinlayer.discretisation.point_loads import ConcentratedForms
+from thinlayer.discretisation.point_loads import concentrated_density
 from thinlayer.errors import warn
 
 if TYPE_CHECKING:
@@ -58,7 +59,8 @@ class Forces:
     Args:
         domain: the distributed mesh, with the joint's names.
         kinematics: kinematics of the mesh, with the factor of all measures (2 pi r in axisymmetry).
-        maker: maker of the forms of loads at points and along lines.
+        joint: the joint as drawn, before S is opened to the layer's thickness.
+        at: coordinates and time.
         structure: the structure, which has the tractions, body forces, and loads at points and along lines.
 
     Attributes:
@@ -69,8 +71,10 @@ class Forces:
         InputError: an unknown name, a traction on S or inside the bodies, a load that is not a vector.
     """
 
-    def __init__(self, domain: Domain, kinematics: Kinematics, maker: ConcentratedForms, structure: Structure) -> None:
-        self.domain, self.at, self._kinematics = domain, maker.at, kinematics
+    def __init__(
+        self, domain: Domain, kinematics: Kinematics, joint: Joint, at: Coordinates, structure: Structure
+    ) -> None:
+        self.domain, self.at, self._kinematics = domain, at, kinematics
         self.user_loads: dict[str, object] = {}
         # label, force, region, name of the seam if it is a layer's load
         self._loads: list[tuple[str, Expr, LoadRegion, str]] = []
@@ -97,8 +101,9 @@ class Forces:
             self._add_boundary_load(label, load, dx(domain.region_tags(name)))
         for concentrated_load in structure.loads:
             self.user_loads[f"{concentrated_load.what}, {len(self.user_loads)}"] = concentrated_load
-            for density, measure in maker.densities(concentrated_load):  # total forces: without the factor of measures
-                self.add_weighted_load("", concentrated_load.what, density, LoadRegion(measure, 1))
+            density, measure = concentrated_density(concentrated_load, domain, joint, at)
+            # total forces: without the factor of measures
+            self.add_weighted_load("", concentrated_load.what, density, LoadRegion(measure, 1))
         self._whole_dx = dx
 
     def add_layer_load(self, name: str, load: LoadInput, region: LoadRegion, at: Coordinates) -> None:

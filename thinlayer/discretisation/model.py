@@ -33,7 +33,7 @@ from thinlayer.discretisation.key import BODY_KIND, Key
 from thinlayer.discretisation.layer import BODIES, Bond, Gap, Layers, SeamContent, SeamLayer, ThinLayer, loads_of_layers
 from thinlayer.discretisation.mesh_functions import law_with_constants, mesh_cut_at_faces, vector_space
 from thinlayer.discretisation.part_definition import check_part_definitions
-from thinlayer.discretisation.point_loads import ConcentratedForms, ConcentratedLoad, check_loads
+from thinlayer.discretisation.point_loads import ConcentratedLoad, check_loads
 from thinlayer.discretisation.prescribed_strains import (
     EigenstrainContext,
     EigenstrainInput,
@@ -267,8 +267,7 @@ class Model(ABC):
     # ---------------------------------------------------------------- differences between kinds of models
     def _make_forces(self) -> Forces:
         at = self.coordinates.with_own_kinks
-        concentrated_forms = ConcentratedForms(self.domain, self.joint, self.structure.degree, at)
-        forces = Forces(self.domain, self.kinematics, concentrated_forms, self.structure)
+        forces = Forces(self.domain, self.kinematics, self.joint, at, self.structure)
         for name, load in loads_of_layers(self).items():
             forces.add_layer_load(name, load, self._load_region(self.layers[name]), self._coordinates_on(at))
         return forces

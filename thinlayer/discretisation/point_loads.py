@@ -1,4 +1,4 @@
-"""Loads at vertices and along edges: cells and places where they act, and their virtual work as forms."""
+"""Loads at vertices and along edges: points of cells where they act, and their virtual work as forms."""
 
 from __future__ import annotations
 
@@ -16,43 +16,12 @@ from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place_text as at_place
 from geometry.refusals import require_known
-from geometry.topology import Indices, IntArray, lagrange, sum_by_number
+from geometry.topology import Indices, IntArray, lagrange
 from thinlayer.discretisation.boundary import refuse_periodic
 from thinlayer.discretisation.coefficient import Coordinates, LoadInput
 from thinlayer.discretisation.mesh_functions import cellwise_function
 
 EDGE_GAUSS_POINTS = 4  # Gauss points on an edge: exact for degree 7
-
-
-@dataclass(frozen=True)
-class LoadPlaces:
-    """Places in n cells, k in each, at which a load at points or along lines acts.
-
-    Attributes:
-        cells: (n,) numbers of the cells in the joint.
-        reference_points: (n, k, d) coordinates of the places in the reference cell, in d dimensions.
-        length_vectors: (n, k, d) vectors in the reference cell. The length of one, mapped to space, is the weight of
-            the load at the place. None: all weights are 1.
-    """
-
-    cells: IntArray
-    reference_points: Array
-    length_vectors: Array | None = None
-
-    def mapped_to_space(self, joint: Joint, cell_points: Array) -> tuple[Array, Array]:
-        """Return the coordinates (n, k, d) in space of the places, and `length_vectors` (n, k, d) mapped to space.
-
-        The vectors are zero if `length_vectors` is None.
-
-        Args:
-            joint: the joint, with the type and degree of the cells.
-            cell_points: (n_cells, m, d) coordinates of the m nodes of each cell of the joint.
-        """
-        n, k, d = self.reference_points.shape
-        table = lagrange(joint.cell_type, joint.degree).tabulate(1, self.reference_points.reshape(-1, d))
-        table, nodes = table.reshape(d + 1, n, k, -1), cell_points[self.cells]
-        vectors = np.zeros((n, k, d)) if self.length_vectors is None else self.length_vectors
-        return table[0] @ nodes, np.einsum("jnkm,nmi,nkj->nki", table[1:], nodes, vectors)
 
 
 @dataclass(frozen=True)
@@ -89,8 +58,8 @@ class PointLoad:
         """Name of the load in error messages."""
         return f"point load at {at_place(np.asarray(self.place, float))}"
 
-    def nodes(self, joint: Joint) -> LoadPlaces:
-        """Return the vertex at which the load acts, as a place in one cell of the loaded body.
+    def points_and_weights(self, joint: Joint, _: Array) -> tuple[Array, Array]:
+        """Return the vertices of the reference cell, and 1 at the loaded one in a cell of the loaded body.
 
         Raises:
             InputError: there is no vertex at the place, or several bodies have a node there.
@@ -99,8 +68,9 @@ class PointLoad:
         is_loaded = joint.masters == joint.masters[vertex] if joint.periods else np.arange(len(joint.points)) == vertex
         cells, corners = np.nonzero(is_loaded[joint.corners])
         index = _chosen_cell(joint, cells, joint.split_mesh.components(0)[cells, corners], self)
-        X = np.asarray(basix.geometry(basix.CellType[joint.cell_type]))
-        return LoadPlaces(cells[index : index + 1], X[corners[index : index + 1], None])
+        weights = np.zeros(joint.corners.shape)
+        weights[cells[index], corners[index]] = 1.0
+        return basix.geometry(basix.CellType[joint.cell_type]), weights
 
 
 @dataclass(frozen=True)
@@ -134,8 +104,10 @@ class LineLoad:
         """Name of the load in error messages."""
         return f"line load between {self.first!r} and {self.second!r}"
 
-    def nodes(self, joint: Joint) -> LoadPlaces:
-        """Return the Gauss points at which the load acts, on the edges that both facet sets share.
+    def points_and_weights(self, joint: Joint, cell_points: Array) -> tuple[Array, Array]:
+        """Return Gauss points on all edges of the reference cell, and weights on the edges that both sets share.
+
+        Each of these edges has its weights in one cell.
 
         Raises:
             InputError: the facet sets have no edge in common, or several bodies have this edge.
@@ -165,8 +137,15 @@ class LineLoad:
         chosen_rows = [rows[_chosen_cell(joint, all_cells[rows], edge_components[rows], self)] for rows in rows_of_edge]
         cells, cell_edges = all_cells[chosen_rows], local_edges[chosen_rows]
         s, w = basix.make_quadrature(basix.CellType.interval, 2 * EDGE_GAUSS_POINTS - 1)
-        X = np.asarray(basix.geometry(cell_type))[np.array(edges)[cell_edges]][:, :, None]  # (n, 2, 1, d)
-        return LoadPlaces(cells, X[:, 0] + s[:, :1] * (X[:, 1] - X[:, 0]), w[:, None] * (X[:, 1] - X[:, 0]))
+        first_ends, last_ends = np.moveaxis(np.asarray(basix.geometry(cell_type))[np.array(edges)], 1, 0)
+        tangents = last_ends - first_ends
+        points = first_ends[:, None] + s[:, :1] * tangents[:, None]  # (n_edges, q, d)
+        gradients = lagrange(joint.cell_type, joint.degree).tabulate(1, points.reshape(-1, 3))[1:]
+        gradients = gradients.reshape(3, *points.shape[:2], -1)[:, cell_edges]
+        vectors = np.einsum("jnqm,nmi,nj->nqi", gradients, cell_points[cells], tangents[cell_edges])
+        weights = np.zeros((len(joint.cells), *points.shape[:2]))
+        weights[cells, cell_edges] = w * np.linalg.norm(vectors, axis=2)
+        return points.reshape(-1, 3), weights.reshape(len(weights), -1)
 
 
 def _chosen_cell(joint: Joint, cells: IntArray, components: Indices, load: ConcentratedLoad) -> int:
@@ -213,73 +192,28 @@ def check_loads(loads: Iterable[ConcentratedLoad]) -> tuple[ConcentratedLoad, ..
     return checked
 
 
-class ConcentratedForms:
-    """Loads at points and along lines as forces per volume that do the same virtual work.
+def concentrated_density(
+    load: ConcentratedLoad, domain: Domain, joint: Joint, at: Coordinates
+) -> tuple[Expr, ufl.Measure]:
+    """Return a force per volume (d,), in UFL, that does the work of a load at points, and the measure of its integral.
 
-    A force F at a place in a cell becomes the force per volume F g/J. J is the volume of the cell over that of the
-    reference cell. The polynomial g is such that the integral of F . v g over the reference cell is F . v at the place.
-    This holds for all displacements v of the cell.
+    The measure has the quadrature points at which the load acts, so that its integral of f . v is the sum of the work
+    there. Collective.
 
     Args:
+        load: the load.
         domain: the distributed mesh.
         joint: the joint as drawn, before S is opened to the layer's thickness; its cells are the first cells of the
             domain's joint.
-        degree: degree of the displacements.
         at: coordinates and time.
     """
-
-    def __init__(self, domain: Domain, joint: Joint, degree: int, at: Coordinates) -> None:
-        self.domain, self.joint, self.at, metadata = domain, joint, at, {"quadrature_degree": 2 * degree}
-        self._dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags, metadata=metadata)
-        cell_type = basix.CellType[joint.cell_type]
-        self._ufl = basix.ufl.element("DG", domain.mesh.basix_cell(), degree)
-        self._element = self._ufl.basix_element
-        X, w = basix.make_quadrature(cell_type, 2 * degree)
-        phi = self._element.tabulate(0, X)[0, :, :, 0]
-        self._inverse_mass = np.linalg.inv(phi.T @ (w[:, None] * phi))
-        self._jacobian = abs(ufl.JacobianDeterminant(domain.mesh))
-
-    def densities(self, load: ConcentratedLoad) -> list[tuple[Expr, ufl.Measure]]:
-        """Return forces per volume (d,), in UFL, that add up to a load, each with the measure of its integral.
-
-        Collective.
-        """
-        nodes, d, joint, densities = load.nodes(self.joint), self.joint.dim, self.domain.joint, []
-        weights = np.ones(nodes.reference_points.shape[:2])
-        if nodes.length_vectors is not None:
-            weights = np.linalg.norm(nodes.mapped_to_space(self.joint, joint.cell_points)[1], axis=2)
-        is_kept = joint.band is not None and joint.band.bodies == "kept"
-        x = nodes.mapped_to_space(joint, joint.reference[joint.cells] if is_kept else joint.cell_points)[0]
-        # if the load varies each node has its own place, so that nodes in one cell are in different terms
-        varies = self.at.coefficient(load.force, load.what, (d,)).varies
-        body_dx = self._dx(self.domain.region_tags(*self.joint.bodies))
-        batches = [(r, slice(j, j + 1)) for r in _disjoint_groups(nodes.cells) for j in range(weights.shape[1])]
-        for rows, column in batches if varies else [(np.arange(len(nodes.cells)), slice(None))]:
-            batch = LoadPlaces(nodes.cells[rows], nodes.reference_points[rows, column])
-            g = cellwise_function(self.domain, self._ufl, self._g_values(batch, weights[rows, column])) / self._jacobian
-            places = np.zeros((len(joint.cells), 1, d))
-            places[batch.cells] = x[rows, column][:, :1]
-            at = self.at.with_place(cellwise_function(self.domain, ("DG", 0, (d,)), places)) if varies else self.at
-            densities.append((at.coefficient(load.force, load.what, (d,)).expression * g, body_dx))
-        return densities
-
-    def _g_values(self, nodes: LoadPlaces, weights: Array) -> Array:
-        """Return the weighted sum of the polynomials g of all loaded places, as coefficients (n_cells, m, 1).
-
-        The coefficients are those of the m basis functions of each cell. The integral of g v over the reference cell is
-        the value of v at the place that belongs to g.
-
-        Args:
-            nodes: n loaded cells, each with k loaded places; a cell may occur several times.
-            weights: (n, k) factor of the polynomial of each place.
-        """
-        phi = self._element.tabulate(0, nodes.reference_points.reshape(-1, self.joint.dim))[0, :, :, 0]
-        g = (phi @ self._inverse_mass.T).reshape(*nodes.reference_points.shape[:2], -1)
-        return sum_by_number(nodes.cells, np.einsum("nk,nkm->nm", weights, g), len(self.domain.joint.cells))[..., None]
-
-
-def _disjoint_groups(cells: IntArray) -> Iterable[IntArray]:
-    """Divide the indices of `cells` (n,) into groups in which each cell number occurs at most once."""
-    order = np.argsort(cells, kind="stable")
-    occurrence = np.arange(len(cells)) - np.searchsorted(cells[order], cells[order])
-    return [order[occurrence == k] for k in range(int(occurrence.max(initial=-1)) + 1)]
+    points, weights = load.points_and_weights(joint, domain.joint.cell_points)
+    values, unit_weights = np.zeros((len(domain.joint.cells), len(points), 1)), np.ones(len(points))
+    values[: len(weights), :, 0] = weights
+    element = basix.ufl.quadrature_element(domain.mesh.basix_cell(), points=points, weights=unit_weights)
+    factor = cellwise_function(domain, element, values) / abs(ufl.JacobianDeterminant(domain.mesh))
+    rule = {"quadrature_points": points.tolist(), "quadrature_weights": unit_weights.tolist()}
+    metadata = {"quadrature_rule": "custom", **rule}
+    dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags, metadata=metadata)
+    force = at.coefficient(load.force, load.what, (joint.dim,)).expression
+    return force * factor, dx(domain.region_tags(*joint.bodies))
