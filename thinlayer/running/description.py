@@ -257,7 +257,7 @@ def _goal_keys(kind: str) -> Keys:
 def _goals_schema() -> Schema:
     """Return the JSON schema of the table of goals, in which a goal's name may stand for its kind."""
     variants = {kind: _goal_keys(kind).schema() for kind in GOAL_READERS}
-    properties = {kind: variants_schema("kind", variants, kind) for kind in variants}
+    properties: dict[str, Any] = {kind: variants_schema("kind", variants, kind) for kind in variants}
     properties["compliance"] = {"anyOf": [{"const": True}, properties["compliance"]]}
     properties |= dict.fromkeys(STANDARD_QUANTITIES, False)
     return {"type": "object", "properties": properties, "additionalProperties": variants_schema("kind", variants, "")}
