@@ -16,7 +16,7 @@ from tests.test_bad_inputs import LEAST, TABLE
 from tests.test_cli import thinlayer
 from thinlayer import Units
 from thinlayer.running.description import Description
-from thinlayer.running.materials import OTHER_READERS, _law_keys, laws_by_name
+from thinlayer.running.materials import _law_keys, laws_by_name
 from thinlayer.running.quantities import KINDS
 from thinlayer.running.toml_table import read_input_file
 from thinlayer.system.units import DIMENSIONS
@@ -65,11 +65,11 @@ def test_bad_inputs(tmp_path, kind):
 @pytest.mark.parametrize("name", laws_by_name())
 def test_laws(name):
     """Each required key, no other key, one set of moduli; a body has no thickness, and a layer has."""
-    keys, moduli = _law_keys(name, OTHER_READERS["layer"])
+    keys, moduli = _law_keys(name)
     values = {"frame": "layer", "C": [[1.0] * 6] * 6, "chi": [1, 2, 3]}
     values["sublayers"] = [{"fraction": 0.4, "E": 6, "nu": 0.1}, {"fraction": 0.6, "law": "Norton", "G": 3, "nu": 0.2}]
     values["sublayers"][1] |= {"eta": "3 MPa s", "p": 2}
-    needed = [*keys.hints, *(moduli[0] if moduli else [])]
+    needed = ["eps", *keys.hints, *(moduli[0] if moduli else [])]
     least = {"law": name, **{key: values.get(key, 0.5) for key in needed}}
     has_schema = lambda table, kind="layer": is_valid(table, SCHEMA["properties"][kind])
     assert has_schema(least)

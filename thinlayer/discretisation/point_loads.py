@@ -107,7 +107,8 @@ class LineLoad:
     def points_and_weights(self, joint: Joint, cell_points: Array) -> tuple[Array, Array]:
         """Return Gauss points on all edges of the reference cell, and weights on the edges that both sets share.
 
-        Each of these edges has its weights in one cell.
+        Each of these edges has its weights in one cell. The points are those of all edges, so that code is compiled
+        once for all loads.
 
         Raises:
             InputError: the facet sets have no edge in common, or several bodies have this edge.

@@ -92,12 +92,14 @@ def materials_reader(kind: str) -> Reader:
     return Reader(read, {"if": are_all_tables, "then": named, "else": material, **completed})
 
 
+def _needed(kind: str) -> dict[str, str]:
+    return {key: HINTS[key] for key in OTHER_READERS[kind] if key in HINTS}
+
+
 def _reference_schema(kind: str) -> Schema:
     """Return the JSON schema of a material of a kind, which refers to `material_schema`."""
-    keys = OTHER_READERS[kind]
-    refused = {key: False for readers in OTHER_READERS.values() for key in readers if key not in keys}
-    needed = [key for key in keys if key in HINTS]
-    return {"allOf": [{"$ref": "#/definitions/material"}], "required": needed, "properties": refused}
+    refused = {key: False for keys in OTHER_READERS.values() for key in keys if key not in OTHER_READERS[kind]}
+    return {"allOf": [{"$ref": "#/definitions/material"}], "required": [*_needed(kind)], "properties": refused}
 
 
 @cache
@@ -114,31 +116,25 @@ PARAMETER_SCHEMAS: dict[str, Schema] = {
 }  # type of a law's parameter other than a number -> JSON schema
 
 
-def _law_keys(name: str, others: Mapping[str, Reader]) -> tuple[Keys, Moduli]:
-    """Return the keys of a material with a law, and the sets of elastic moduli of which it has one; (): none.
-
-    Args:
-        name: name of the law.
-        others: readers of keys besides those of the law.
-    """
-    needed = {key: HINTS[key] for key in others if key in HINTS}
+@cache
+def _law_keys(name: str) -> tuple[Keys, Moduli]:
+    """Return the keys of a law in an input file, and the sets of elastic moduli of which it has one; (): none."""
     if name == "Stack":
-        schema = {"type": "array", "items": _reference_schema("sublayer")}
-        keys = {"law": choice_reader(name), **others, "sublayers": Reader(_read_sublayers, schema)}
-        return Keys(keys, {**needed, "sublayers": "tables with a law"}), ()
+        sublayers = Reader(_read_sublayers, {"type": "array", "items": _reference_schema("sublayer")})
+        return Keys({"law": choice_reader(name), "sublayers": sublayers}, {"sublayers": "tables with a law"}), ()
     law_class: Any = laws_by_name()[name]  # mypy does not see that classes can be hashed, as `scalar_field_names` needs
     parameters = {f.name: f for f in fields(law_class) if f.init}
     moduli = ELASTIC_PAIRS if "lmbda" in parameters else SHEAR_MODULI if "mu" in parameters else ()
     elastic_keys = dict.fromkeys(key for keys in moduli for key in keys)
     non_elastic_keys = [key for key in parameters if key not in elastic_keys]
-    number_keys = {*elastic_keys, *scalar_field_names(law_class)}
+    numbers = dict.fromkeys((*elastic_keys, *scalar_field_names(law_class)), NUMBER)
     readers = {
-        key: NUMBER if key in number_keys else Reader(_read_parameter, PARAMETER_SCHEMAS[str(parameters[key].type)])
+        key: numbers.get(key) or Reader(_read_parameter, PARAMETER_SCHEMAS[str(parameters[key].type)])
         for key in (*elastic_keys, *non_elastic_keys)
     }
     allowed_text = f"{name} has {', '.join([ELASTIC_PAIRS_TEXT] * bool(moduli) + non_elastic_keys)}"
     hints = {key: allowed_text for key in non_elastic_keys if parameters[key].default is MISSING}
-    return Keys({"law": choice_reader(name), **others, **readers}, {**hints, **needed}), moduli
+    return Keys({"law": choice_reader(name), **readers}, hints), moduli
 
 
 def _read_law(section: TomlTable, kind: str) -> tuple[BulkLaw, dict[str, Any]]:
@@ -154,8 +150,9 @@ def _read_law(section: TomlTable, kind: str) -> tuple[BulkLaw, dict[str, Any]]:
     name = "Stack" if "sublayers" in section.values else DEFAULT_LAW
     if "law" in section.values and name != "Stack":
         name = section.text("law", laws_by_name(), "law of strains")
-    keys, moduli = _law_keys(name, OTHER_READERS[kind])
-    entries = section.entries(keys, f"key of {name}")
+    keys, moduli = _law_keys(name)
+    all_keys = Keys({**keys.readers, **OTHER_READERS[kind]}, {**keys.hints, **_needed(kind)})
+    entries = section.entries(all_keys, f"key of {name}")
     if name == "Stack":
         return _make_law(section, lambda: Stack(*entries["sublayers"])), entries
     arguments = {key: value for key, value in entries.items() if key not in ("law", *OTHER_READERS[kind])}
@@ -168,19 +165,18 @@ def _read_law(section: TomlTable, kind: str) -> tuple[BulkLaw, dict[str, Any]]:
 
 def material_schema() -> Schema:
     """Return the JSON schema of a material in an input file, with the keys of bodies, layers and sublayers."""
-    others = {key: reader for readers in OTHER_READERS.values() for key, reader in readers.items()}
     variants = {}
     for name, law in laws_by_name().items():
-        keys, moduli = _law_keys(name, others)
-        readers = dict(keys.readers)
+        keys, moduli = _law_keys(name)
+        readers = {key: reader for others in OTHER_READERS.values() for key, reader in others.items()} | {
+            **keys.readers
+        }
         if name == DEFAULT_LAW:  # the table of a stack needs no key `law`
-            readers |= {"sublayers": _law_keys("Stack", {})[0].readers["sublayers"]}
-            moduli = (*moduli, ("sublayers",))
+            readers, moduli = {**_law_keys("Stack")[0].readers, **readers}, (*moduli, ("sublayers",))
         names = {key for choice in moduli for key in choice}
         choices = [{"required": m, "properties": dict.fromkeys(sorted(names - {*m}), False)} for m in moduli]
         texts = {key: f"{name}: {text}" for key, text in attribute_texts(law).items()}
-        hints = {key: hint for key, hint in keys.hints.items() if key not in others}
-        variants[name] = {**Keys(readers, hints).schema(texts), **({"oneOf": choices} if choices else {})}
+        variants[name] = {**Keys(readers, keys.hints).schema(texts), **({"oneOf": choices} if choices else {})}
     return variants_schema("law", variants, DEFAULT_LAW)
 
 

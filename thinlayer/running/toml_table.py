@@ -267,7 +267,7 @@ class Reader:
 
     Attributes:
         read: function of the table and the key.
-        schema: the schema. The function may refuse more, but accepts nothing that the schema refuses.
+        schema: the schema, draft 7. The function may refuse more values than it, but not accept more.
     """
 
     read: Callable[[TomlTable, str], Any]
@@ -378,21 +378,20 @@ def series_reader(read: Reader) -> Reader:
         read: reader of a constant value, and of each entry of "values".
     """
     what = "a history is {times = [0, 1], values = [0, 5]}: two or more times that grow"
-    list_schemas = {
-        name: {"type": "array", "items": item.schema} for name, item in (("times", NUMBER), ("values", read))
-    }
-    list_readers = {k: Reader(lambda table, name: table.values[name], schema) for k, schema in list_schemas.items()}
-    keys = Keys(list_readers, dict.fromkeys(list_readers, what))
+    items = {"times": NUMBER, "values": read}
+    lists = {k: {"type": "array", "items": item.schema} for k, item in items.items()}
+    readers = {k: Reader(lambda table, key: table.values[key], schema) for k, schema in lists.items()}
+    keys = Keys(readers, dict.fromkeys(items, what))
 
     def read_value(section: TomlTable, key: str) -> object:
         entry = section.values[key]
-        if not isinstance(entry, Mapping) or not list_readers.keys() & entry.keys():
+        if not isinstance(entry, Mapping) or not readers.keys() & entry.keys():
             return read(section, key)
         times, values = section.table(key, what).entries(keys).values()
         if not (isinstance(values, list) and is_increasing(times) and len(times) == len(values) >= 2):
             section.refuse(what, key)
-        items = section.as_table({str(k): value for k, value in enumerate(values, 1)}, what, key, "values")
-        series = TimeSeries({float(t): read(items, str(k)) for k, t in enumerate(times, 1)}, (*section.key_path, key))
+        table = section.as_table({str(k): value for k, value in enumerate(values, 1)}, what, key, "values")
+        series = TimeSeries({float(t): read(table, str(k)) for k, t in enumerate(times, 1)}, (*section.key_path, key))
         section.time_series.append(series)
         return series
 
