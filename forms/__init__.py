@@ -8,8 +8,10 @@ from forms.adhesion import Adhesion
 from forms.breaking import Breaking, Cohesive
 from forms.broken_friction import CohesiveFriction
 from forms.check import check
+from forms.conduction import AnisotropicConduction, Conduction, Heat
 from forms.contact import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, Tresca
 from forms.elastic import Anisotropic, LinearElastic
+from forms.flux import FluxLaw
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw
 from forms.microcracks import Microcracked

@@ -1,16 +1,35 @@
-"""Kinematics: strains (3, 3) of displacements on plane, axisymmetric and three-dimensional meshes."""
+"""Kinematics: strains (3, 3) of displacements, or of a scalar field, on plane, axisymmetric and 3D meshes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 import ufl
 
 from forms.base import Array
 from forms.law import BulkLaw
-from forms.tensors import MANDEL_PAIRS, Expr, strain, three_dimensional
+from forms.tensors import MANDEL_PAIRS, Expr, jump_strain, scalar_strain, strain, three_dimensional
+
+# (k, d, d) matrices W of unit rotations: displacements W x, in 3D e_k x x
+UNIT_ROTATIONS = {2: np.array([[[0.0, -1.0], [1.0, 0.0]]]), 3: np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)}
+
+
+class QuantityNames(NamedTuple):
+    """Names of quantities, for messages and columns of results.
+
+    Attributes:
+        traction: what acts on a surface, per area.
+        body_force: what acts in a volume, per volume.
+        motion: change of the unknown without strain, with {} for the name of a component.
+        unsupported: message if nothing prevents a motion without strain, with {} for this motion.
+    """
+
+    traction: str = "traction"
+    body_force: str = "body force"
+    motion: str = "translation {}"
+    unsupported: str = "no support against rigid motion of the structure ({}); add supports"
 
 
 @dataclass(frozen=True)
@@ -18,11 +37,17 @@ class Kinematics:
     """Strains (3, 3) that displacements cause in plane strain (2D meshes) or in three dimensions (3D meshes).
 
     The other kinematics derive from this class. Kinematics also give the form of laws that fits these strains. `factor`
-    multiplies all integrals over the mesh, such as 2 pi r in axisymmetry. The number of dimensions of the mesh is d.
+    multiplies all integrals over the mesh, such as 2 pi r in axisymmetry. The mesh has d dimensions, the unknown c
+    components: d displacements, or the one value of a scalar field.
 
     Attributes:
         x: coordinates on the mesh, UFL (d,); None if no mesh is set (`on_mesh` returns a copy with a mesh).
         name: value of `plane` in `Structure(plane=...)` that selects these kinematics.
+        unknown: name of the unknown, by which laws say what they are laws of (`Law.unknown`).
+        quantities: names of quantities, for messages and columns of results.
+        has_value_in_strain: whether a strain contains the unknown's value, on which laws then may depend.
+        has_axis: whether the bodies are bodies of revolution about an axis.
+        is_fixed_on_axis: whether the first component of the unknown vanishes on this axis.
         has_rigid_rotations: whether rigid rotations cause no strain.
         factor: factor, UFL, of all integrals over the mesh; with 1, integrals in 2D are per unit depth.
         factor_degree: polynomial degree of `factor` in the coordinates.
@@ -30,6 +55,11 @@ class Kinematics:
 
     x: Expr | None = None
     name: ClassVar[str] = "strain"
+    unknown: ClassVar[str] = "displacement"
+    quantities: ClassVar[QuantityNames] = QuantityNames()
+    has_value_in_strain: ClassVar[bool] = False
+    has_axis: ClassVar[bool] = False
+    is_fixed_on_axis: ClassVar[bool] = False
     has_rigid_rotations: ClassVar[bool] = True
     factor: ClassVar[Expr] = 1
     factor_degree: ClassVar[int] = 0
@@ -42,12 +72,44 @@ class Kinematics:
         """Return a copy with other coordinates `x`, UFL (d,), such as those of points on S off the mesh's facets."""
         return replace(self, x=x)
 
+    def components(self, d: int) -> tuple[str, ...]:
+        """Return the names of the unknown's components on a mesh of `d` dimensions."""
+        return tuple("xyz"[:d])
+
+    def uniform_components(self, d: int) -> tuple[int, ...]:
+        """Return the indices of the unknown's components whose uniform values cause no strain."""
+        return self.translation_axes(d)
+
+    def motion_count(self, d: int) -> int:
+        """Return the number of unit motions in `d` dimensions: of rigid bodies 3 in two dimensions, 6 in three."""
+        return d + len(UNIT_ROTATIONS[d])
+
+    def unit_motions_at(self, x: Array, about: Array) -> Array:
+        """Return the values (n, c, k) of the k unit motions without strain in a plane or in space, at n places (n, d).
+
+        The motions of rigid bodies are d translations, then rotations about the point `about` (d,).
+        """
+        n, d = x.shape
+        arms = np.einsum("kij,nj->nik", UNIT_ROTATIONS[d], x - about)
+        return np.concatenate([np.broadcast_to(np.eye(d), (n, d, d)), arms], axis=2)
+
+    def combined_motion(self, x: Expr, about: Array, factors: Expr) -> Expr:
+        """Return a combination (c,), UFL, of the k unit motions with the `factors` (k,), as `unit_motions_at` has them."""
+        d, arm = len(about), x - ufl.as_vector(about.tolist())
+        rotations = enumerate(UNIT_ROTATIONS[d].tolist())
+        rotation_terms = (factors[d + k] * ufl.dot(ufl.as_matrix(rotation), arm) for k, rotation in rotations)
+        return sum(rotation_terms, ufl.as_vector([factors[i] for i in range(d)]))
+
     def strain_indices(self, d: int) -> tuple[int, ...]:
         """Return the indices, from 0 to 5, of the Mandel components of strain that may be nonzero.
 
         `d` is the number of dimensions of the mesh.
         """
         return tuple(k for k, (_, j) in enumerate(MANDEL_PAIRS) if j < d)
+
+    def resisted_indices(self, d: int) -> tuple[int, ...]:
+        """Return the indices, as `strain_indices`, of those components that a stable law resists with a stress."""
+        return self.strain_indices(d)
 
     def translation_axes(self, d: int) -> tuple[int, ...]:
         """Return the indices of the coordinate axes along which rigid translations cause no strain.
@@ -96,6 +158,15 @@ class Kinematics:
         """
         return three_dimensional(ufl.sym(gradient))
 
+    def strain_across(self, jump: Expr, n: Expr) -> Expr:
+        """Return the strain (3, 3), UFL, that a jump (c,) of the unknown over a unit of length along `n` (d,) causes."""
+        return jump_strain(jump, n)
+
+    def tractions(self, stresses: Array, n: Array) -> Array:
+        """Return the tractions (n_points, c), conjugate to jumps, of stresses (n_points, 3, 3) on normals (n_points, d)."""
+        d = n.shape[1]
+        return np.asarray(np.einsum("pij,pj->pi", stresses[:, :d, :d], n))
+
     def admissible_part(self, a: Expr) -> Expr:
         """Return a stress or a prescribed strain (3, 3) without the components that the kinematics exclude.
 
@@ -134,6 +205,7 @@ class Axisymmetric(Kinematics):
     """
 
     name = "axisymmetric"
+    has_axis = is_fixed_on_axis = True
     has_rigid_rotations = False
     factor_degree = 1
 
@@ -169,4 +241,66 @@ class Axisymmetric(Kinematics):
         return ufl.as_tensor([[0, 0, 0], [0, 0, 0], [0, 0, u[0] / self._r]])
 
 
+class ScalarField(Kinematics):
+    """A scalar field, such as a temperature, on plane and three-dimensional meshes: its gradient and value are strains.
+
+    They stand in the places of `forms.tensors.scalar_strain`. In plane meshes nothing varies across the plane.
+    """
+
+    unknown = "scalar field"
+    has_value_in_strain = True
+    quantities = QuantityNames(
+        traction="flux",
+        body_force="source",
+        motion="a change of {} everywhere",
+        unsupported="nothing holds the field ({} costs nothing); add supports, or a Film",
+    )
+    has_rigid_rotations = False
+
+    def components(self, d: int) -> tuple[str, ...]:
+        return ("T",)
+
+    def uniform_components(self, d: int) -> tuple[int, ...]:
+        return (0,)
+
+    def motion_count(self, d: int) -> int:
+        return 1
+
+    def unit_motions_at(self, x: Array, about: Array) -> Array:
+        return np.ones((len(x), 1, 1))
+
+    def combined_motion(self, x: Expr, about: Array, factors: Expr) -> Expr:
+        return ufl.as_vector([factors[0]])
+
+    def strain_indices(self, d: int) -> tuple[int, ...]:
+        return (*range(d), 3)
+
+    def resisted_indices(self, d: int) -> tuple[int, ...]:
+        return tuple(range(d))
+
+    def strain(self, u: Expr) -> Expr:
+        return scalar_strain(ufl.grad(u[0]), u[0])
+
+    def strain_along(self, gradient: Expr, u: Expr) -> Expr:
+        return scalar_strain(gradient[0, :], u[0])
+
+    def strain_across(self, jump: Expr, n: Expr) -> Expr:
+        return scalar_strain(jump[0] * n)
+
+    def tractions(self, stresses: Array, n: Array) -> Array:
+        return np.asarray(np.einsum("pii,pi->p", stresses[:, : n.shape[1], : n.shape[1]], n)[:, None])
+
+
+class AxisymmetricScalarField(ScalarField):
+    """A scalar field in bodies of revolution: integrals have the factor 2 pi r, and there is no hoop strain."""
+
+    name, has_axis, factor_degree = Axisymmetric.name, True, Axisymmetric.factor_degree
+    translation_axes, axis_distances = Axisymmetric.translation_axes, Axisymmetric.axis_distances
+    factor, factors_at, _r = Axisymmetric.factor, Axisymmetric.factors_at, Axisymmetric._r
+
+
 KINEMATICS_BY_NAME: dict[str, Kinematics] = {kind.name: kind for kind in (PLANE_STRAIN, PlaneStress(), Axisymmetric())}
+SCALAR_KINEMATICS_BY_NAME: dict[str, Kinematics] = {
+    **dict.fromkeys(KINEMATICS_BY_NAME, ScalarField()),
+    Axisymmetric.name: AxisymmetricScalarField(),
+}

@@ -109,6 +109,7 @@ class Law(LayerResults):
     `ContactLaw` (contact at nodes). Its class declares traits (`Traits`) as attributes, such as `linear = True`.
 
     Attributes:
+        unknown: name of the unknown that the law is a law of: displacements, or a scalar field (`FluxLaw`).
         powers: name of a parameter -> power of the thickness eps to which this parameter is proportional in a family of
             layers; only a `BulkLaw` has powers.
         internal: name of an internal variable -> its shape: (), (3,), or (3, 3) if it is a symmetric tensor. Internal
@@ -120,6 +121,7 @@ class Law(LayerResults):
             numpy function of the coordinates (d, n) of n places in the joint that returns n values.
     """
 
+    unknown: ClassVar[str] = "displacement"
     takes_fields: ClassVar[bool] = False
     powers: ClassVar[Mapping[str, float]] = {}
     internal: ClassVar[Mapping[str, tuple[int, ...]]] = {}
@@ -359,6 +361,7 @@ class BulkLaw(Law):
             eps -> 0.
         volume_compliance: for a law with a separate pressure field p (trait `constrained`), the volumetric strain
             divided by p; 0: incompressible.
+        default_order: order of a layer's interface law if the user chooses none.
         methods: names of the method that computes the stress and of the one that computes the new internal variables,
             for messages.
         switching_variables: for laws whose phase switches, names of three internal variables: phase, driving force and
@@ -367,6 +370,7 @@ class BulkLaw(Law):
 
     takes_fields: ClassVar = True
     volume_compliance: ClassVar[Expr] = 0.0
+    default_order: ClassVar[int] = 0
     methods: ClassVar[tuple[str, str]] = ("stress", "advance")
     switching_variables: ClassVar[tuple[str, ...]] = ("phase", "drive", "bound")
 
@@ -561,6 +565,7 @@ class WrappedLaw(BulkLaw):
         """Check nothing, since the wrapped law has been checked when it was made."""
 
     powers, internal, break_times, fields = map(_law_property, ("powers", "internal", "break_times", "fields"))
+    unknown = _law_property("unknown")
     fields_at, at, parameters = map(_law_property, ("fields_at", "at", "parameters"))
     check, check_dimension = map(_law_property, ("check", "check_dimension"))
     statuses, status_at, plastic_strain = map(_law_property, ("statuses", "status_at", "plastic_strain"))

@@ -9,7 +9,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import ufl
 
-from forms.tensors import Expr, jump_strain, three_dimensional
+from forms.tensors import Expr, three_dimensional
 
 LawType = TypeVar("LawType")  # a law of strains, `forms.law.BulkLaw`
 GAUSS_HEIGHTS = (-(12**-0.5), 12**-0.5)  # Gauss points of the interval from -1/2 to 1/2, through the thickness
@@ -18,17 +18,21 @@ LOCKING_RATIO = 12.0
 
 
 class Faces(NamedTuple):
-    """Displacements of the two faces of a layer at a place of S, UFL, in d dimensions.
+    """Displacements of the two faces of a layer at a place of S, UFL, in d dimensions; or another unknown there.
+
+    The unknown has c components: d displacements, or the one value of a scalar field.
 
     Attributes:
         n: unit normal of S, from the lower to the upper face, (d,).
         eps: thickness of the layer.
-        jump: displacement [u] of the upper face minus that of the lower face, (d,).
-        grad_jump: gradient (d, d) of [u] along S.
+        jump: displacement [u] of the upper face minus that of the lower face, (c,).
+        grad_jump: gradient (c, d) of [u] along S.
         mean_strain_s: strain (3, 3) along S of the mean displacement <u> of both faces, or a prescribed strain; it is
             uniform through the layer.
-        strain_along: function that gives the strain (3, 3) along S of displacements on S. Its arguments are their
-            gradient along S (d, d) and their values (d,) (`Kinematics.strain_along`).
+        across: function that gives the strain (3, 3) of a jump (c,) over a unit of length along a normal (d,)
+            (`Kinematics.strain_across`).
+        along: function that gives the strain (3, 3) along S of the unknown on S. Its arguments are its gradient along S
+            (c, d) and its values (c,) (`Kinematics.strain_along`).
         grad_eps: gradient (d,) of the thickness along S; None: the thickness is uniform.
     """
 
@@ -37,7 +41,8 @@ class Faces(NamedTuple):
     jump: Expr
     grad_jump: Expr
     mean_strain_s: Expr
-    strain_along: Callable[[Expr, Expr], Expr]
+    across: Callable[[Expr, Expr], Expr]
+    along: Callable[[Expr, Expr], Expr]
     grad_eps: Expr | None = None
 
     def strain_across(self, z: float = 0.0) -> Expr:
@@ -50,12 +55,12 @@ class Faces(NamedTuple):
             z: height divided by the thickness, from -1/2 at the lower to 1/2 at the upper face.
         """
         n = self.n if self.grad_eps is None or z == 0 else self.n - z * self.grad_eps
-        return jump_strain(self.jump, n) / self.eps
+        return self.across(self.jump, n) / self.eps
 
     @property
     def strain_difference(self) -> Expr:
         """Strain (3, 3) along S of the upper face minus that of the lower face, sym(grad_S [u])."""
-        return self.strain_along(self.grad_jump, self.jump)
+        return self.along(self.grad_jump, self.jump)
 
     @property
     def strain_change(self) -> Expr:

@@ -10,6 +10,8 @@ from ufl.core.expr import Expr
 
 from forms.base import Array
 
+SQRT2 = 2.0**0.5
+
 
 def three_dimensional(a: Expr) -> Expr:
     """Return a vector (2,) or a tensor (2, 2), UFL, filled up with zeros to (3,) or (3, 3).
@@ -36,8 +38,30 @@ def jump_strain(w: Expr, n: Expr) -> Expr:
     return ufl.sym(ufl.outer(three_dimensional(w), three_dimensional(n)))
 
 
+def scalar_strain(gradient: Expr, value: Expr = 0.0) -> Expr:
+    """Return the tensor (3, 3), UFL, in which a scalar field's gradient and value stand for laws as a strain does.
+
+    A flux and a sink in the same places are its stress: scalar_strain(q, b) : scalar_strain(g, T) = q . g + b T.
+
+    Args:
+        gradient: gradient (d,) of the field, or flux.
+        value: value of the field, or sink.
+    """
+    g, off_diagonal = three_dimensional(gradient), value / SQRT2
+    return ufl.as_tensor([[g[0], off_diagonal, 0], [off_diagonal, g[1], 0], [0, 0, g[2]]])
+
+
+def scalar_gradient(e: Expr) -> Expr:
+    """Return the gradient (3,), UFL, that a tensor of `scalar_strain` contains."""
+    return ufl.as_vector([e[0, 0], e[1, 1], e[2, 2]])
+
+
+def scalar_value(e: Expr) -> Expr:
+    """Return the value, UFL, that a tensor of `scalar_strain` contains."""
+    return SQRT2 * e[0, 1]
+
+
 MANDEL_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-SQRT2 = 2.0**0.5
 # (6, 3, 3) symmetric tensors of norm 1
 MANDEL_BASIS = np.array([np.outer(np.eye(3)[i], np.eye(3)[j]) for i, j in MANDEL_PAIRS])
 MANDEL_BASIS += MANDEL_BASIS.swapaxes(1, 2)

@@ -18,12 +18,18 @@ if TYPE_CHECKING:
     from forms.law import Law
 
 # modules of the base classes, whose attributes are the defaults of all laws
-LAW_BASE_MODULES = tuple(f"forms.{name}" for name in ("law", "traction", "kernel", "contact", "series"))
-RESPONSE_ATTRIBUTES = ("stress", "traction", "source")  # attributes that give the stress or traction of a law
+LAW_BASE_MODULES = tuple(f"forms.{name}" for name in ("law", "traction", "flux", "kernel", "contact", "series"))
+RESPONSE_ATTRIBUTES = (
+    "stress",
+    "traction",
+    "flux",
+    "sink",
+    "source",
+)  # attributes that give the stress or traction of a law
 UPDATE_METHODS = ("advance", "evolve")  # methods that compute the new internal variables
 ORDER_1_METHODS = ("stations", "stations_at_ends", "end_constants", "elastic_moduli")
 STRESS_ATTRIBUTES = (*ORDER_1_METHODS, "stiffness", "plane_stress", "energetic")  # attributes valid for one stress only
-ENERGY_METHODS = ("energy", "dissipation", "dissipated")
+ENERGY_METHODS = ("energy", "potential", "loss", "dissipation", "dissipated")
 VARIABLE_SIZES = {(): 1, (3,): 3, (3, 3): 6}  # shape of an internal variable -> its number of components
 
 

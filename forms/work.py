@@ -16,8 +16,8 @@ from forms.base import InputError
 from forms.ends.weights import EndWeights
 from forms.kinematics import PLANE_STRAIN, Kinematics
 from forms.law import BulkLaw, Step, checked_stress
-from forms.stations import AnyStation, Faces
-from forms.tensors import Expr, jump_strain, three_dimensional
+from forms.stations import AnyStation, Faces, gauss_stations
+from forms.tensors import Expr, three_dimensional
 
 
 def require_constant_law(law: BulkLaw) -> BulkLaw:
@@ -152,18 +152,23 @@ class Interface:
         """Return the jump [v] of a function `v` on the mesh: its upper value minus its lower value on S."""
         return self.upper(v) - self.lower(v)
 
-    def faces(self, u: Expr, eps: Expr, grad_eps: Expr | None = None) -> Faces:
+    def faces(self, u: Expr, eps: Expr, grad_eps: Expr | None = None, *, uniform: bool = False) -> Faces:
         """Return the displacements of the faces of a layer on S.
 
         Args:
             u: displacement, UFL on the mesh.
             eps: thickness of the layer.
             grad_eps: gradient (d,) of the thickness eps along S, UFL; None: eps is uniform.
+            uniform: whether gradients along S count as zero, as in interface laws of order 0.
         """
-        projector = ufl.Identity(len(self.n)) - ufl.outer(self.director, self.n)
+        d = len(self.n)
+        projector = ufl.Identity(d) - ufl.outer(self.director, self.n)
         grad_upper, grad_lower = (ufl.dot(side.gradient(u), projector) for side in (self.upper, self.lower))
-        e_mean = self.kinematics.strain_along((grad_upper + grad_lower) / 2, (self.upper(u) + self.lower(u)) / 2)
-        return Faces(self.n, eps, self.jump(u), grad_upper - grad_lower, e_mean, self.kinematics.strain_along, grad_eps)
+        if uniform:
+            grad_upper = grad_lower = ufl.zero(len(self.jump(u)), d)
+        across, along = self.kinematics.strain_across, self.kinematics.strain_along
+        e_mean = along((grad_upper + grad_lower) / 2, (self.upper(u) + self.lower(u)) / 2)
+        return Faces(self.n, eps, self.jump(u), grad_upper - grad_lower, e_mean, across, along, grad_eps)
 
 
 def _inverse_gradient(to_s: Expr) -> Expr:
@@ -187,7 +192,7 @@ class Term:
         kinematics: kinematics of the strain.
         bbar_degree: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell
             (B-bar). It applies to compiled laws over cells. None: no projection.
-        traction: on S, function that returns, for a stress (3, 3), the traction (d,) that does the stress's virtual
+        traction: on S, function that returns, for a stress (3, 3), the traction (c,) that does the stress's virtual
             work on [u]. None: stress times n.
         mobility: flux along S per gradient of the pressure, eps^3/(12 mu), for laws of order 1 with a pressure on S; 0
             for others.
@@ -249,7 +254,11 @@ def jump_term(law: BulkLaw, sides: Interface) -> Term:
         sides: the two sides of S.
     """
     n, kinematics = sides.n, sides.kinematics
-    return Term(law, lambda u: jump_strain(sides.jump(u), n), sides.factor, sides.measure, n, kinematics=kinematics)
+
+    def strain(u: Expr) -> Expr:
+        return kinematics.strain_across(sides.jump(u), n)
+
+    return Term(law, strain, sides.factor, sides.measure, n, kinematics=kinematics)
 
 
 def s_terms(
@@ -263,7 +272,8 @@ def s_terms(
 ) -> list[Term]:
     """Return the terms on S of the interface law that replaces a layer.
 
-    Order 0: one term with the strain sym([u] (x) n)/eps, and eps as weight.
+    Order 0: one term with the strain sym([u] (x) n)/eps, and eps as weight. Where values of the unknown count, too, as
+    those of a scalar field, there are two: at the two Gauss points, with the values there.
 
     Order 1: one term for each of the law's stations (`BulkLaw.stations`). Its weight is eps times the weight of the
     station. Let z be the distance from the middle of the layer, divided by eps: -1/2 at the lower face, 1/2 at the
@@ -285,28 +295,36 @@ def s_terms(
     Raises:
         InputError: the law has no interface law of order 1.
     """
-    n, d, weight = sides.n, len(sides.n), sides.factor * eps
-    term = partial(Term, measure=sides.measure, n=n, kinematics=sides.kinematics)
-    if order == 0:
-        return [term(law, lambda u: jump_strain(sides.jump(u), n) / eps, weight, prescribed_strain=prescribed_strain)]
-    fixed_faces = Faces(n, eps, ufl.zero(d), ufl.zero(d, d), prescribed_strain, sides.kinematics.strain_along)
+    n, d, weight, kinematics = sides.n, len(sides.n), sides.factor * eps, sides.kinematics
+    c, across = len(kinematics.components(d)), kinematics.strain_across
+    term = partial(Term, measure=sides.measure, n=n, kinematics=kinematics)
+    if order == 0 and not kinematics.has_value_in_strain:
+        return [term(law, lambda u: across(sides.jump(u), n) / eps, weight, prescribed_strain=prescribed_strain)]
+    grad_eps = grad_eps if order == 1 else None
+    fixed_faces = Faces(n, eps, ufl.zero(c), ufl.zero(c, d), prescribed_strain, across, kinematics.strain_along)
 
     def jump_faces(i: int) -> Faces:
-        unit_vector = ufl.as_vector([float(i == j) for j in range(d)])
-        return Faces(n, eps, unit_vector, ufl.zero(d, d), ufl.zero(3, 3), lambda gradient, u: ufl.zero(3, 3), grad_eps)
+        unit_jump, no_strain = ufl.as_vector([float(i == j) for j in range(c)]), ufl.zero(3, 3)
+        return Faces(n, eps, unit_jump, ufl.zero(c, d), no_strain, across, lambda gradient, u: no_strain, grad_eps)
 
     def term_at(station: AnyStation) -> Term:
         surface_law, station_weight = sides.law_on_surface(station.law), station.station_weight
         strain_of = partial(station.strain, surface_law)
 
         def traction(stress: Expr) -> Expr:
-            return ufl.as_vector([eps * station_weight * ufl.inner(stress, strain_of(jump_faces(i))) for i in range(d)])
+            return ufl.as_vector([eps * station_weight * ufl.inner(stress, strain_of(jump_faces(i))) for i in range(c)])
 
         prescribed = None if prescribed_strain is None else strain_of(fixed_faces)
         mobility = eps**3 * station.mobility(surface_law)
-        make_at_station = partial(term, prescribed_strain=prescribed, mobility=mobility, traction=traction)
-        return make_at_station(station.law, lambda u: strain_of(sides.faces(u, eps, grad_eps)), weight * station_weight)
+        at_station = partial(term, prescribed_strain=prescribed, mobility=mobility, traction=traction)
 
+        def strain(u: Expr) -> Expr:
+            return strain_of(sides.faces(u, eps, grad_eps, uniform=order == 0))
+
+        return at_station(station.law, strain, weight * station_weight)
+
+    if order == 0:
+        return [term_at(station) for station in gauss_stations(law)]
     return [term_at(station) for station in (law.stations() if ends is None else law.stations_at_ends(ends))]
 
 

@@ -67,7 +67,7 @@ def test_the_stations_have_the_energy_of_an_end(dim, nu):
     along = np.eye(dim) - np.outer(n, n)
     mean = kinematics.strain_along(ufl.as_matrix((gradient @ along).tolist()), ufl.as_vector(jump.tolist()))
     jumps, slopes = ufl.as_vector(jump.tolist()), ufl.as_matrix((change @ along).tolist())
-    faces = Faces(n_ufl, eps, jumps, slopes, mean, kinematics.strain_along)
+    faces = Faces(n_ufl, eps, jumps, slopes, mean, kinematics.strain_across, kinematics.strain_along)
     weights = EndWeights(ufl.as_vector(m.tolist()), *map(ufl.as_ufl, values), ufl.as_ufl(1.0))
 
     def energy(stations):

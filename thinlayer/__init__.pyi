@@ -38,6 +38,7 @@ from thinlayer.output.probe import Probe as Probe
 from thinlayer.output.surface import Surface as Surface
 from thinlayer.output.sweep import sweep as sweep
 from thinlayer.output.zooming import Zoom as Zoom
+from thinlayer.parts.film import Film as Film
 from thinlayer.parts.plates import RigidPlate as RigidPlate
 from thinlayer.parts.springs import Springs as Springs
 from thinlayer.parts.ufl_part import UflPart as UflPart

@@ -227,6 +227,12 @@ def _law_conditions(r: Applicability) -> Iterator[Violation]:
     """Check that the law of the layer `r.layer` can be used, on S or meshed; yield each violated condition."""
     seam_layer, structure, element = r.layer, r.layer.structure, r.layer.structure.element
     seam_layer.law.check_dimension(structure.joint.dim)
+    if (unknown := seam_layer.law.unknown) != structure.kinematics.unknown:
+        reason = (
+            f"{seam_layer.law_name} is a law of a {unknown}, those of the bodies of a {structure.kinematics.unknown}"
+        )
+        yield Violation("unknown", reason, "make a structure for each unknown")
+        return
     if seam_layer.contact:
         reason = f"a contact law acts at nodes, and in {element}"
         if element == "S2":
@@ -380,7 +386,7 @@ def _neumann_conditions(r: Applicability) -> Iterator[Violation]:
 
     Forces on the layer's faces then do not determine its displacements, if it is meshed without bodies.
     """
-    components = r.layer.structure.kinematics.strain_indices(r.layer.structure.joint.dim)
+    components = r.layer.structure.kinematics.resisted_indices(r.layer.structure.joint.dim)
     tangents = [C for layer in r.layer.samples for _, _, C in layer.initial_tangents.sublayers if C is not None]
     for C in (C[np.ix_(components, components)] for C in tangents):
         singular_values = np.linalg.svd(C, compute_uv=False)

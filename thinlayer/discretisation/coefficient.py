@@ -21,7 +21,7 @@ from ufl.constantvalue import ComplexValue, RealValue
 from ufl.corealg.traversal import unique_pre_traversal
 from ufl.geometry import GeometricQuantity
 
-from forms.base import Array, InputError, is_finite
+from forms.base import Array, InputError, is_finite, require
 from forms.tensors import Expr
 from geometry.domain import Domain
 from geometry.joint import Joint
@@ -119,17 +119,24 @@ class Coordinates(FormerNames):
                 raise InputError(f"{what} is given after a march has begun, and {reason}; give it in check(model)")
         return self.cache[key]
 
-    def traction(self, load: LoadInput | Pressure, what: str, n: Expr) -> Expr:
-        """Return a load as the traction (d,) in UFL on facets with the outward unit normal `n`.
+    def load(self, load: LoadInput | Pressure | Value, what: str, n_components: int, n: Expr | None = None) -> Expr:
+        """Return a load as a vector (c,) in UFL of the `n_components` that the unknown has.
 
-        `what` begins error messages.
+        Args:
+            load: c components, or for c = 1 a number, constant or a function (x, t); or a `Pressure` on facets.
+            what: first words of error messages.
+            n_components: number c of components.
+            n: outward unit normal (d,) of facets; None: the load does not act on facets.
 
         Raises:
-            InputError: the load does not have d finite components, or a function fails.
+            InputError: the load does not have c finite components, or a function fails.
         """
-        if isinstance(load, Pressure):
+        if isinstance(load, Pressure) and n is not None:
+            require(n_components > 1, what, load, "a scalar field takes fluxes, numbers")
             return -self.coefficient(load.p, what, ()).expression * n
-        return self.coefficient(load, what, (self.mesh.geometry.dim,)).expression
+        if n_components > 1:
+            return self.coefficient(load, what, (n_components,)).expression
+        return ufl.as_vector([self.coefficient(load, what, ()).expression])
 
     @property
     def kinks(self) -> set[float]:

@@ -42,6 +42,7 @@ class LoadRegion:
             cells it is the value on one side of S.
         work_argument: function from a displacement, in UFL, to that with which the load does work. For a layer
             without cells this is the mean over the thickness.
+        by_part: name of the facet set on which a part, such as a film, exerts the load as its reaction; "": it is applied.
         base_argument: function from a displacement of the bodies, in UFL, to what the rigid base adds to this mean if
             it moves with them. None: there is no rigid base.
     """
@@ -51,6 +52,7 @@ class LoadRegion:
     value_in_region: Callable[[Expr], Expr] = lambda f: f
     work_argument: Callable[[Expr], Expr] = lambda v: v
     base_argument: Callable[[Expr], Expr] | None = None
+    by_part: str = ""
 
 
 class Forces:
@@ -75,6 +77,7 @@ class Forces:
         self, domain: Domain, kinematics: Kinematics, joint: Joint, at: Coordinates, structure: Structure
     ) -> None:
         self.domain, self.at, self._kinematics = domain, at, kinematics
+        self._n_components, names = len(kinematics.components(domain.joint.dim)), kinematics.quantities
         self.user_loads: dict[str, object] = {}
         # label, force, region, name of the seam if it is a layer's load
         self._loads: list[tuple[str, Expr, LoadRegion, str]] = []
@@ -86,8 +89,8 @@ class Forces:
         require(isinstance(tractions, Mapping), "tractions", tractions, "give {name: traction}")
         for name in sorted(tractions, key=str):  # in the same order on all ranks
             load = tractions[name]
-            tags = boundary_tags(domain, kinematics, name, f"traction on {name!r}", layer_side=True)
-            self._add_boundary_load(f"traction on {name!r}", load, ds(tags) if tags else None)
+            tags = boundary_tags(domain, kinematics, name, f"{names.traction} on {name!r}", layer_side=True)
+            self._add_boundary_load(f"{names.traction} on {name!r}", load, ds(tags) if tags else None)
             self._warn_of_gaps(name)
             layer_side = str(FacetName(FacetName.parse(name).set_name, LAYER))
             if layer_side not in tractions and (side_share := self._layer_side_fraction(name)):
@@ -96,7 +99,7 @@ class Forces:
         seams = (*(domain.joint.band.drawn_joint if domain.joint.band else domain.joint).seams, S)
         body_loads: dict[str, LoadInput] = values_by_body(body_force, domain.joint, "body_force", seams)
         for name, load in body_loads.items():
-            label = f"body force in {name!r}"
+            label = f"{names.body_force} in {name!r}"
             require(not isinstance(load, Pressure), label, load, "there is no normal inside a body; give a vector")
             self._add_boundary_load(label, load, dx(domain.region_tags(name)))
         for concentrated_load in structure.loads:
@@ -104,6 +107,11 @@ class Forces:
             density, measure = concentrated_density(concentrated_load, domain, joint, at)
             # total forces: without the factor of measures
             self.add_weighted_load("", concentrated_load.what, density, LoadRegion(measure, 1))
+        for part in structure.parts:
+            for name, load in part.surface_loads().items():
+                label, tags = f"{part.key}: surroundings", boundary_tags(domain, kinematics, name, part.key)
+                force = self.at.load(load, label, self._n_components)
+                self.add_weighted_load("", label, force, LoadRegion(ds(tags), kinematics.factor, by_part=name))
         self._whole_dx = dx
 
     def add_layer_load(self, name: str, load: LoadInput, region: LoadRegion, at: Coordinates) -> None:
@@ -115,9 +123,9 @@ class Forces:
             region: region of the layer.
             at: coordinates in the layer, with the time of the other loads.
         """
-        label = f"body force in the layer {name!r}"
+        label = f"{self._kinematics.quantities.body_force} in the layer {name!r}"
         self.user_loads[label] = load
-        self.add_weighted_load(name, label, at.coefficient(load, label, (self.domain.joint.dim,)).expression, region)
+        self.add_weighted_load(name, label, at.load(load, label, self._n_components), region)
 
     def add_weighted_load(self, name: str, what: str, force: Expr, region: LoadRegion) -> None:
         """Add a force per volume or area in a region to the loads.
@@ -132,7 +140,7 @@ class Forces:
 
     def _add_boundary_load(self, what: str, load: LoadInput | Pressure, measure: ufl.Measure | None) -> None:
         self.user_loads[what] = load
-        force = self.at.traction(load, what, ufl.FacetNormal(self.domain.mesh))
+        force = self.at.load(load, what, self._n_components, ufl.FacetNormal(self.domain.mesh))
         if measure is not None:
             self.add_weighted_load("", what, force, LoadRegion(measure, self._kinematics.factor))
 
@@ -183,14 +191,21 @@ class Forces:
             warn("other bodies", f"{text}. Load {part.set_name!r}, or '{layer_side}' as well", self.domain.comm)
         return sum(bool(mask.all()) for mask in loaded_masks) / len(loaded_masks)
 
-    def work(self, v: Expr, *, layers_only: bool = False) -> Expr:
+    def work(self, v: Expr, *, layers_only: bool = False, applied_only: bool = False) -> Expr:
         """Return the virtual work of the loads in displacements v, a UFL form linear in v.
 
-        It takes its time from the model's clock. With `layers_only` it has only the loads on layers.
+        It takes its time from the model's clock. With `layers_only` it has only the loads on layers, with
+        `applied_only` those that are no reactions of parts.
         """
-        form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self.domain.joint.dim)), v) * self._whole_dx
+        form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self._n_components)), v) * self._whole_dx
         loads = [entry for entry in self._loads if entry[3] or not layers_only]
+        loads = [entry for entry in loads if not (applied_only and entry[2].by_part)]
         return sum((ufl.inner(load, region.work_argument(v)) * region.measure for _, load, region, _ in loads), form)
+
+    def work_of_parts(self, v: Expr) -> dict[str, Expr]:
+        """Return, by facet set, the virtual work of the loads that are reactions of parts, UFL forms linear in v."""
+        loads = [(load, region) for _, load, region, _ in self._loads if region.by_part]
+        return {region.by_part: ufl.inner(load, v) * region.measure for load, region in loads}
 
     def work_on_bases(self, v: Expr) -> dict[str, Expr]:
         """Return, for each rigid base, the virtual work of the loads that act directly on the base.

@@ -46,11 +46,12 @@ class ThinLayer:
         at: thickness for which the parameters of `law` are given, a length > 0; None: eps. In a layer of thickness eps
             they are multiplied by (eps/at)**power, see `BulkLaw.powers`. Layers with the same `at` and smaller and
             smaller eps have the same interface law of order 0.
-        order: order of the interface law. Order 0 is the limit for thin layers, with error O(eps). Order 1 adds the
-            next power of eps. Its error is O(eps^2) where the sides of the layer are on rollers, and away from free
-            ends that are corrected, see `edges`. Order 1 needs elements of degree 2, and bodies="extended" where S is
-            curved or the thickness varies. All sublayers of a Stack must be `LinearElastic`. Other laws than
-            `LinearElastic` and `Rubber` need lmbda/mu <= 12 under small strains from rest.
+        order: order of the interface law; by default 0, and 1 for laws of a scalar field. Order 0 is the limit for thin
+            layers, with error O(eps). Order 1 adds the next power of eps. Its error is O(eps^2) where the sides of the
+            layer are on rollers, and away from free ends that are corrected, see `edges`. Order 1 needs elements of
+            degree 2, and bodies="extended" where S is curved or the thickness varies. All sublayers of a Stack must be
+            `LinearElastic`. Other laws than `LinearElastic` and `Rubber` need lmbda/mu <= 12 under small strains from
+            rest.
         profile: shape of a thickness that varies along S, a numpy function of coordinates x (d, n) that returns n
             numbers > 0. The thickness at the vertices of S is eps * profile(x), linear in between. The law's parameters
             do not vary with it.
@@ -81,7 +82,7 @@ class ThinLayer:
 
     law: BulkLaw
     eps: float
-    order: int = 0
+    order: int = None  # type: ignore[assignment]  # the law's `default_order`
     profile: Profile | None = None
     eigenstrain: EigenstrainInput | None = None
     edges: str | None = None
@@ -96,9 +97,9 @@ class ThinLayer:
         _check_thickness("layer's thickness eps", self.eps)
         if self.at is not None:
             _check_thickness("thickness at which the law's parameters hold, at,", self.at)
-        is_valid = is_number(self.order) and self.order in (0, 1)
-        require(is_valid, "the order of the interface law", self.order, "allowed: 0, 1")
-        object.__setattr__(self, "order", int(self.order))
+        order = self.law.default_order if self.order is None else self.order
+        require(is_number(order) and order in (0, 1), "the order of the interface law", order, "allowed: 0, 1")
+        object.__setattr__(self, "order", int(order))
         if self.order == 1:
             self.law.stations()  # raises errors of laws without order 1
         require(self.profile is None or callable(self.profile), "the profile", self.profile, "give a function of x")

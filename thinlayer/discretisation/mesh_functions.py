@@ -312,17 +312,18 @@ def _elect_owners(requests: IntArray, source_rank: IntArray, rank: int) -> IntAr
     return winners[np.searchsorted(distinct, key)]
 
 
-def vector_space(domain: Domain, cut: Splitting, degree: int, family: str) -> fem.FunctionSpace:
-    """Return a space of functions with d components in d dimensions, which may jump across cuts. Collective.
+def vector_space(domain: Domain, cut: Splitting, degree: int, family: str, n_components: int) -> fem.FunctionSpace:
+    """Return a space of vector functions, which may jump across cuts. Collective.
 
     Args:
         domain: the distributed mesh.
         cut: the joint's mesh with cuts where the functions may jump.
         degree: polynomial degree.
         family: basix family.
+        n_components: number of components of the functions, also a single one.
     """
     mesh, dim, comm = domain.mesh, domain.joint.dim, domain.comm
-    element = basix.ufl.element(family, mesh.basix_cell(), degree, shape=(dim,))
+    element = basix.ufl.element(family, mesh.basix_cell(), degree, shape=(n_components,))
     if domain.joint.periods:
         entity_keys = [domain.to_local(of_dim) for of_dim in cut.entity_keys]
         return broken_space(comm, SharedDofs.of_entities(comm, mesh, element, entity_keys))

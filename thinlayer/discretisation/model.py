@@ -25,7 +25,7 @@ from geometry.seam import BASE
 from geometry.sheet import volume_of
 from geometry.topology import FloatArray, Indices, Splitting, is_tensor
 from thinlayer.discretisation.applicability import Applicability
-from thinlayer.discretisation.coefficient import Coordinates, LoadInput, Pressure
+from thinlayer.discretisation.coefficient import Coordinates, LoadInput, Pressure, Value
 from thinlayer.discretisation.constraints import Constraints
 from thinlayer.discretisation.forces import BodyForce, Forces, LoadRegion
 from thinlayer.discretisation.form_compilation import checked_term, compiled_functionals, compiled_terms, mesh_origin
@@ -46,7 +46,7 @@ from thinlayer.discretisation.supports import Place, SupportConditions, Supports
 from thinlayer.discretisation.time_functions import TimeLevel, with_strains
 from thinlayer.errors import warn
 from thinlayer.pointwise.quadrature import Quadrature, quadrature_degree
-from thinlayer.system.compat import compiled, interpolate
+from thinlayer.system.compat import compiled, interpolate, interpolation_points
 from thinlayer.system.fingerprint import describe, digest
 from thinlayer.system.ranks import errors_on_all, free_petsc_objects, require_same
 
@@ -104,7 +104,8 @@ class Model(ABC):
         applicability: name of a seam -> range of validity of the interface law of its layer.
         domain: the distributed mesh.
         comm: the domain's communicator.
-        V: displacement space; broken across S in the interface model.
+        n_components: number c of components of the unknown: d displacements, or the one value of a scalar field.
+        V: space of the unknown; broken across S in the interface model.
         unknowns: number of displacement dofs, those at supports included.
         dx: measure of the cells with their tags, for user-defined terms. With such a term the residual at u is
             `work(model.terms_at(t), u, v) - model.external_work(v, t) + term * model.dx`, without compiled or nodal
@@ -146,6 +147,7 @@ class Model(ABC):
         self.domain = Domain.of(domain_joint, structure.comm)
         self.comm = self.domain.comm
         self.centre = moment_centre(structure.kinematics, np.asarray(domain_joint.points.mean(axis=0), float))
+        self.n_components = len(structure.kinematics.components(self.joint.dim))
         self.V = self.space(structure.degree, family="S" if self.element[0] == "S" else None)
         free_petsc_objects(self.comm, self.V)
         self.unknowns = int(self.V.dofmap.index_map.size_global * self.V.dofmap.index_map_bs)
@@ -372,6 +374,8 @@ class Model(ABC):
         *,
         tractions: Mapping[str, LoadInput | Pressure] | None = None,
         body_force: BodyForce | None = None,
+        fluxes: Mapping[str, Value] | None = None,
+        sources: Value | Mapping[str, Value] | None = None,
         loads: Sequence[ConcentratedLoad] | None = None,
         supports: SupportsByPlace | None = None,
     ) -> Self:
@@ -380,6 +384,7 @@ class Model(ABC):
         Args:
             tractions: name of a facet set -> traction (d,) in d dimensions, or `Pressure`; None: unchanged.
             body_force: force per volume (d,), or name of a region or seam -> this force; None: unchanged.
+            fluxes, sources: the same of a scalar field, numbers instead of vectors.
             loads: list of `PointLoad` and `LineLoad`; None: unchanged.
             supports: other values at the same places and components; None: unchanged.
 
@@ -390,7 +395,12 @@ class Model(ABC):
             checked_loads = None if loads is None else check_loads(loads)
         new = self._family_copy()
         new.structure = structure = self.structure.with_loads(
-            tractions=tractions, body_force=body_force, loads=checked_loads, supports=supports
+            tractions=tractions,
+            body_force=body_force,
+            fluxes=fluxes,
+            sources=sources,
+            loads=checked_loads,
+            supports=supports,
         )
         new.data_hash = digest([self.data_hash, structure.data_hash])
         with errors_on_all(self.comm):
@@ -481,10 +491,23 @@ class Model(ABC):
     @cached_property
     def node_coordinates(self) -> FloatArray:
         """Coordinates (n, d) of this rank's nodes of `V`, interpolated in `V`; ghosts are last. Collective."""
-        f, d = fem.Function(self.V), self.joint.dim
-        interpolate(f, lambda x: x[:d])
-        f.x.scatter_forward()
-        return np.asarray(f.x.array.reshape(-1, d))
+        f, d, c = fem.Function(self.V), self.joint.dim, self.n_components
+        columns = []
+        for k in range(0, d, c):  # as many coordinates at once as V has components
+            interpolate(f, lambda x, k=k: x[k : k + c])
+            f.x.scatter_forward()
+            columns.append(f.x.array.reshape(-1, c).copy())
+        return np.concatenate(columns, axis=1)
+
+    def unknown_at_rest(self, t: float) -> fem.Function:
+        """Return the unknown before the first step, which begins at the time t: zero, or `initial`. Collective."""
+        u = fem.Function(self.V)
+        if self.structure.initial is not None:
+            value = self.coordinates.coefficient(self.structure.initial, "initial", ()).expression
+            field = ufl.as_vector([value]) + fem.Constant(self.domain.mesh, np.zeros(1))  # as value may be a number
+            with self.coordinates.clock.at(t):
+                interpolate(u, fem.Expression(field, interpolation_points(self.V)))
+        return u
 
     def space(self, degree: int, *, family: str | None = None, broken_at_faces: bool = False) -> fem.FunctionSpace:
         """Return a space of vector functions on the model's mesh, with the jumps of its displacements. Collective.
@@ -495,7 +518,7 @@ class Model(ABC):
             broken_at_faces: whether functions also jump between the meshed layer and the bodies, or across S.
         """
         cut = mesh_cut_at_faces(self.domain.joint) if broken_at_faces else self.split_mesh
-        return vector_space(self.domain, cut, degree, family or "Lagrange")
+        return vector_space(self.domain, cut, degree, family or "Lagrange", self.n_components)
 
     # ---------------------------------------------------------------- where laws act
     def _metadata(self, measure: ufl.Measure, *, always: object = False) -> dict[str, dict[str, int]]:
@@ -631,7 +654,9 @@ class Model(ABC):
 
     def applied(self, t: float) -> Resultant:
         """Return the resultant force of all loads at the time t, with its moment about `centre`. Collective."""
-        loads = load_resultants(self, t, lambda v: {"": self.forces.work(v), **self.forces.work_on_bases(v)})
+        loads = load_resultants(
+            self, t, lambda v: {"": self.forces.work(v, applied_only=True), **self.forces.work_on_bases(v)}
+        )
         return reduce(add, loads.values())
 
     @staticmethod
@@ -673,6 +698,7 @@ class Model(ABC):
             "parts": describe(list(self.parts)),
             **({"strain": describe(self.structure.strain)} if self.strain else {}),
             **({"stress": describe(self.structure.stress)} if self.stress else {}),
+            **({} if self.structure.initial is None else {"initial": describe(self.structure.initial)}),
             **({"eigenstrains": describe(self.structure.eigenstrains)} if self.structure.eigenstrains else {}),
         }
 

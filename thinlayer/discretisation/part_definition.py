@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
@@ -12,10 +12,12 @@ import ufl
 from dolfinx import fem
 
 from forms.base import Array, InputError, require
+from forms.kinematics import PLANE_STRAIN
 from forms.tensors import Expr
 from forms.traits import accept_renamed
 from geometry.topology import Indices
 from thinlayer.discretisation.boundary import AXIS_NAMES
+from thinlayer.discretisation.coefficient import LoadInput, Value
 from thinlayer.discretisation.constraints import MultiPointConstraint
 from thinlayer.discretisation.form_compilation import compiled
 from thinlayer.discretisation.key import BODY_KIND, CONTACT_KIND, LAYER_KIND, PRESSURE_KIND, Key
@@ -43,12 +45,14 @@ class PartDefinition(FormerNames):
         key: name of the part's memory and energy in states and in files, unique among the parts of a model.
         place: for a part with a multi-point constraint, name of the facet set whose displacements it constrains.
         components: components of these displacements that it constrains, such as "y"; None: all.
+        unknowns: unknowns of the structures to which the part may belong, see `Kinematics.unknown`.
     """
 
     former_names: ClassVar = {"tied": "multi_point_constraint", "held": "bc_dofs_in", "resistance": "rigid_stiffness"}
     key: str
     place: str
     components: ClassVar[Sequence[str] | None] = None
+    unknowns: ClassVar[Sequence[str]] = (PLANE_STRAIN.unknown,)
 
     def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
@@ -72,6 +76,10 @@ class PartDefinition(FormerNames):
 
         Pass values that vary in time to `model.coordinates` here: steps of marches then end where their slopes change.
         """
+
+    def surface_loads(self) -> Mapping[str, LoadInput | Value]:
+        """Return loads on facet sets, by name, that the part exerts besides its forces; they count as its reaction."""
+        return {}
 
     def is_linear(self, model: HostModel) -> bool:
         """Return whether the part's forces are linear in the unknowns."""

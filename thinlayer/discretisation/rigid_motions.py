@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import Mesh
 
 from forms.base import Array, InputError
-from forms.kinematics import Kinematics
+from forms.kinematics import UNIT_ROTATIONS, Kinematics
 from forms.temperature import finite_values
 from forms.tensors import Expr
 from geometry.domain import Domain
@@ -32,26 +31,9 @@ if TYPE_CHECKING:
 ResistanceFunction = Callable[[Sequence[fem.Function]], Array]
 # plane (i, j) and sense of each rotation
 ROTATION_PLANES = {2: ((0, 1, 1.0),), 3: ((1, 2, 1.0), (0, 2, -1.0), (0, 1, 1.0))}
-# (k, d, d) matrices W of unit rotations: displacements W x, in 3D e_k x x
-UNIT_ROTATIONS = {2: np.array([[[0.0, -1.0], [1.0, 0.0]]]), 3: np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)}
 MIN_RELATIVE_EIGENVALUE = 1e-10  # least eigenvalue of the supports' Gram matrix of rigid motions, over its largest one
 # coordinates over the size of the structure, or force components over the largest one, that are shown as zero
 ZERO_TOLERANCE = 1e-12
-
-
-def motion_count(dim: int) -> int:
-    """Return the number of unit rigid motions: 3 in two dimensions, 6 in three."""
-    return dim + len(ROTATION_PLANES[dim])
-
-
-def unit_motions_at(x: Array, about: Array) -> Array:
-    """Return the displacements (n, d, k) of the k unit rigid motions at n places `x` (n, d) in d dimensions.
-
-    The motions are d translations, then rotations about the point `about` (d,).
-    """
-    n, d = x.shape
-    shifts, rotations = np.broadcast_to(np.eye(d), (n, d, d)), np.einsum("kij,nj->nik", UNIT_ROTATIONS[d], x - about)
-    return np.concatenate([shifts, rotations], axis=2)
 
 
 def resultant_mask(kinematics: Kinematics, dim: int) -> Array:
@@ -59,8 +41,9 @@ def resultant_mask(kinematics: Kinematics, dim: int) -> Array:
 
     Translations come first in the result (k,), then rotations. `dim` is the number of dimensions.
     """
-    has_resultant = np.isin(np.arange(dim), kinematics.translation_axes(dim))
-    return np.append(has_resultant, np.full(motion_count(dim) - dim, kinematics.has_rigid_rotations)).astype(float)
+    n_components, n_motions = len(kinematics.components(dim)), kinematics.motion_count(dim)
+    has_resultant = np.isin(np.arange(n_components), kinematics.uniform_components(dim))
+    return np.append(has_resultant, np.full(n_motions - n_components, kinematics.has_rigid_rotations)).astype(float)
 
 
 def moment_centre(kinematics: Kinematics, x: Array) -> Array:
@@ -68,32 +51,30 @@ def moment_centre(kinematics: Kinematics, x: Array) -> Array:
     return np.where(np.isin(np.arange(len(x)), kinematics.translation_axes(len(x))), x, 0.0)
 
 
-def motion_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
-    """Return a combination of the k unit rigid motions, in UFL, with a Constant (k,) as its factors.
-
-    The motions are d translations in d dimensions, then rotations about the point `about` (d,).
+def motion_expression(model: Model) -> tuple[fem.Constant, Expr]:
+    """Return a combination of the k unit rigid motions about the model's centre, with a Constant (k,) as its factors.
 
     Returns:
-        The Constant, which is zero, and the displacement (d,) of the combination.
+        The Constant, which is zero, and the displacement (c,) of the combination, in UFL.
     """
-    x, d = ufl.SpatialCoordinate(mesh), len(about)
-    factors = fem.Constant(mesh, np.zeros(motion_count(d)))
-    arm, rotations = x - ufl.as_vector(about.tolist()), enumerate(UNIT_ROTATIONS[d].tolist())
-    rotation_terms = (factors[d + k] * ufl.dot(ufl.as_matrix(rotation), arm) for k, rotation in rotations)
-    return factors, sum(rotation_terms, ufl.as_vector([factors[i] for i in range(d)]))
+    mesh, kinematics, about = model.domain.mesh, model.kinematics, model.centre
+    factors = fem.Constant(mesh, np.zeros(kinematics.motion_count(len(about))))
+    return factors, kinematics.combined_motion(ufl.SpatialCoordinate(mesh), about, factors)
 
 
-def motion_values(x: Array, about: Array, dofs: IntArray) -> Array:
-    """Return the values (m, k) of the k unit rigid motions at m displacement components of a space.
+def motion_values(model: Model, about: Array, dofs: IntArray) -> Array:
+    """Return the values (m, k) of the k unit rigid motions at m displacement components.
 
     The motions are translations, then rotations.
 
     Args:
-        x: (n, d) coordinates of the nodes of the space in d dimensions.
+        model: the model.
         about: (d,) the point about which motions rotate.
-        dofs: (m,) local numbers of the displacement components: d for each node.
+        dofs: (m,) local numbers of the displacement components: c for each node.
     """
-    return unit_motions_at(x[dofs // x.shape[1]], about)[np.arange(len(dofs)), dofs % x.shape[1]]
+    c = model.n_components
+    motions = model.kinematics.unit_motions_at(model.node_coordinates[dofs // c], about)
+    return motions[np.arange(len(dofs)), dofs % c]
 
 
 def motion_factors(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
@@ -106,14 +87,17 @@ def motion_factors(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
     would move one periodic side against the other. The only exception is a rotation about the direction of a single
     period in 3D.
     """
-    d, size, basis = joint.dim, joint.size, np.eye(motion_count(joint.dim))
-    factors = {f"translation {AXIS_NAMES[i]}": basis[i] for i in kinematics.translation_axes(d)}
+    d, size, basis = joint.dim, joint.size, np.eye(kinematics.motion_count(joint.dim))
+    names, motion = kinematics.components(d), kinematics.quantities.motion
+    factors = {motion.format(names[i]): basis[i] for i in kinematics.uniform_components(d)}
+    if not kinematics.has_rigid_rotations:
+        return factors
     if joint.periods:
         vectors = joint.periods.vectors(joint.points)
         if d == 3 and np.linalg.matrix_rank(vectors) == 1:
             direction = vectors[0] / np.linalg.norm(vectors[0])
             factors[f"rotation about ({', '.join(f'{c:.3g}' for c in direction)})"] = direction @ basis[d:] / size
-    elif kinematics.has_rigid_rotations:
+    else:
         for k, (i, j, sign) in reversed([*enumerate(ROTATION_PLANES[d])]):
             factors[f"rotation {AXIS_NAMES[i]}{AXIS_NAMES[j]}"] = basis[d + k] * sign / size
     return factors
@@ -129,7 +113,7 @@ def model_motion_values(model: Model, dofs: IntArray, kinematics: Kinematics | N
     """
     joint = model.domain.joint
     factors = [*motion_factors(joint, kinematics or model.kinematics).values()]
-    return motion_values(model.node_coordinates, joint.points.mean(axis=0), dofs) @ np.transpose(factors)
+    return motion_values(model, joint.points.mean(axis=0), dofs) @ np.transpose(factors)
 
 
 def model_motions(model: Model, kinematics: Kinematics | None = None) -> dict[str, fem.Function]:
@@ -141,7 +125,8 @@ def model_motions(model: Model, kinematics: Kinematics | None = None) -> dict[st
         model: the model.
         kinematics: kinematics that decide which motions there are; None: those of the model.
     """
-    values = model_motion_values(model, np.arange(model.node_coordinates.size), kinematics)
+    n_dofs = len(model.node_coordinates) * model.n_components
+    values = model_motion_values(model, np.arange(n_dofs), kinematics)
     modes = {name: fem.Function(model.V) for name in motion_factors(model.domain.joint, kinematics or model.kinematics)}
     for f, column in zip(modes.values(), values.T, strict=True):
         f.x.array[:] = column
@@ -181,10 +166,11 @@ def free_axes(model: Model, resistances: Sequence[ResistanceFunction]) -> tuple[
         model, resistances: arguments of `resistance_matrix`.
     """
     # translations are the first motions of `motion_factors`
-    axes = [*model.kinematics.translation_axes(model.joint.dim)]
-    diagonal = np.diag(resistance_matrix(model, resistances))[: len(axes)]
+    d = model.joint.dim
+    names = [model.kinematics.components(d)[k] for k in model.kinematics.uniform_components(d)]
+    diagonal = np.diag(resistance_matrix(model, resistances))[: len(names)]
     limit = MIN_RELATIVE_EIGENVALUE * max(*diagonal, 1.0)
-    return tuple(AXIS_NAMES[k] for k, r in zip(axes, diagonal, strict=True) if r <= limit)
+    return tuple(name for name, r in zip(names, diagonal, strict=True) if r <= limit)
 
 
 def require_support(model: Model, resistances: Sequence[ResistanceFunction]) -> None:
@@ -197,7 +183,7 @@ def require_support(model: Model, resistances: Sequence[ResistanceFunction]) -> 
     eigenvalues, eigenvectors = np.linalg.eigh(resistance_matrix(model, resistances))
     if eigenvalues[0] <= MIN_RELATIVE_EIGENVALUE * max(eigenvalues[-1], 1.0):
         motion = names[int(np.argmax(np.abs(eigenvectors[:, 0])))]
-        raise InputError(f"no support against rigid motion of the structure ({motion}); add supports")
+        raise InputError(model.kinematics.quantities.unsupported.format(motion))
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,6 +199,11 @@ class Resultant:
     force: Array
     moment: Array
     about: Array
+
+    @property
+    def components(self) -> Array:
+        """Components (d,) of the force."""
+        return self.force
 
     def at(self, about: Sequence[float] | Array) -> Resultant:
         """Return the same resultant with the moment about another point (d,)."""
@@ -231,6 +222,35 @@ class Resultant:
         force = at_place(np.where(np.abs(self.force) > ZERO_TOLERANCE * np.abs(self.force).max(), self.force, 0.0))
         moment = f"{self.moment:.6g}" if np.ndim(self.moment) == 0 else at_place(self.moment)
         return f"force {force}, moment {moment} about {at_place(self.about)}"
+
+
+@dataclass(frozen=True)
+class Flow:
+    """Resultant of a scalar field's fluxes: for heat the power that enters the structure; in 2D per unit thickness.
+
+    Attributes:
+        flow: flux times area.
+    """
+
+    flow: float
+
+    @property
+    def components(self) -> Array:
+        """The flow as an array (1,)."""
+        return np.array([self.flow])
+
+    def at(self, about: Sequence[float] | Array) -> Flow:
+        """Return the same flow; unlike a force it has no moment about a point."""
+        return self
+
+    def __add__(self, other: Flow) -> Flow:
+        return Flow(self.flow + other.flow)
+
+    def __neg__(self) -> Flow:
+        return Flow(-self.flow)
+
+    def __repr__(self) -> str:
+        return f"flow {self.flow:.6g}"
 
 
 def require_point(about: Sequence[float] | Array, dim: int) -> Array:
@@ -262,13 +282,15 @@ def load_resultants(model: Model, t: float, work: Callable[[Expr], Mapping[str, 
         t: the time.
         work: function from a motion v, in UFL, to the virtual work of the loads in v: name of a load -> UFL form.
     """
-    factors, v = motion_expression(model.domain.mesh, model.centre)
+    factors, v = motion_expression(model)
     works = {name: TimeLevel(t).at_level(form) for name, form in work(v).items()}
     return {name: resultant(model, unit_values(model.comm, form, factors)) for name, form in works.items()}
 
 
-def resultant(model: Model, motion_works: Array) -> Resultant:
-    """Return the resultant of forces from their work in the k unit rigid motions about the model's centre.
+def resultant(model: Model, motion_works: Array) -> Any:
+    """Return the `Resultant` of forces from their work in the k unit rigid motions about the model's centre.
+
+    For a scalar field it is a `Flow`.
 
     Components that vanish by axisymmetry are set to zero.
 
@@ -278,6 +300,8 @@ def resultant(model: Model, motion_works: Array) -> Resultant:
     """
     d = model.joint.dim
     works = np.asarray(motion_works) * resultant_mask(model.kinematics, d)
+    if len(works) == 1:
+        return Flow(float(works[0]))
     return Resultant(works[:d], works[d] if d == 2 else works[d:], model.centre)
 
 

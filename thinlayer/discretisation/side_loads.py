@@ -121,7 +121,7 @@ def _end_load(load: SideLoad, at: Coordinates, model: Model, layer: SeamLayer, s
         facet_factors = sides.upper(cellwise_function(model.domain, ("DG", 0, (5,)), cell_factors))
         m, offset = fem.Constant(mesh, end.m), fem.Constant(mesh, end.offset)
         end_coordinates = at.with_place(at.x + (offset - ufl.dot(m, at.x)) * m)
-        yield end_coordinates.traction(load.load, load.what, m), _transfer_region(facet_factors, m, sides, on_base)
+        yield end_coordinates.load(load.load, load.what, len(m), m), _transfer_region(facet_factors, m, sides, on_base)
 
 
 def _transfer_factors(end: StraightEnd, rim: Rim, layer: SeamLayer, constants: FreeEnd) -> FloatArray:

@@ -268,6 +268,7 @@ class State(Configuration):
         reactions = [(place, resultant(model, values)) for place, values in all_reactions]
         base_loads = load_resultants(model, self.t, model.forces.work_on_bases)
         reactions += [(name, -load) for name, load in base_loads.items()]
+        reactions += [*load_resultants(model, self.t, model.forces.work_of_parts).items()]
         total: dict[Place, Resultant] = {}
         for place, reaction in reactions:
             total[place] = total[place] + reaction if place in total else reaction

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 from mpi4py import MPI
 
 from forms.base import Array, InputError, require
 from forms.kernel import KernelLaw
-from forms.kinematics import KINEMATICS_BY_NAME
+from forms.kinematics import KINEMATICS_BY_NAME, SCALAR_KINEMATICS_BY_NAME, ScalarField
 from forms.law import BulkLaw, Law, explained_errors
 from forms.law_tangents import declared_or_computed_tangent, depends_on_normal, require_stable
 from geometry.joint import Joint
@@ -20,7 +20,7 @@ from geometry.seam import LAYER, FacetName, S
 from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.discretisation.boundary import require_revolution
-from thinlayer.discretisation.coefficient import LoadInput, Pressure, values_by_body
+from thinlayer.discretisation.coefficient import LoadInput, Pressure, Value, values_by_body
 from thinlayer.discretisation.forces import BodyForce
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -58,6 +58,11 @@ class Structure:
             and seams; a single seam is called "S". On a seam it is the weight of the layer, of order eps. It acts on
             the layer's cells. In the interface model it is multiplied by the thickness, and half of it acts on each
             side of S. On a rigid base one half acts directly on the base.
+        fluxes: for bodies with laws of a scalar field, in place of tractions: name of a facet set -> flux into the
+            body, a number or a function (x, t). Elsewhere on the boundary the flux is zero, if no support holds the
+            field.
+        sources: for a scalar field, in place of body forces: what is released per volume and time. A number, a function
+            (x, t), or name of a region or seam -> one of these.
         loads: list of `PointLoad` and `LineLoad`: forces at vertices and along edges.
         plane: "strain", "stress" or "axisymmetric", for a joint in 2D. In plane stress, laws compute the strains out of
             the plane themselves (`BulkLaw.plane_stress`). Axisymmetric: x is the distance r >= 0 from the axis of
@@ -75,6 +80,8 @@ class Structure:
             `ThermalExpansion`, `Prestress`, or a list of several that add up. A number multiplies the identity in three
             dimensions, so that in plane strain it also causes stress across the plane. Layers have their own
             eigenstrain, `ThinLayer(..., eigenstrain=...)`.
+        initial: for a scalar field, its value before a march, a number or a function (x, t), taken at the start. A
+            march with a capacity needs it. Non-linear steady problems are solved from it.
         comm: MPI communicator (default: the world).
 
     Attributes:
@@ -116,6 +123,8 @@ class Structure:
         supports: SupportsByPlace,
         tractions: Mapping[str, LoadInput | Pressure] | None = None,
         body_force: BodyForce | None = None,
+        fluxes: Mapping[str, Value] | None = None,
+        sources: Value | Mapping[str, Value] | None = None,
         loads: Sequence[ConcentratedLoad] = (),
         plane: str = "strain",
         element: str | None = None,
@@ -123,29 +132,31 @@ class Structure:
         strain: MeanTensorInput | None = None,
         stress: MeanTensorInput | None = None,
         eigenstrain: Eigenstrains | None = None,
+        initial: Value | None = None,
         comm: MPI.Intracomm | None = None,
     ) -> None:
         require(comm is None or isinstance(comm, MPI.Intracomm), "comm", comm, "give an MPI communicator, or None")
         self.joint, self.plane, self.comm = joint, plane, comm
-        self.supports, self.tractions, self.body_force = supports, tractions, body_force
-        self.strain, self.stress = strain, stress
+        self.supports, self.strain, self.stress, self.initial = supports, strain, stress, initial
         with errors_on_all(comm):
             require(isinstance(joint, Joint), "joint", joint, "it must be a Joint, such as geometry.sandwich gives")
             require(isinstance(parts, Sequence), "parts", parts, "it must be a list of parts")
             self.parts = tuple(parts)
             self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
             self.loads = check_loads(loads)
+            self.body_laws = self._laws_by_body(body)
             self._check_choices()
             self.degree = int(self.element[1])
-            self.body_laws = self._laws_by_body(body)
+            self.tractions, self.body_force = self._loads_of_unknown(tractions, body_force, fluxes, sources)
+            self._check_unknown(eigenstrain)
             eigenstrains = values_by_body(eigenstrain, joint, "eigenstrain")
             self.eigenstrains = {name: value for name, value in eigenstrains.items() if value is not None}
             for law, C in zip(self.body_laws_at_extremes, self.extreme_body_tangents, strict=True):
                 require_stable(law, C, slots=self.kinematics.strain_indices(joint.dim))
         self.data_hash = require_same(
-            comm, joint=joint, body=body, supports=_ordered_pairs(supports), tractions=tractions, body_force=body_force,
-            loads=self.loads, plane=plane, element=self.element, parts=self.parts, strain=strain, stress=stress,
-            eigenstrain=eigenstrain,
+            comm, joint=joint, body=body, supports=_ordered_pairs(supports), tractions=self.tractions,
+            body_force=self.body_force, loads=self.loads, plane=plane, element=self.element, parts=self.parts,
+            strain=strain, stress=stress, eigenstrain=eigenstrain, **({} if initial is None else {"initial": initial}),
         )  # fmt: skip
 
     # ---------------------------------------------------------------- models
@@ -245,6 +256,8 @@ class Structure:
         *,
         tractions: Mapping[str, LoadInput | Pressure] | None = None,
         body_force: BodyForce | None = None,
+        fluxes: Mapping[str, Value] | None = None,
+        sources: Value | Mapping[str, Value] | None = None,
         loads: Sequence[ConcentratedLoad] | None = None,
         supports: SupportsByPlace | None = None,
     ) -> Self:
@@ -253,10 +266,12 @@ class Structure:
         Args:
             tractions: name of a facet set -> traction (d,) in d dimensions, or `Pressure`; None: unchanged.
             body_force: force per volume (d,), or name of a region or seam -> this force; None: unchanged.
+            fluxes, sources: the same of a scalar field, numbers instead of vectors.
             loads: list of `PointLoad` and `LineLoad`; None: unchanged.
             supports: place -> prescribed displacements; None: unchanged.
         """
         new = copy_without_caches(self)
+        tractions, body_force = self._loads_of_unknown(tractions, body_force, fluxes, sources)
         data = {"tractions": tractions, "body_force": body_force, "loads": loads and tuple(loads), "supports": supports}
         changed = {name: value for name, value in data.items() if value is not None}
         vars(new).update(changed)
@@ -307,13 +322,14 @@ class Structure:
     def _check_choices(self) -> None:
         joint, element_names = self.joint, ELEMENT_NAMES[is_tensor(self.joint.cell_type)]
         require_known("plane", self.plane, KINEMATICS_BY_NAME)
-        self.kinematics = KINEMATICS_BY_NAME[self.plane]
+        unknown = next(iter(self.body_laws.values())).unknown
+        self.kinematics = (KINEMATICS_BY_NAME, SCALAR_KINEMATICS_BY_NAME)[unknown == ScalarField.unknown][self.plane]
         if joint.dim == 3 and self.plane != "strain":
             raise InputError(f"plane={self.plane!r} needs a two-dimensional joint")
         require_revolution(self.kinematics, joint)
         if self.strain is not None and self.stress is not None:
             raise InputError("give a mean strain or a mean stress, not both")
-        if not (self.kinematics.has_rigid_rotations or (self.strain is None and self.stress is None)):
+        if self.kinematics.has_axis and not (self.strain is None and self.stress is None):
             raise InputError(f"plane={self.plane!r}: a mean strain or stress is for periodic cells without an axis")
         if self.element not in element_names:
             cells_text = f"{joint.cell_type} cells; allowed: {', '.join(element_names)}"
@@ -331,7 +347,43 @@ class Structure:
             if not isinstance(law, Law):
                 raise InputError(f"body {name!r} has no law; give body=law or body={{{name!r}: law, ...}}")
             require_body_law(name, law)
+        first, *others = self.joint.bodies
+        for name in (name for name in others if laws[name].unknown != laws[first].unknown):
+            kinds = (f"{body!r} of a {laws[body].unknown} ({type(laws[body]).__name__})" for body in (first, name))
+            text = f"bodies have laws of different unknowns: {' and '.join(kinds)}"
+            raise InputError(f"{text}; make a structure for each unknown, and see thinlayer.coupled")
         return laws
+
+    def _loads_of_unknown(
+        self,
+        tractions: Mapping[str, LoadInput | Pressure] | None,
+        body_force: BodyForce | None,
+        fluxes: Mapping[str, Value] | None,
+        sources: Value | Mapping[str, Value] | None,
+    ) -> tuple[Any, Any]:
+        """Return the loads on facets and in volumes: tractions and body forces, or a scalar field's fluxes and sources.
+
+        Raises:
+            InputError: loads of the other kind are given.
+        """
+        forces, flows = {"tractions": tractions, "body_force": body_force}, {"fluxes": fluxes, "sources": sources}
+        loads, others = (flows, forces) if self.kinematics.unknown == ScalarField.unknown else (forces, flows)
+        for (name, value), instead in zip(others.items(), loads, strict=True):
+            if value is not None:
+                raise InputError(f"{name} do not act on a {self.kinematics.unknown}; give {instead}")
+        surface_loads, volume_loads = loads.values()
+        return surface_loads, volume_loads
+
+    def _check_unknown(self, eigenstrain: Eigenstrains | None) -> None:
+        """Raise InputError if a structure of a scalar field has data that only displacements have."""
+        if self.kinematics.unknown != ScalarField.unknown:
+            require(self.initial is None, "initial", self.initial, "displacements begin at zero, without stress")
+            return
+        data = {"eigenstrain": eigenstrain, "strain": self.strain, "stress": self.stress, "loads": self.loads or None}
+        for name in (name for name, value in data.items() if value is not None):
+            raise InputError(f"{name}= is of displacements, and the bodies have laws of a {self.kinematics.unknown}")
+        for part in (part for part in self.parts if self.kinematics.unknown not in part.unknowns):
+            raise InputError(f"{part!r:.80} acts on displacements; the bodies have laws of a scalar field")
 
 
 def require_body_law(name: str, law: Law) -> None:

@@ -18,7 +18,7 @@ from geometry.domain import Domain
 from geometry.refusals import require_known
 from geometry.seam import FacetName
 from geometry.topology import Indices
-from thinlayer.discretisation.boundary import AXIS_NAMES, boundary_tags, group_facets, node_normals, nodes_on_axis
+from thinlayer.discretisation.boundary import boundary_tags, group_facets, node_normals, nodes_on_axis
 from thinlayer.discretisation.coefficient import Coefficient, Coordinates, Value
 from thinlayer.system.compat import interpolate, interpolation_points
 
@@ -69,7 +69,7 @@ class Supports:
     ) -> None:
         require(isinstance(supports, Mapping), "supports", supports, "it must be {place: {component: value}}")
         self.domain, self.at, self.clamped = domain, at, tuple(clamped)
-        self.axes = AXIS_NAMES[: domain.joint.dim]
+        self.axes = kinematics.components(domain.joint.dim)
         entries: list[tuple[Place, AxisValues]] = []
         for place, support in supports.items():
             if isinstance(place, str):
@@ -84,7 +84,7 @@ class Supports:
                 self.values[entry, axis] = coeff = at.coefficient(value, f"support on {place!r}: component {axis}", ())
                 self.moving_places += [place] if coeff.varies or coeff.value != 0 else []
         self.anchor_axes: tuple[str, ...] = ()
-        self.on_axis = nodes_on_axis(kinematics, domain.joint)
+        self.on_axis = nodes_on_axis(kinematics, domain.joint) & kinematics.is_fixed_on_axis
 
     @property
     def entries(self) -> tuple[tuple[Place, AxisValues], ...]:
@@ -93,9 +93,11 @@ class Supports:
         return (*self.user_entries, *((place, zeros) for place in self.clamped))
 
     def _components(self, place: Place, support: Support) -> AxisValues:
-        require(not callable(support) and support is not None, f"support on {place!r}", support, "give {axis: value}")
+        is_value = support is not None and (not callable(support) or len(self.axes) == 1)
+        require(is_value, f"support on {place!r}", support, "give {axis: value}")
         components: AxisValues = dict(support if isinstance(support, Mapping) else dict.fromkeys(self.axes, support))
-        allowed = (*self.axes, NORMAL_COMPONENT) if isinstance(place, str) else self.axes  # a vertex has no normal
+        has_normal = isinstance(place, str) and len(self.axes) > 1  # unlike a vertex, or a scalar field
+        allowed = (*self.axes, NORMAL_COMPONENT) if has_normal else self.axes
         for axis in components:
             require_known("component", axis, allowed, f"support on {place!r}")
         return components
@@ -114,7 +116,8 @@ class Supports:
             return np.concatenate([self.dofs_at_place(V, place, component) for component in self.axes])
         if isinstance(place, str):
             facets = self.domain.facets(place, layer_sides=True)
-            return fem.locate_dofs_topological(V.sub(self.axes.index(axis)), self.domain.joint.dim - 1, facets)
+            component = V.sub(self.axes.index(axis)) if V.dofmap.bs > 1 else V
+            return fem.locate_dofs_topological(component, self.domain.joint.dim - 1, facets)
         return vertex_dofs(V, self.domain.vertices(self.domain.joint.nearest_point(place)), self.axes.index(axis))
 
     def bc_dofs_in(self, V: fem.FunctionSpace, *, clamped: bool = True) -> Indices:
@@ -336,5 +339,5 @@ class SupportConditions:
         """
         if not self._has_nodal_dofs:
             return None
-        x = self.V.tabulate_dof_coordinates()[self.condition_nodes[row], : self.d]
+        x = self.V.tabulate_dof_coordinates()[self.condition_nodes[row], : self.supports.domain.joint.dim]
         return np.where(np.abs(x) > RELATIVE_LENGTH_TOLERANCE * self.extent, x, 0.0)

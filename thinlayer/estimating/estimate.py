@@ -304,14 +304,14 @@ def _has_mpcs_on_S(model: InterfaceModel) -> bool:
 
     `model` is the interface model; all its seams with layers count.
     """
-    constraints, d = model.constraints, model.joint.dim
+    constraints, c = model.constraints, model.n_components
     if constraints.T is None:
         return False
     T = local_csr(constraints.T)
     is_constrained = abs(T - scipy.sparse.eye(*T.shape, k=constraints.row_start)).sum(axis=1) > 0
     sides = [nodes_of_sides(model.V, model.domain.sides(name)[0])[0] for name in model.layers]
     nodes = np.concatenate([*map(np.ravel, sides)])
-    dofs = (nodes[:, None] * d + np.arange(d)).ravel()
+    dofs = (nodes[:, None] * c + np.arange(c)).ravel()
     return bool(model.comm.allreduce(int(np.asarray(is_constrained)[dofs[dofs < constraints.n]].any()), max))
 
 

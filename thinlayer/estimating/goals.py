@@ -150,12 +150,12 @@ class DirectedGoal(Goal):
         self.unit(model)
 
     def unit(self, model: Model) -> Array:
-        """Return the unit vector (d,) along the direction, in the d dimensions of `model`.
+        """Return the unit vector (d,) along the direction, in the d dimensions of `model`, or (1.0,) for a scalar field.
 
         Raises:
             InputError: the direction has not d finite components, or is zero.
         """
-        d = model.joint.dim
+        d = model.n_components
         direction = finite_values(self.direction, (d,))
         if direction is None or not direction.any():
             raise InputError(f"{self.name}: the direction is {self.direction!r:.200}; give {d} numbers, not all zero")
@@ -235,17 +235,17 @@ class Reaction(DirectedGoal):
         Raises:
             InputError: the direction is zero, not of d components or, in axisymmetry, radial.
         """
-        axial: Array = super().unit(model) * resultant_mask(model.kinematics, model.joint.dim)[: model.joint.dim]
+        axial: Array = super().unit(model) * resultant_mask(model.kinematics, model.joint.dim)[: model.n_components]
         allowed = "give one with a part along the axis: forces along radii add up to zero"
         require(axial.any(), f"{self.name}: the direction", self.direction, allowed)
         return axial
 
     def value(self, state: State, model: InterfaceModel) -> float:
-        return float(state.reaction(self.place).force @ self.unit(model))
+        return float(state.reaction(self.place).components @ self.unit(model))
 
     def scale(self, state: State, model: InterfaceModel) -> float:
-        forces = [reaction.force for reaction in state.reactions_by_place().values()]
-        force_sum = float(sum(np.linalg.norm(force) for force in [*forces, state.applied().force]))
+        forces = [reaction.components for reaction in state.reactions_by_place().values()]
+        force_sum = float(sum(np.linalg.norm(force) for force in [*forces, state.applied().components]))
         surfaces = [Surface(model, name) for name in model.layers]  # under pure moments all resultants are zero
         seam_forces = (_rms_traction(surface, state) * float(surface.integral(1.0)) for surface in surfaces)
         return max(force_sum, sum(seam_forces))
@@ -336,7 +336,7 @@ class MeanTraction(DirectedGoal):
             others = [nodes for other, nodes in sides.items() if other != name]
             n_others = nodal_sums(W, others, [np.ones(len(e))] * len(others)) + is_fixed.x.array.reshape(-1, len(e))
             w, v_on_S, surface = fem.Function(W), fem.Function(model.V), SurfaceMesh(model, name)
-            at_nodes = self._in_stretch(W.tabulate_dof_coordinates()[:, : len(e)])
+            at_nodes = self._in_stretch(W.tabulate_dof_coordinates()[:, : model.joint.dim])
             w.x.array[:] = (_reaction_factors(W, sides[name], n_others > 0) * at_nodes[:, None] * e).ravel()
             v_on_S.interpolate(w)
             lower, upper = surface.side_values(v_on_S, model, surface.quadrature)
@@ -457,12 +457,12 @@ class Displacement(DirectedGoal):
         return float(state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
-        model, d = adjoint.model, adjoint.model.joint.dim
+        model, c = adjoint.model, adjoint.model.n_components
         located = self._cells(model)
         e, V = self.unit(model), model.V
-        original = model.domain.original_cells[: model.domain.mesh.topology.index_map(d).size_local]
+        original = model.domain.original_cells[: model.domain.mesh.topology.index_map(model.joint.dim).size_local]
         local_cell = np.flatnonzero(original == located.entity[0])[:1]  # none on the other ranks
-        dofs = (V.dofmap.list[local_cell].ravel()[:, None] * d + np.arange(d)).ravel().astype(np.int64)
+        dofs = (V.dofmap.list[local_cell].ravel()[:, None] * c + np.arange(c)).ravel().astype(np.int64)
         values = (V.ufl_element().basix_element.tabulate(0, located.X[:1])[0, 0, :, 0][:, None] * e).ravel()
         return adjoint.nodal_weights(dofs, values[: len(dofs)]), adjoint.zero_vector()
 
@@ -528,7 +528,7 @@ class Functional(Goal):
     def _derivative(self, u: fem.Function, model: InterfaceModel) -> Expr:
         v = ufl.TestFunction(model.V)
         derivative = expand_derivatives(ufl.derivative(self._form(u, model), u, v))
-        zero_form = ufl.inner(fem.Constant(model.domain.mesh, np.zeros(model.joint.dim)), v) * model.dx
+        zero_form = ufl.inner(fem.Constant(model.domain.mesh, np.zeros(model.n_components)), v) * model.dx
         return zero_form if derivative.empty() else derivative
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:

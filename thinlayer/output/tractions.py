@@ -38,7 +38,7 @@ def layer_tractions(surface: SurfaceMesh, state: State) -> Array:
     matrix of the projection is lumped if the surface's model has a contact law. Contact laws have their tractions at
     the nodes.
     """
-    corner_forces = np.zeros((*surface.corners.shape, surface.joint.dim))
+    corner_forces = np.zeros((*surface.corners.shape, state.model.n_components))
     for points, facets in layer_points(surface, state):
         add_forces = _add_interface_forces if points.quadrature.region.dim < surface.joint.dim else _add_meshed_forces
         add_forces(corner_forces, surface, facets, points)
@@ -88,7 +88,7 @@ def _point_tractions(points: LawPoints) -> Array:
     """
     q, stress = points.quadrature, points.stress()
     if points.term.traction is None:
-        return np.asarray(np.einsum("pij,pj->pi", stress, q.n)[:, : q.dim])
+        return points.term.kinematics.tractions(stress, q.n[:, : q.dim])
     if q not in _UNIT_STRESS_TRACTIONS:
         _UNIT_STRESS_TRACTIONS[q] = _unit_stress_tractions(points.term.traction, q)
     return np.asarray(np.einsum("pkd,pk->pd", _UNIT_STRESS_TRACTIONS[q], mandel_vectors(stress)))
@@ -102,10 +102,10 @@ def _unit_stress_tractions(traction: Callable[[Expr], Expr], q: Quadrature) -> A
         q: quadrature points of the law on S.
     """
     unit_stresses = [mandel_tensor(ufl.as_vector([float(i == k) for i in range(6)])) for k in range(6)]
-    components = [t[i] for t in map(traction, unit_stresses) for i in range(q.dim)]
+    components = [t[i] for t in map(traction, unit_stresses) for i in range(len(t))]
     if all(isinstance(t, Zero) for t in components):  # a station whose strain does not depend on [u]
-        return np.zeros((q.count, 6, q.dim))
-    return q.values(ufl.as_vector(components)).reshape(q.count, 6, q.dim)
+        return np.zeros((q.count, 6, len(components) // 6))
+    return q.values(ufl.as_vector(components)).reshape(q.count, 6, -1)
 
 
 def _add_meshed_forces(corner_forces: Array, surface: SurfaceMesh, facets: IntArray, points: LawPoints) -> None:
@@ -129,9 +129,10 @@ def _add_meshed_forces(corner_forces: Array, surface: SurfaceMesh, facets: IntAr
     N = np.einsum("qc,fca->fqa", shapes, (nearest_corner[..., None] == np.arange(facet_x.shape[1])).astype(float))
     point_eps = np.einsum("fqa,fa->fq", N, surface.thickness(layer, surface.corners[facets]))
     n = q.n[:, : joint.dim]
-    t = np.einsum("pij,pj->pi", points.stress(), q.n)[:, : joint.dim]
+    t = points.term.kinematics.tractions(points.stress(), n)
     tangential_weight, normal_weight = _sublayer_weights(layer, points)
-    t = tangential_weight * t + (normal_weight - tangential_weight) * np.einsum("pi,pi,pj->pj", t, n, n)
+    if normal_weight != tangential_weight:
+        t = tangential_weight * t + (normal_weight - tangential_weight) * np.einsum("pi,pi,pj->pj", t, n, n)
     np.add.at(corner_forces, facets, np.einsum("fq,fqa,fqd->fad", q.weights[point_ids] / point_eps, N, t[point_ids]))
 
 
@@ -173,7 +174,7 @@ def consistent_tractions(surface: SurfaceMesh, state: State, *, bonds_joined: bo
         bonds_joined: whether bonded bodies count as one body, so that only layers exert forces at S. If not, bonded
             bodies exert forces on each other.
     """
-    model, d = state.model, surface.joint.dim
+    model, d = state.model, state.model.n_components
     r = layer_forces(state, bonds_joined)
     bc_marker = fem.Function(r.function_space)
     bc_marker.x.array[model.bc_dofs_in(r.function_space)] = 1.0

@@ -11,6 +11,7 @@ import scipy.sparse
 from dolfinx import fem
 
 from forms.base import Array, InputError
+from forms.kinematics import PLANE_STRAIN
 from forms.tensors import Expr
 from geometry.refusals import require_known
 from thinlayer.discretisation.boundary import AXIS_NAMES, boundary_tags
@@ -20,10 +21,8 @@ from thinlayer.discretisation.part_definition import HostModel, PartDefinition
 from thinlayer.discretisation.rigid_motions import (
     centroid,
     moment_centre,
-    motion_count,
     require_point,
     resultant_mask,
-    unit_motions_at,
 )
 from thinlayer.discretisation.state import State
 
@@ -108,7 +107,7 @@ class RigidPlate(PartDefinition):
     def multi_point_constraint(self, model: HostModel) -> MultiPointConstraint:
         """Return the constraint by which the displacements of the plate's nodes follow its few motions. Collective."""
         d, size = model.joint.dim, model.domain.joint.size
-        units = np.where(np.arange(motion_count(d)) < d, 1.0, size)
+        units = np.where(np.arange(PLANE_STRAIN.motion_count(d)) < d, 1.0, size)
         keys, loads, vals = self.prescribed_motions(model), self._prescribed_loads(model), self._motions(model)
         motion = {k: partial(lambda k, t: float(vals[k].at_time(t) * units[k]) if k in vals else 0.0, k) for k in keys}
         R = self._motion_matrix(model, self.point(model), size)
@@ -148,7 +147,7 @@ class RigidPlate(PartDefinition):
             extrema = np.array(model.comm.allgather((low, high)))
             middle = (extrema[:, 0].min(axis=0) + extrema[:, 1].max(axis=0)) / 2  # the reference point does not shift
             x = x + node_shifts[nodes] - middle
-        motion_values = unit_motions_at(x, about)
+        motion_values = PLANE_STRAIN.unit_motions_at(x, about)
         motion_values[:, :, d:] /= size
         k = motion_values.shape[2]
         indices = np.repeat(nodes[:, None] * d + np.arange(d), k), np.tile(np.arange(k), len(nodes) * d)
@@ -216,7 +215,7 @@ class RigidPlate(PartDefinition):
         Raises:
             InputError: a motion is prescribed, and its force or moment is not zero.
         """
-        out, slices = np.zeros(motion_count(d)), {"force": slice(d), "moment": slice(d, None)}
+        out, slices = np.zeros(PLANE_STRAIN.motion_count(d)), {"force": slice(d), "moment": slice(d, None)}
         for name, value in loads.items():
             out[slices[name]] = value.at_time(t)
         for k in prescribed:

@@ -115,7 +115,7 @@ class Springs(PartDefinition):
             model: the model.
             u: displacements.
         """
-        motion, v = motion_expression(model.domain.mesh, model.centre)
+        motion, v = motion_expression(model)
         return [(self.place, -unit_values(model.comm, self.work(model, u, v), motion))]
 
     def part(self, model: HostModel) -> FormPart:

@@ -188,9 +188,17 @@ class Equations(PartSum):
 
     # ---------------------------------------------------------------- a step
     def rest_state(self, t: float) -> State:
-        """Return the state at rest at time `t`, before the first step: displacements are zero, and stresses too."""
+        """Return the state at rest at time `t`, before the first step: displacements are zero, and stresses too.
+
+        A scalar field has its initial value. If none is given, non-linear problems start from the mean of what supports
+        prescribe, as laws may be singular at zero.
+        """
         model, report = self.model, Report("rest", 0, 0.0, 0.0)
-        dissipated, u = dict.fromkeys(model.sums_by_seam_and_bodies({}), 0.0), fem.Function(model.V)
+        dissipated, u = dict.fromkeys(model.sums_by_seam_and_bodies({}), 0.0), model.unknown_at_rest(t)
+        if model.n_components == 1 and model.structure.initial is None and not model.linear:
+            values = self._bc_dofs_and_values(t)[1]
+            total, count = model.comm.allreduce(np.array([values.sum(), len(values)]))
+            u.x.array[:] = total / max(count, 1.0)
         memory, stresses = self.memory_at_rest, self.stresses_at_rest
         return State(u, t, memory, stresses=stresses, at_rest=True, model=model, report=report, dissipated=dissipated)
 

@@ -73,7 +73,8 @@ class DirichletLayers:
         assert domain.joint.band is not None
         nodes = [fem.locate_dofs_topological(model.V, d - 1, domain.facets(name)) for name in domain.joint.band.faces]
         self.on_face = np.zeros(n, bool)
-        self.on_face[np.concatenate(nodes)[:, None] * d + np.arange(d)] = True
+        c = model.n_components
+        self.on_face[np.concatenate(nodes)[:, None] * c + np.arange(c)] = True
         self._inner = ~self.on_face & ~self._at_sides
 
     def transpose(self) -> None:
@@ -217,10 +218,11 @@ class DirichletLayers:
         X = refined.parent_coordinates(interpolation_points(V))
         shape_values = element.tabulate(0, X.reshape(-1, d))[0, :, :, 0].reshape(*X.shape[:2], -1)
         parent_dofs = self.model.V.dofmap.list[self.model.domain.local_cells[refined.parent]]
-        cell_displacements = w[: self._n_u].reshape(-1, d)[parent_dofs]
+        c = self.model.n_components
+        cell_displacements = w[: self._n_u].reshape(-1, c)[parent_dofs]
         fine_values = np.einsum("iq,nqk,nkd->nid", element.interpolation_matrix, shape_values, cell_displacements)
         out = np.zeros(len(fine.load))
-        out[: fine._n_u].reshape(-1, d)[V.dofmap.list] = fine_values[fine.model.domain.original_cells]
+        out[: fine._n_u].reshape(-1, c)[V.dofmap.list] = fine_values[fine.model.domain.original_cells]
         return out
 
 
@@ -428,7 +430,7 @@ def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntAr
         Two arrays (k,): local numbers of dofs of the interface model, and numbers of the same displacements in the
             layers. Only dofs that this rank owns in the interface model occur.
     """
-    joint, band, d = layers.joint, layers.domain.joint, interface.joint.dim
+    joint, band, c = layers.joint, layers.domain.joint, interface.n_components
     pairs, k = [], band.table.vertices.shape[1]
     for cells, face_nodes in zip(joint.surface_cells.T, band_of(band).face_nodes, strict=True):
         faces = band.table.index(face_nodes[:, :k])
@@ -441,7 +443,7 @@ def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntAr
     node_pairs = np.concatenate(pairs)
     node_pairs = node_pairs[node_pairs[:, 0] < interface.V.dofmap.index_map.size_local]
     _, first_rows = np.unique(node_pairs[:, 0], return_index=True)
-    body_dofs, face_dofs = (node_pairs[first_rows].T[..., None] * d + np.arange(d)).reshape(2, -1)
+    body_dofs, face_dofs = (node_pairs[first_rows].T[..., None] * c + np.arange(c)).reshape(2, -1)
     return body_dofs, face_dofs
 
 

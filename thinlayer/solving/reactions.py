@@ -53,7 +53,7 @@ class SupportReactions:
         Args:
             rows: (m,) local numbers of the displacements on this rank.
         """
-        return motion_values(self.model.node_coordinates, self.model.centre, rows)
+        return motion_values(self.model, self.model.centre, rows)
 
     def reactions_at_end(self, r: PETSc.Vec, interval: TimeStep, loads_at: Callable[[float], PETSc.Vec]) -> Array:
         """Return the reactions (n, k) at the end of a time step: k components of force and moment at n supports.
@@ -179,7 +179,7 @@ class RigidMotions:
         for k, name in enumerate(model.layers if joint.band is None else (), 1):
             nodes = nodes_of_sides(V, model.domain.sides(name)[0])[0]
             block_of[nodes] = block_of[nodes] % n_pieces + k * n_pieces
-        block_of = block_of.repeat(joint.dim)[: model.constraints.n]
+        block_of = block_of.repeat(model.n_components)[: model.constraints.n]
         block_of[model.constraints.bc_dofs] %= n_pieces
         block_ids = np.unique(np.concatenate(model.comm.allgather(np.unique(block_of))))
         is_layer = np.isin(block_ids, block_of_cell[in_layer])
@@ -200,7 +200,7 @@ class RigidMotions:
         """
         model, constraints = self.model, self.model.constraints
         n, rows = constraints.n, rows if constraints.T is None else np.arange(constraints.n)
-        piece_of_row, values = self._piece_of_node[rows // model.joint.dim], model_motion_values(model, rows)
+        piece_of_row, values = self._piece_of_node[rows // model.n_components], model_motion_values(model, rows)
         self._n_per_piece = per = values.shape[1]
         row_lengths = np.zeros(n + 1, np.int64)
         row_lengths[rows + 1] = per
@@ -260,11 +260,13 @@ class RigidMotions:
         d, n_pieces = self.model.joint.dim, len(self._names)
         by_piece = motions[: n_pieces * self._n_per_piece].reshape(n_pieces, self._n_per_piece, -1)  # plates come last
         k = int(np.abs(by_piece[..., -1]).max(axis=1).argmax())
-        axes, translation = [*self.model.kinematics.translation_axes(d)], np.zeros(d)
+        axes, translation = [*self.model.kinematics.uniform_components(d)], np.zeros(self.model.n_components)
         translation[axes], rotation = np.split(by_piece[k, :, -1], [len(axes)])
         joint = self.model.domain.joint
         middle = joint.points[joint.corners[self.model.split_mesh.pieces == k]].mean(axis=(0, 1))
         body = f"body {self._names[k]!r}" + f" at {place_text(middle)}" * (self._names.count(self._names[k]) > 1)
+        if self.model.n_components == 1:
+            return f"the value of {body} can change everywhere"
         rank = np.linalg.matrix_rank(by_piece[k], tol=INDEPENDENCE_TOLERANCE)
         if self.model.kinematics.has_rigid_rotations and rank == self._n_per_piece:
             return f"{body} can move and turn freely"

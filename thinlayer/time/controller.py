@@ -162,6 +162,9 @@ class Controller(ABC):
             SolveError: this response cannot be computed.
         """
         if self.solver.equations.traits.rate:
+            model = self.solver.model
+            if model.n_components == 1 and model.structure.initial is None:
+                raise InputError("a march with a capacity needs the field at its start: Structure(initial=...)")
             self.journal.add_state(self.solver.rest_state(self.start))
             return
         try:

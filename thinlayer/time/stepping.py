@@ -95,7 +95,8 @@ class PlannedStepsController(Controller):
     def _resultant(self, t: float) -> list[float]:
         """Return the resultant force of the loads at time `t`, on bodies and rigid plates, as its 2 or 3 components."""
         model, loads = self.solver.model, self.solver.equations.loads_at(t)
-        translations = [*model_motions(model, PLANE_STRAIN).values()][: model.joint.dim]
+        kinematics = model.kinematics if model.n_components == 1 else PLANE_STRAIN  # which has all translations
+        translations = [*model_motions(model, kinematics).values()][: model.n_components]
         return [float(loads.dot(motion.x.petsc_vec)) for motion in translations]
 
     # ---------------------------------------------------------------- attempts

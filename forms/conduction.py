@@ -1,0 +1,158 @@
+"""Laws of conduction: of heat, electric current, diffusing species, or a fluid in pores."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import ufl
+from scipy.spatial.transform import Rotation
+
+from forms.base import Array, InputError
+from forms.flux import FluxLaw, FluxStep
+from forms.law import choice, require_positive
+from forms.tensors import Expr, layer_frame
+
+
+@dataclass(frozen=True, eq=False)
+class Conduction(FluxLaw):
+    """Fourier's, Ohm's, Fick's or Darcy's law: the flux is k times the gradient of the field.
+
+    As a layer's law of order 0, with the jump [T]: flux through the layer k [T]/eps.
+
+    Attributes:
+        k: conductivity, > 0: flux over gradient. A number, or a numpy function of the coordinates (d, n) of n places.
+
+    Raises:
+        InputError: k out of range.
+
+    Example:
+        >>> from forms import Conduction
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, ThinLayer, solve
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")  # mm
+        >>> plates = Structure(
+        ...     joint, body=Conduction(k=0.05), supports={"BOTTOM": 20, "TOP": 80}
+        ... )
+        >>> state = solve(plates.interface(ThinLayer(Conduction(k=2e-4), eps=0.1)))
+        >>> print(f"{state.reaction('TOP').flow:.4f} W/mm")
+        0.4286 W/mm
+    """
+
+    k: float
+    linear = True
+    has_quadratic_energy = True
+    powers: ClassVar = {"k": 1}
+
+    def check(self) -> None:
+        require_positive(self, "k")
+
+    def flux(self, step: FluxStep) -> Expr:
+        return self.k * step.g
+
+    def potential(self, step: FluxStep) -> Expr:
+        return self.k * ufl.inner(step.g_end, step.g_end) / 2
+
+    def stiffness(self, n: Array) -> Array:
+        return np.diag([float(self.k)] * 3 + [0.0] * 3)
+
+
+@dataclass(frozen=True, eq=False)
+class AnisotropicConduction(FluxLaw):
+    """Conduction that depends on the direction: the flux is K times the gradient, with a tensor K.
+
+    Attributes:
+        K: (3, 3) symmetric positive definite conductivities: flux over gradient.
+        frame: axes of K. "global" are those of the coordinates. With "layer", axis 2 is the normal n of the layer, and
+            axes 1 and 3 lie in it (`forms.tensors.layer_frame`).
+
+    Raises:
+        InputError: K of the wrong shape, not symmetric, not positive definite; unknown frame.
+
+    Example:
+        >>> from forms import AnisotropicConduction
+        >>> foil = AnisotropicConduction.layered(along=0.4, across=2e-3)
+    """
+
+    K: Array
+    frame: str = choice("global")
+    linear = True
+    has_quadratic_energy = True
+    powers: ClassVar = {"K": 1}
+
+    def check(self) -> None:
+        K = np.array(self.K, float)  # a copy, which the caller cannot change
+        self.require(K.shape == (3, 3), "shape of K", "(3, 3)", K.shape)
+        self.require(bool(np.isfinite(K).all()), "K", "finite numbers", "not finite")
+        self.require(np.allclose(K, K.T, rtol=1e-10, atol=0), "K", "K = K^T", "not symmetric")
+        eig_min = np.linalg.eigvalsh(K)[0]
+        self.require(eig_min > 0, "smallest eigenvalue of K", "> 0", f"{eig_min:g}")
+        self.require(self.frame in ("global", "layer"), "frame", "'global', 'layer'", repr(self.frame))
+        object.__setattr__(self, "K", K)
+
+    @classmethod
+    def layered(cls, along: float, across: float) -> AnisotropicConduction:
+        """Return the law of a layer with one conductivity > 0 along it, and another one > 0 across it."""
+        return cls(np.diag([along, across, along]), "layer")
+
+    def _rotation(self, n: Any) -> Expr:
+        if self.frame == "layer" and n is None:
+            raise InputError("AnisotropicConduction: frame='layer' needs a layer; in a body use frame='global'")
+        return layer_frame(n) if self.frame == "layer" else ufl.Identity(3)
+
+    def flux(self, step: FluxStep) -> Expr:
+        return self._flux(step, step.g)
+
+    def _flux(self, step: FluxStep, g: Expr) -> Expr:
+        rotation, K = self._rotation(step.n), ufl.as_tensor(self.K) if isinstance(self.K, np.ndarray) else self.K
+        return rotation * K * rotation.T * g
+
+    def potential(self, step: FluxStep) -> Expr:
+        return ufl.inner(self._flux(step, step.g_end), step.g_end) / 2
+
+    def stiffness(self, n: Array) -> Array:
+        K = np.asarray(self.K, float)
+        if self.frame == "layer":
+            rotation = Rotation.align_vectors([np.pad(n, (0, 3 - len(n)))], [[0.0, 1.0, 0.0]])[0].as_matrix()
+            K = rotation @ K @ rotation.T
+        return np.pad(K, (0, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class Heat(FluxLaw):
+    """Conduction with a capacity, for marches in time: the flux is k times the gradient, and c dT/dt is stored.
+
+    Attributes:
+        k: conductivity, > 0: flux over gradient. A number, or a numpy function of the coordinates (d, n) of n places.
+        c: capacity per volume, > 0, such as density times specific heat. A number, or such a function.
+
+    Raises:
+        InputError: k or c out of range.
+
+    Example:
+        >>> from forms import Heat
+        >>> steel = Heat(k=50e-3, c=3.6e-3)  # W/(mm K), J/(mm3 K)
+    """
+
+    k: float
+    c: float
+    linear = True
+    has_quadratic_energy = True
+    rate = True
+    powers: ClassVar = {"k": 1}
+
+    def check(self) -> None:
+        require_positive(self, "k", "c")
+
+    def flux(self, step: FluxStep) -> Expr:
+        return self.k * step.g
+
+    def sink(self, step: FluxStep) -> Expr:
+        return self.c * step.T_rate
+
+    def potential(self, step: FluxStep) -> Expr:
+        return self.k * ufl.inner(step.g_end, step.g_end) / 2
+
+    def loss(self, step: FluxStep) -> Expr:
+        return self.c * step.T_rate**2
