@@ -8,7 +8,7 @@ from typing import ClassVar, NamedTuple, Self
 import numpy as np
 import ufl
 
-from forms.base import Array
+from forms.base import Array, InputError
 from forms.law import BulkLaw
 from forms.tensors import MANDEL_PAIRS, Expr, jump_strain, scalar_strain, strain, three_dimensional
 
@@ -20,14 +20,22 @@ class QuantityNames(NamedTuple):
     """Names of quantities, for messages and columns of results.
 
     Attributes:
+        symbol: symbol of the unknown.
         traction: what acts on a surface, per area.
+        stress: what a law gives in bodies.
+        load: load on a facet set, in names of parameters.
         body_force: what acts in a volume, per volume.
+        load_arguments: arguments of structures with loads on facets and in volumes.
         motion: change of the unknown without strain, with {} for the name of a component.
         unsupported: message if nothing prevents a motion without strain, with {} for this motion.
     """
 
+    symbol: str = "u"
     traction: str = "traction"
+    stress: str = "stress"
+    load: str = "load"
     body_force: str = "body force"
+    load_arguments: tuple[str, str] = ("tractions", "body_force")
     motion: str = "translation {}"
     unsupported: str = "no support against rigid motion of the structure ({}); add supports"
 
@@ -67,6 +75,11 @@ class Kinematics:
     def on_mesh(self, mesh: ufl.Mesh) -> Self:
         """Return a copy of these kinematics that uses the coordinates of `mesh`."""
         return replace(self, x=ufl.SpatialCoordinate(mesh))
+
+    def require(self, unknown: str, what: str) -> None:
+        """Raise InputError unless these are kinematics of an unknown; `what` says what is only for it."""
+        if self.unknown != unknown:
+            raise InputError(f"{what} is for laws of a {unknown}; the bodies have laws of a {self.unknown}")
 
     def at(self, x: Expr) -> Self:
         """Return a copy with other coordinates `x`, UFL (d,), such as those of points on S off the mesh's facets."""
@@ -250,8 +263,12 @@ class ScalarField(Kinematics):
     unknown = "scalar field"
     has_value_in_strain = True
     quantities = QuantityNames(
+        symbol="T",
         traction="flux",
+        stress="flux",
+        load="flux",
         body_force="source",
+        load_arguments=("fluxes", "sources"),
         motion="a change of {} everywhere",
         unsupported="nothing holds the field ({} costs nothing); add supports, or a Film",
     )

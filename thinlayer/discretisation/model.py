@@ -32,7 +32,7 @@ from thinlayer.discretisation.form_compilation import checked_term, compiled_fun
 from thinlayer.discretisation.key import BODY_KIND, Key
 from thinlayer.discretisation.layer import BODIES, Bond, Gap, Layers, SeamContent, SeamLayer, ThinLayer, loads_of_layers
 from thinlayer.discretisation.mesh_functions import law_with_constants, mesh_cut_at_faces, vector_space
-from thinlayer.discretisation.part_definition import check_part_definitions
+from thinlayer.discretisation.part_definition import PartDefinition, check_part_definitions
 from thinlayer.discretisation.point_loads import ConcentratedLoad, check_loads
 from thinlayer.discretisation.prescribed_strains import (
     EigenstrainContext,
@@ -437,6 +437,17 @@ class Model(ABC):
         with errors_on_all(self.comm):
             new.body_strains = {name: new._body_strain(name) for name in new.body_laws}
         new.bodies = new._with_mean_strain(new._terms_of_bodies())
+        new.description = new._description()
+        return new
+
+    def with_parts(self, parts: Sequence[PartDefinition]) -> Self:
+        """Return this model with other data of its parts without constraints, which are not checked. Collective."""
+        new = self._family_copy()
+        new.family, new.parts, new.structure = ModelFamily(), tuple(parts), copy_without_caches(self.structure)
+        new.structure.parts = new.parts
+        new.structure.data_hash = digest([self.structure.data_hash, require_same(self.comm, parts=new.parts)])
+        new.data_hash = digest([self.data_hash, new.structure.data_hash])
+        new.forces = new._make_forces()
         new.description = new._description()
         return new
 

@@ -78,10 +78,11 @@ def read_measurements(path: str | Path) -> list[Measurement]:
 
     Its columns are
 
-    - quantity: "displacement", "reaction" or "traction" (the mean traction on a seam);
-    - place: the point of a displacement, "4 2", with the side if it lies on S, "4 0 upper"; the support of a reaction;
-      the seam of a traction;
-    - direction: a vector, "1 0";
+    - quantity: "displacement", "reaction" or "traction" (the mean traction on a seam); of a scalar field "value",
+      "inflow" or "flux";
+    - place: the point of a displacement or value, "4 2", with the side if it lies on S, "4 0 upper"; the support of a
+      reaction or inflow; the seam of a traction or flux;
+    - direction: a vector, "1 0"; of a scalar field empty or left out;
     - value and deviation (its standard deviation);
     - t, the time, which may be left out.
 
@@ -118,16 +119,18 @@ def read_measurements(path: str | Path) -> list[Measurement]:
 
 def _measurement_of(row: Mapping[str, str], source: str) -> Measurement:
     try:
+        row = {"direction": ""} | row
         if lacking := [name for name in COLUMNS if name not in row]:
             raise InputError(f"no {', '.join(lacking)}; there must be columns {', '.join(COLUMNS)}")
         quantity, place = row["quantity"], row["place"]
-        direction = [*map(float, row["direction"].split())]
+        direction = [*map(float, row["direction"].split())] or None
         x, _, side = place.rpartition(" ") if place.endswith((" lower", " upper")) else (place, "", None)
         goals: dict[str, Callable[[], Goal]] = {
             "displacement": lambda: Displacement([*map(float, x.split())], direction, side=side),
             "reaction": lambda: Reaction(place, direction),
             "traction": lambda: MeanTraction(direction, seam=place or "S"),
         }
+        goals |= {scalar: goals[name] for name, scalar in zip(goals, ("value", "inflow", "flux"), strict=True)}
         require(quantity in goals, "quantity", quantity, f"allowed: {', '.join(goals)}")
         t = float(row["t"]) if row.get("t") else None
         return Measurement(goals[quantity](), float(row["value"]), float(row["deviation"]), t, source)

@@ -27,7 +27,7 @@ from thinlayer.discretisation.contact_nodes import nodes_of_sides
 from thinlayer.discretisation.form_compilation import checked_user_form, compiled
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.rigid_motions import resultant_mask
+from thinlayer.discretisation.rigid_motions import load_resultants, resultant_mask
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.discretisation.supports import Place, is_same_or_part
 from thinlayer.output.nodal_forces import nodal_forces
@@ -141,10 +141,15 @@ class DirectedGoal(Goal):
     """Component of a vector quantity along a direction, as a goal.
 
     Attributes:
-        direction: (d,) the direction in d dimensions, not zero; its length does not matter.
+        direction: (d,) the direction in d dimensions, not zero; its length does not matter. None: that of a scalar
+            field, whose goals have none.
     """
 
-    direction: Sequence[float]
+    direction: Sequence[float] | None
+
+    @property
+    def _direction_text(self) -> str:
+        return "" if self.direction is None else f" along {vector_text(self.direction)}"
 
     def check(self, model: InterfaceModel) -> None:
         self.unit(model)
@@ -153,9 +158,12 @@ class DirectedGoal(Goal):
         """Return the unit vector (d,) along the direction, in the d dimensions of `model`, or (1.0,) for a scalar field.
 
         Raises:
-            InputError: the direction has not d finite components, or is zero.
+            InputError: the direction has not d finite components, or is zero; or a scalar field has one.
         """
         d = model.n_components
+        if d == 1:
+            require(self.direction is None, f"{self.name}: the direction", self.direction, "a scalar field has none")
+            return np.ones(1)
         direction = finite_values(self.direction, (d,))
         if direction is None or not direction.any():
             raise InputError(f"{self.name}: the direction is {self.direction!r:.200}; give {d} numbers, not all zero")
@@ -213,6 +221,8 @@ def _rms_traction(surface: Surface, state: State) -> float:
 class Reaction(DirectedGoal):
     """Force that supports and springs at a place exert on the structure, along a direction, as a goal.
 
+    For a scalar field see `Inflow`.
+
     Attributes:
         place: where the supports are: name of a facet set; NAME/REGION, the part of the facet set NAME on one body, or
             on a meshed layer's own side; or the coordinates of a vertex.
@@ -220,12 +230,12 @@ class Reaction(DirectedGoal):
     """
 
     place: Place
-    direction: Sequence[float]
+    direction: Sequence[float] | None = None
 
     @property
     def name(self) -> str:  # type: ignore[override]
         """Name of the goal, made of its place and direction."""
-        return f"reaction {self.place} along {vector_text(self.direction)}"
+        return f"{'inflow' if self.direction is None else 'reaction'} {self.place}{self._direction_text}"
 
     def unit(self, model: Model) -> Array:
         """Return the unit vector (d,) along the direction; in axisymmetry its radial component is set to zero.
@@ -261,7 +271,10 @@ class Reaction(DirectedGoal):
         return q, adjoint.support_force_weights(self.place, direction)
 
     def at_rest(self, state: State, model: InterfaceModel) -> float:
-        return model.constraints.prescribed_resultant(model.held_indices(self.place), self.unit(model), state.t)
+        by_supports = model.constraints.prescribed_resultant(model.held_indices(self.place), self.unit(model), state.t)
+        loads = load_resultants(model, state.t, model.forces.work_of_parts)  # such as those of a film's surroundings
+        at_place = (load for place, load in loads.items() if is_same_or_part(place, self.place))
+        return by_supports + float(sum(load.components @ self.unit(model) for load in at_place))
 
     def layer_weights(self, layers: DirichletLayers) -> tuple[Array, Array]:
         return np.zeros_like(layers.load), layers.support_force_weights(self.place, self.unit(layers.model))
@@ -269,7 +282,7 @@ class Reaction(DirectedGoal):
 
 @dataclass(frozen=True)
 class MeanTraction(DirectedGoal):
-    """Mean traction on a seam along a direction, as a goal.
+    """Mean traction on a seam along a direction, as a goal; for a scalar field see `MeanFlux`.
 
     It is the resultant of the bodies' nodal forces on the seam, divided by its area. Where supports or plates constrain
     nodes, nodal forces contain the forces of supports and plates. The forces at other nodes replace them.
@@ -282,7 +295,7 @@ class MeanTraction(DirectedGoal):
             of the goal's name.
     """
 
-    direction: Sequence[float]
+    direction: Sequence[float] | None = None
     seam: str = S
     where: Callable[[Array], npt.ArrayLike] | None = None
 
@@ -291,7 +304,8 @@ class MeanTraction(DirectedGoal):
         """Name of the goal, made of its seam, stretch and direction."""
         seam_text = "" if self.seam == S else f" {self.seam}"
         where_text = "" if self.where is None else f" where {getattr(self.where, '__name__', self.where)}"
-        return f"mean traction{seam_text}{where_text} along {vector_text(self.direction)}"
+        quantity = "flux" if self.direction is None else "traction"
+        return f"mean {quantity}{seam_text}{where_text}{self._direction_text}"
 
     def check(self, model: InterfaceModel) -> None:
         self.unit(model)
@@ -416,7 +430,7 @@ def nodal_sums(
 
 @dataclass(frozen=True)
 class Displacement(DirectedGoal):
-    """Displacement of a point along a direction, as a goal.
+    """Displacement of a point along a direction, as a goal; for a scalar field see `PointValue`.
 
     Attributes:
         x: (d,) coordinates of the point, in the undeformed mesh of the interface model in d dimensions.
@@ -426,7 +440,7 @@ class Displacement(DirectedGoal):
     """
 
     x: Sequence[float]
-    direction: Sequence[float]
+    direction: Sequence[float] | None = None
     side: str | None = None
     seam: str = S
 
@@ -434,7 +448,8 @@ class Displacement(DirectedGoal):
     def name(self) -> str:  # type: ignore[override]
         """Name of the goal, made of its point, side and direction."""
         side = f" {self.side}" if self.side else ""
-        return f"displacement at {vector_text(self.x)}{side} along {vector_text(self.direction)}"
+        quantity = "value" if self.direction is None else "displacement"
+        return f"{quantity} at {vector_text(self.x)}{side}{self._direction_text}"
 
     def check(self, model: InterfaceModel) -> None:
         self.unit(model)
@@ -465,6 +480,27 @@ class Displacement(DirectedGoal):
         dofs = (V.dofmap.list[local_cell].ravel()[:, None] * c + np.arange(c)).ravel().astype(np.int64)
         values = (V.ufl_element().basix_element.tabulate(0, located.X[:1])[0, 0, :, 0][:, None] * e).ravel()
         return adjoint.nodal_weights(dofs, values[: len(dofs)]), adjoint.zero_vector()
+
+
+class PointValue(Displacement):
+    """Value of a scalar field at a point, such as a temperature, as a goal: PointValue(x, side=None, seam="S")."""
+
+    def __init__(self, x: Sequence[float], side: str | None = None, seam: str = S) -> None:
+        super().__init__(x, None, side, seam)
+
+
+class Inflow(Reaction):
+    """Flow that enters the structure where supports or a film hold a scalar field, as a goal: Inflow(place)."""
+
+    def __init__(self, place: Place) -> None:
+        super().__init__(place)
+
+
+class MeanFlux(MeanTraction):
+    """Mean flux of a scalar field along the normal of a seam, as a goal: MeanFlux(seam="S", where=None)."""
+
+    def __init__(self, seam: str = S, where: Callable[[Array], npt.ArrayLike] | None = None) -> None:
+        super().__init__(None, seam, where)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from geometry.refusals import require_known
 from thinlayer.discretisation.coefficient import times
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
+from thinlayer.parts.film import Film
 
 # function of a model and a factor that returns the model in which a parameter is multiplied by the factor
 Change = Callable[[InterfaceModel, float], InterfaceModel]
@@ -89,9 +90,14 @@ EIGENSTRAINS = Datum(
     lambda model: dict(model.structure.eigenstrains), lambda model, strains: model.with_bodies({}, strains)
 )
 TRACTIONS = Datum(
-    lambda model: dict(model.structure.tractions or {}), lambda model, loads: model.with_loads(tractions=loads)
+    lambda model: dict(model.structure.tractions or {}),
+    lambda model, loads: model.with_loads(**{model.kinematics.quantities.load_arguments[0]: loads}),
 )
-BODY_FORCE = Datum(lambda model: model.structure.body_force, lambda model, force: model.with_loads(body_force=force))
+BODY_FORCE = Datum(
+    lambda model: model.structure.body_force,
+    lambda model, force: model.with_loads(**{model.kinematics.quantities.load_arguments[1]: force}),
+)
+PARTS = Datum(lambda model: list(model.parts), lambda model, parts: model.with_parts(parts))
 POINT_LOADS = Datum(lambda model: list(model.structure.loads), lambda model, loads: model.with_loads(loads=loads))
 SUPPORTS = Datum(
     lambda model: {place: dict(components) for place, components in model.supports.user_entries},
@@ -119,7 +125,8 @@ class Parameters(dict[str, Datum]):
     - "SEAM.p": parameter p of the law of the seam's layer, and "SEAM.eps", its thickness with real moduli;
       "SEAM/k.p": parameter of the sublayer k of a `Stack`, from 1.
     - "BODY.p": parameter of the law of a body. "E" and "nu" are parameters of all laws whose `lmbda` and `mu` are numbers.
-    - "load PLACE", "body force", "body force NAME", and the names of loads at points and along lines.
+    - "load PLACE", "body force", "body force NAME", and the names of loads at points and along lines; of a scalar field
+      "flux PLACE", "source", "source NAME", and "film PLACE.h", "film PLACE.T" of a `Film`.
     - "support PLACE AXIS": a displacement that is prescribed and not zero.
     - "eigenstrain NAME": of a body, or of the layer on a seam.
 
@@ -155,16 +162,21 @@ class Parameters(dict[str, Datum]):
         for body, law in model.body_laws.items():
             self._add_law(body, law, BODIES / entry(body))
         self._add_entries("eigenstrain", EIGENSTRAINS, EIGENSTRAINS.read(model))
-        self._add_entries("load", TRACTIONS, TRACTIONS.read(model))
+        names = model.kinematics.quantities
+        self._add_entries(names.load, TRACTIONS, TRACTIONS.read(model))
         forces = model.structure.body_force
         if isinstance(forces, Mapping):
-            self._add_entries("body force", BODY_FORCE, forces)
+            self._add_entries(names.body_force, BODY_FORCE, forces)
         elif forces is not None:
-            self["body force"] = BODY_FORCE
+            self[names.body_force] = BODY_FORCE
         for k, load in enumerate(model.structure.loads):
             if load.what in self:
                 self.reasons[load.what] = "several loads have this name"
             self[load.what] = POINT_LOADS / entry(k) / attribute("force")
+        for k, part in enumerate(model.parts):
+            if isinstance(part, Film):
+                for name in ("h", "T"):
+                    self._add_value(f"{part.key}.{name}", getattr(part, name), PARTS / entry(k) / attribute(name))
         for k, (support, components) in enumerate(model.supports.user_entries):
             values = {axis: model.supports.values[k, axis] for axis in components}
             moved = [axis for axis, value in values.items() if value.varies or value.value != 0]

@@ -25,7 +25,7 @@ from thinlayer.solving.layer_subproblem import DirichletLayers, LayerSubproblem
 from thinlayer.solving.petsc import Options
 from thinlayer.system.table import Table
 
-ESTIMATED_FIELDS = ("traction", "jump")  # quantities that every estimate has, besides goals
+ESTIMATED_FIELDS = ("traction", "flux", "jump")  # quantities that estimates have, besides goals
 ZERO_GOAL_TOLERANCE = 1e-6  # goal over its scale that counts as zero
 DENSITY_TOLERANCE = 0.2  # relative error of the integral of a density above which there is a warning
 FIXED_GOAL_TOLERANCE = 1e-10  # change of a goal, over its scale, that is only rounding: equilibrium determines the goal
@@ -93,7 +93,7 @@ class GoalError(NamedTuple):
 
 
 class LayerError(NamedTuple):
-    """Estimated errors of the traction t and the jump [u] on the seam of one layer.
+    """Estimated errors of the traction t, or of a scalar field's flux, and the jump [u] on the seam of one layer.
 
     u_0 is the state passed to `estimate`, u_1 the estimated state with the layer meshed.
 
@@ -117,7 +117,8 @@ class Estimate:
         better: u_1, a state of the same interface model, whose bodies are in equilibrium with the meshed layers.
         layers: name of a seam -> errors of traction and jump there.
         goals: name of a goal -> its error.
-        traction: relative error of the traction in the L2 norm on all seams of the estimate together, see `LayerError`.
+        traction: relative error of the traction, or of a scalar field's flux, in the L2 norm on all seams of the
+            estimate together, see `LayerError`.
         jump: the same of the jump.
         seconds: wall time of the estimate, in seconds.
         inside: state of the meshed layers, with u_1 on their faces: for `Probe`, pictures, files.
@@ -238,10 +239,10 @@ class Estimate:
         Its columns are "quantity" (name), "value" (with interface laws), "better" (with the layer meshed), "error"
         (relative), and the bounds "lower" and "upper"; nan stands for numbers that do not exist.
         """
-        nan, rows = math.nan, []
+        nan, rows, traction = math.nan, [], self._traction_name
         for name, error in self.layers.items():
             seam = f" {name}" if len(self.layers) > 1 else ""
-            field_errors = ("traction", error.traction), ("jump", error.jump)
+            field_errors = (traction, error.traction), ("jump", error.jump)
             rows += [(f"{quantity}{seam}", nan, nan, value, nan, nan) for quantity, value in field_errors]
         for name, goal in self.goals.items():
             rows.append((name, goal.value, goal.better, goal.relative, goal.lower, goal.upper))
@@ -267,16 +268,24 @@ class Estimate:
     @cached_property
     def sentences(self) -> list[str]:
         """The errors, the cells for which they hold, and the caveats, as a list of sentences."""
-        errors = _fields_text(self.traction, self.jump) + [_goal_text(name, goal) for name, goal in self.goals.items()]
+        errors = self._fields_text(self) + [_goal_text(name, goal) for name, goal in self.goals.items()]
         sentences = [f"{self.dropped}: {', '.join(errors)}"]
         for name, error in self.layers.items():
             seam_text = f" {name}" if len(self.layers) > 1 else ""
             if math.isnan(error.traction):
-                sentences.append(f"the layer{seam_text} bears no traction")
+                sentences.append(f"the layer{seam_text} bears no {self._traction_name}")
             elif seam_text:
-                sentences.append(f"{name}: {', '.join(_fields_text(error.traction, error.jump))}")
+                sentences.append(f"{name}: {', '.join(self._fields_text(error))}")
         cells_text = f"for these cells of the bodies, and {self._subproblem.n_cells_through} cells through the layer"
         return [*sentences, cells_text, *self.caveats]
+
+    @property
+    def _traction_name(self) -> str:
+        return self.state.model.kinematics.quantities.traction
+
+    def _fields_text(self, errors: Estimate | LayerError) -> list[str]:
+        named_errors = ((self._traction_name, errors.traction), ("jump", errors.jump))
+        return [f"{_percent(error)} in {name}" for name, error in named_errors if math.isfinite(error)]
 
     def __str__(self) -> str:
         return "; ".join(self.sentences)
@@ -287,11 +296,6 @@ class Estimate:
     def _repr_html_(self) -> str:
         """Return sentences and table as HTML, which notebooks display."""
         return "<br>".join(map(escape, self.sentences)) + self.table._repr_html_().replace(">nan<", "><")
-
-
-def _fields_text(traction: float, jump: float) -> list[str]:
-    named_errors = (("traction", traction), ("jump", jump))
-    return [f"{_percent(error)} in {name}" for name, error in named_errors if math.isfinite(error)]
 
 
 def _goal_text(name: str, goal: GoalError) -> str:

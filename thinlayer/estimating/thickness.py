@@ -43,7 +43,8 @@ class ThinEnough(FormerNames):
     Attributes:
         eps: the thickness. If the error stays below the tolerance, it is the largest thickness that was tried.
         tolerance: relative error that is allowed.
-        quantity: quantity to which the error belongs: "traction", "jump", or the name of a goal.
+        quantity: quantity to which the error belongs: "traction", or "flux" of a scalar field, "jump", or the name of a
+            goal.
         table: table with a row for each thickness that was tried, with the columns "eps" and "error". The error is its
             upper bound, where there are bounds.
         at_tolerance: whether the error at `eps` is equal to the tolerance, with `eps` correct to one percent.
@@ -74,7 +75,7 @@ def thin_enough(
     structure: Structure,
     layer: Layers,
     tolerance: float,
-    goal: str | Goal = "traction",
+    goal: str | Goal | None = None,
     *,
     seam: str = S,
     t: float = 0.0,
@@ -93,7 +94,8 @@ def thin_enough(
         structure: bodies, supports and loads.
         layer: the layer, one for all seams, or {name of a seam: its layer, bond or gap}.
         tolerance: relative error that is allowed, between 0 and 1.
-        goal: quantity whose error counts: "traction" or "jump", both on S, or a goal such as `Reaction`.
+        goal: quantity whose error counts: "traction" (for a scalar field "flux") or "jump", both on S, or a goal such as
+            `Reaction`. None: the traction or flux.
         seam: name of the seam whose layer becomes thinner; all other layers stay as they are, and their errors are not
             counted. "S": all seams, if they have the same layer.
         t: time of the loads and supports.
@@ -124,6 +126,8 @@ def thin_enough(
         >>> f"{limit.eps:.3g}"
         '0.123'
     """
+    require(isinstance(structure, Structure), "thin_enough: the structure", structure, "it takes a Structure")
+    goal = structure.kinematics.quantities.traction if goal is None else goal
     seam_layers, thinned_layer = _check_arguments(structure, layer, tolerance, goal, seam, bonded)
     seams = list(seam_layers) if seam == S else [seam]
 
@@ -177,24 +181,24 @@ def _check_arguments(
     Raises:
         InputError: an argument is out of range.
     """
-    require(isinstance(structure, Structure), "thin_enough: the structure", structure, "it takes a Structure")
     with errors_on_all(structure.comm):
         seam_layers: dict[str, SeamContent] = value_by_seam(structure.joint, layer, "layer")
         if not (seam == S and isinstance(layer, ThinLayer)):
             require_known("seam", seam, seam_layers, "thin_enough: seam=... names the layer that becomes thinner")
-        thinned_layer, is_goal = seam_layers.get(seam, layer), isinstance(goal, Goal) or goal in ESTIMATED_FIELDS
+        fields = (structure.kinematics.quantities.traction, "jump")
+        thinned_layer, is_goal = seam_layers.get(seam, layer), isinstance(goal, Goal) or goal in fields
         if not isinstance(thinned_layer, ThinLayer):
             raise InputError(f"thin_enough: the layer is {thinned_layer!r:.200}; give a ThinLayer")
-        in_range, names = is_number(tolerance) and 0 < tolerance < 1, ", ".join(ESTIMATED_FIELDS)
+        in_range, names = is_number(tolerance) and 0 < tolerance < 1, ", ".join(fields)
         require(in_range, "thin_enough: the tolerance", tolerance, "allowed: between 0 and 1")
         require(is_goal, "thin_enough: the goal", goal, f"allowed: {names}, or one of thinlayer.goals")
         if bonded and goal == "jump":
-            raise InputError("thin_enough: bonded bodies have no jump; take the traction, or a goal")
+            raise InputError(f"thin_enough: bonded bodies have no jump; take the {fields[0]}, or a goal")
     return seam_layers, thinned_layer
 
 
 def _relative_error(error_estimate: Estimate, quantity: str) -> float:
-    """Return the relative error of `quantity` ("traction", "jump" or the name of a goal) in an estimate.
+    """Return the relative error of `quantity` ("traction", "flux", "jump" or the name of a goal) in an estimate.
 
     For a goal with bounds it is the largest error within them. It is infinite for the traction or the jump of a layer
     that has none.
@@ -203,7 +207,7 @@ def _relative_error(error_estimate: Estimate, quantity: str) -> float:
         InputError: the goal is zero, and has no relative error.
     """
     if quantity in ESTIMATED_FIELDS:
-        error = error_estimate.traction if quantity == "traction" else error_estimate.jump
+        error = error_estimate.jump if quantity == "jump" else error_estimate.traction
         return error if math.isfinite(error) else math.inf
     goal = error_estimate.goals[quantity]
     if goal.zero:

@@ -29,7 +29,8 @@ def compare(
     """Measure the relative differences of traction and jump between an interface law and a meshed layer. Collective.
 
     The interface law's traction is compared with the mean of stress times n through the thickness of the meshed layer.
-    The jump of the meshed layer is the difference of displacements at opposite points of its upper and lower face.
+    The jump of the meshed layer is the difference of displacements at opposite points of its upper and lower face. For a
+    scalar field such as a temperature, the flux stands in the place of the traction, also in the names of entries.
 
     Args:
         full: state of a full model, or its history.
@@ -94,7 +95,7 @@ def compare(
     row = {"eps": max(float(layer.thin_layer.eps) for layer in meshed.layers.values() if layer.thin_layer)}
     u_norm = float(interface.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) * math.sqrt(surface.integral(indicator))
     norms = {}
-    for name, method in (("traction", surface.traction), ("jump", surface.jump)):
+    for name, method in ((limit.kinematics.quantities.traction, surface.traction), ("jump", surface.jump)):
         limit_f = method(interface)
         norms[name] = surface.norm(limit_f, indicator)
         is_nonzero = norms[name] > (JUMP_ROUNDING_RATIO * u_norm if name == "jump" else 0.0)

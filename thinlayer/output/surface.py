@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from forms.base import Array, InputError, is_finite, require, unknown_name_message
 from forms.breaking import BROKEN_DAMAGE
+from forms.kinematics import ScalarField
 from forms.law import Law
 from forms.layer_results import ELASTIC, YIELD_STATUSES, LayerPoints
 from geometry.topology import IntArray
@@ -70,7 +71,7 @@ class Surface(SurfaceMesh):
     def traction(self, state: State) -> Array:
         """Return the traction (d, n, q) on S, stress times n, as a field that is linear on each facet.
 
-        It depends on what joins the bodies on a seam:
+        For a scalar field it is the flux along n, with one component, see `flux`. It depends on what joins the bodies on a seam:
 
         - Contact law: its tractions at the nodes.
         - Interface law: the traction of the law, conjugate to the jump [u].
@@ -89,6 +90,15 @@ class Surface(SurfaceMesh):
             return self.reaction(state)
         layer_traction = self.at_points(layer_tractions(self, state))
         return np.where(is_bonded[:, None], self.reaction(state), layer_traction) if is_bonded.any() else layer_traction
+
+    def flux(self, state: State) -> Array:
+        """Return the flux (n, q) of a scalar field along n through S, which is chosen as `traction` is.
+
+        Raises:
+            InputError: a state of displacements, or of another joint.
+        """
+        state.model.kinematics.require(ScalarField.unknown, "flux")
+        return self.traction(state)[0]
 
     def reaction(self, state: State) -> Array:
         """Return the traction (d, n, q) on S that is equivalent to the bodies' nodal forces; linear on each facet.

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from forms.base import InputError, is_finite, require
+from forms.kinematics import PLANE_STRAIN, ScalarField
 from geometry.parallel import default_comm, on_root
 from thinlayer.output.row_file import RowFile, checked_row, require_csv
 from thinlayer.system.fingerprint import Resume, random_states
@@ -17,8 +18,8 @@ from thinlayer.system.progress import track
 from thinlayer.system.ranks import errors_on_all, require_same
 from thinlayer.system.table import Row, Table
 
-NEEDED_COLUMNS = ("eps", "error_traction", "error_jump")
-ORDER_COLUMNS = ("order_traction", "order_jump")  # columns that a sweep adds
+TRACTION_ERRORS = tuple(f"error_{kind.quantities.traction}" for kind in (PLANE_STRAIN, ScalarField))  # each row has one
+ORDER_COLUMNS = tuple(name.replace("error", "order") for name in (*TRACTION_ERRORS, "error_jump"))  # a sweep adds them
 RowFunction = Callable[..., Mapping[str, object]]  # of a thickness
 THICKNESS_TOLERANCE = 1e-9  # relative difference of equal thicknesses
 
@@ -30,7 +31,8 @@ def sweep(run: RowFunction, eps: Iterable[float], out: str | Path | None = None,
 
     Args:
         run: function that takes a thickness eps and returns a row, name -> number or text, the same on all ranks. The
-            row has at least "eps", "error_traction" and "error_jump", as `compare` returns them.
+            row has at least "eps", "error_traction" (for a scalar field "error_flux") and "error_jump", as `compare`
+            returns them.
         eps: the thicknesses, > 0 and different.
         out: csv file for the table; None: no file. Each row is on the disk before the next one is computed, and stays
             if a later one fails. The file called `out` + ".json" has the rows, the code of `run`, and the data that
@@ -40,7 +42,8 @@ def sweep(run: RowFunction, eps: Iterable[float], out: str | Path | None = None,
             `run`.
 
     Returns:
-        The table, the largest thickness first. The columns "order_traction" and "order_jump" have the rates.
+        The table, the largest thickness first. The columns "order_traction" (or "order_flux") and "order_jump" have the
+        rates.
 
     Raises:
         InputError: a thickness out of range or repeated; a row of another thickness, without the required columns, or
@@ -106,20 +109,27 @@ def _compute_row(run: RowFunction, eps: float, first_row: Row | None) -> Row:
     text = f"the row that run({eps:g}) returns"
     with errors_on_all(default_comm()):
         row = checked_row(run(eps), text, ORDER_COLUMNS)
-        if lacking := [name for name in NEEDED_COLUMNS if not isinstance(row.get(name), float)]:
+        needed = needed_columns(row)
+        if lacking := [name for name in needed if not isinstance(row.get(name), float)]:
             raise InputError(f"{text} has no number {', '.join(lacking)}; return what compare returns")
         if not abs(row["eps"] - eps) <= THICKNESS_TOLERANCE * eps:  # type: ignore[operator]
             raise InputError(f"{text} is of another thickness, eps = {row['eps']:g}")
         if first_row is not None and row.keys() != first_row.keys():
             raise InputError(f"{text} has the columns {', '.join(row)}, where the first row has {', '.join(first_row)}")
-    columns = first_row or (*NEEDED_COLUMNS, *(name for name in row if name not in NEEDED_COLUMNS))
+    columns = first_row or (*needed, *(name for name in row if name not in needed))
     return {name: row[name] for name in columns} | {"eps": eps}
 
 
 def _table_with_orders(rows: Mapping[float, Row]) -> Table:
     """Make a sweep's table from `rows`, thickness -> row: largest thickness first, with rates of convergence."""
     table = Table(rows[e] for e in sorted(rows, reverse=True))
-    orders = {order: table.orders(error) for order, error in zip(ORDER_COLUMNS, NEEDED_COLUMNS[1:], strict=True)}
+    needed = needed_columns(table.rows[0])
+    orders = {error.replace("error", "order"): table.orders(error) for error in needed[1:]}
     for k, row in enumerate(table.rows):
-        table.rows[k] = {key: row[key] for key in NEEDED_COLUMNS} | {key: orders[key][k] for key in ORDER_COLUMNS} | row
+        table.rows[k] = {key: row[key] for key in needed} | {key: values[k] for key, values in orders.items()} | row
     return table
+
+
+def needed_columns(row: Collection[str]) -> tuple[str, str, str]:
+    """Return the names of the columns that a row must have, for tractions or for a scalar field's fluxes."""
+    return "eps", next((name for name in TRACTION_ERRORS if name in row), TRACTION_ERRORS[0]), "error_jump"

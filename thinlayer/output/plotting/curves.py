@@ -15,6 +15,7 @@ from matplotlib.ticker import LogLocator
 
 from forms.base import Array, InputError, require
 from thinlayer.output.plotting.picture import GivenAxes, Picture, entry_by_label, finish_picture, make_panels, typeset
+from thinlayer.output.sweep import needed_columns
 from thinlayer.solving.history import History
 from thinlayer.system.table import Table
 
@@ -39,7 +40,7 @@ def rates(
     save: str | Path | None = None,
     title: str = "",
     reference: float = 1.0,
-    errors: Mapping[str, str] = ERROR_COLUMNS,
+    errors: Mapping[str, str] | None = None,
     ax: Axes | None = None,
 ) -> Picture | None:
     """Draw the errors in the tables of sweeps over the thickness eps, on logarithmic axes, with a reference line.
@@ -51,7 +52,7 @@ def rates(
         save: name of a file to save the picture to, .png, .svg or .pdf; None: it is not saved.
         title: text over the picture.
         reference: slope of the reference line, the rate of convergence to compare with.
-        errors: label of a curve -> column of the tables; by default errors of traction and jump.
+        errors: label of a curve -> column of the tables; None: errors of traction (or flux) and jump.
         ax: matplotlib's axes to draw in; None: a new picture is made.
 
     Returns:
@@ -71,10 +72,11 @@ def rates(
     lines, styles, colours = dict[str, tuple[Array, Array]](), {}, {}
     for j, (case, source) in enumerate(tables.items()):
         data = source if isinstance(source, Table) else Table.load(source)
-        if lacking := [name for name in ("eps", *errors.values()) if name not in data.columns]:
+        columns = errors or {name.removeprefix("error_"): name for name in needed_columns(data.columns)[1:]}
+        if lacking := [name for name in ("eps", *columns.values()) if name not in data.columns]:
             subject = f"the table {case!r}" if case else "the table"
             raise InputError(f"rates: {subject} has no row, or no column {', '.join(lacking)}; give what sweep returns")
-        for k, (name, column) in enumerate(errors.items()):
+        for k, (name, column) in enumerate(columns.items()):
             label = f"{case}: {name}" if case else name
             lines[label] = data["eps"], data[column]
             styles[label] = MARKERS[k % len(MARKERS)] + ("--" if k % 2 else "-")
