@@ -76,10 +76,11 @@ class Kinematics:
         """Return a copy of these kinematics that uses the coordinates of `mesh`."""
         return replace(self, x=ufl.SpatialCoordinate(mesh))
 
-    def require(self, unknown: str, what: str) -> None:
-        """Raise InputError unless these are kinematics of an unknown; `what` says what is only for it."""
+    def require(self, unknown: str, what: str, instead: str = "") -> None:
+        """Raise InputError unless these are kinematics of an unknown, for which alone `what` is; `instead` is a remedy."""
         if self.unknown != unknown:
-            raise InputError(f"{what} is for laws of a {unknown}; the bodies have laws of a {self.unknown}")
+            remedy = f"; take {instead}" if instead else ""
+            raise InputError(f"{what} is for laws of a {unknown}; the bodies have laws of a {self.unknown}{remedy}")
 
     def at(self, x: Expr) -> Self:
         """Return a copy with other coordinates `x`, UFL (d,), such as those of points on S off the mesh's facets."""

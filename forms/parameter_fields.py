@@ -94,7 +94,11 @@ ParameterValue: TypeAlias = float | Array | ParameterField | Expr
 
 
 def as_parameter_field(value: Parameter) -> float | ParameterField:
-    """Return a function as a `ParameterField`; a number, or a `ParameterField`, is returned unchanged."""
+    """Return a function as a `ParameterField`; a number, or a `ParameterField`, is returned unchanged.
+
+    Numbers of numpy become Python's, as they do not multiply vectors of UFL.
+    """
+    value = float(value) if isinstance(value, np.floating) else value
     return ParameterField(value) if callable(value) and not isinstance(value, ParameterField) else value
 
 

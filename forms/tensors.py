@@ -61,6 +61,11 @@ def scalar_value(e: Expr) -> Expr:
     return SQRT2 * e[0, 1]
 
 
+def scalar_gradients(values: Array) -> Array:
+    """Return the gradients or fluxes (n, 3) that n tensors (n, 3, 3) of `scalar_strain` contain."""
+    return np.asarray(np.einsum("nii->ni", values))
+
+
 MANDEL_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 # (6, 3, 3) symmetric tensors of norm 1
 MANDEL_BASIS = np.array([np.outer(np.eye(3)[i], np.eye(3)[j]) for i, j in MANDEL_PAIRS])

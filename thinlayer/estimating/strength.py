@@ -13,6 +13,7 @@ import numpy.typing as npt
 import scipy.optimize
 
 from forms.base import Array, InputError, import_optional, is_finite, is_number, require
+from forms.kinematics import PLANE_STRAIN
 from forms.parameter_fields import real_values
 from geometry.seam import S
 from geometry.topology import BoolArray
@@ -355,6 +356,7 @@ def strength(
     wanted = "give a criterion, such as QuadraticCriterion(t_N=40, t_T=30), or a function of t_N and |t_T|"
     is_criterion = isinstance(criterion, StrengthCriterion) or (callable(criterion) and not isinstance(criterion, type))
     require(is_criterion, "strength: the criterion", criterion, wanted)
+    several[0].model.kinematics.require(PLANE_STRAIN.unknown, "strength")
     surface = Surface(several[0].model, seam)
     tractions = np.array([surface.frame(surface.traction(state)) for state in several])
     t_N, t_T = tractions[:, -1], np.linalg.norm(tractions[:, :-1], axis=1)

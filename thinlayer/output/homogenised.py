@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from forms.base import Array, InputError
+from forms.kinematics import PLANE_STRAIN
 from geometry.parallel import default_comm
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.prescribed_strains import VOIGT_PAIRS_OF_DIM, MeanTensorInput
@@ -69,6 +70,7 @@ def homogenised_stiffness(model: Model) -> Array:
 def _require_linear_periodic(model: Model) -> None:
     if not isinstance(model, Model) or model.joint.periods is None:
         raise InputError(f"homogenised_stiffness needs a model of a periodic joint (geometry.periodic), not {model!r}")
+    model.kinematics.require(PLANE_STRAIN.unknown, "homogenised_stiffness")
     if not model.kinematics.has_rigid_rotations:
         raise InputError(f"homogenised_stiffness, plane={model.plane!r}: a body of revolution has no mean strain")
     model.require("mean strain")

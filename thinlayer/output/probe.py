@@ -12,6 +12,8 @@ from dolfinx import fem
 from scipy.spatial import cKDTree
 
 from forms.base import Array, InputError, require
+from forms.kinematics import PLANE_STRAIN, ScalarField
+from forms.tensors import scalar_gradients
 from geometry.refusals import place_text, refuse
 from geometry.seam import S
 from geometry.topology import IntArray, is_tensor, place_order
@@ -52,8 +54,9 @@ class PointValues:
 class Probe:
     """Displacements, stresses and internal variables of a state at points of bodies, meshed layers and S.
 
-    Coordinates x are those of the undeformed mesh of the model; in a full model this mesh contains the layer. Methods
-    are collective: all ranks must give the same arguments, and get the same results.
+    Of a scalar field such as a temperature, they are values and fluxes. Coordinates x are those of the undeformed mesh
+    of the model; in a full model this mesh contains the layer. Methods are collective: all ranks must give the same
+    arguments, and get the same results.
 
     Args:
         state: a state, as `solve` or `history.at(t)` returns it.
@@ -97,6 +100,21 @@ class Probe:
         Raises:
             InputError: points outside the bodies and meshed layers; `side` is None at a point where displacements jump.
         """
+        self.state.model.kinematics.require(PLANE_STRAIN.unknown, "displacement", "value")
+        return self._unknown(x, side, seam)
+
+    def value(self, x: npt.ArrayLike, *, side: str | None = None, seam: str = S) -> Array:
+        """Return the values (n,) of a scalar field at n points, or one value; arguments as of `displacement`."""
+        self.state.model.kinematics.require(ScalarField.unknown, "value", "displacement")
+        return self._unknown(x, side, seam)[..., 0]
+
+    def flux(self, x: npt.ArrayLike, *, side: str | None = None, seam: str = S) -> Array:
+        """Return the fluxes (n, 3) of a scalar field at n points, or (3,) at one; arguments and accuracy as of `stress`."""
+        self.state.model.kinematics.require(ScalarField.unknown, "flux", "stress")
+        stresses = self._stress(x, side, seam)
+        return scalar_gradients(stresses) if np.ndim(x) > 1 else scalar_gradients(stresses[None])[0]
+
+    def _unknown(self, x: npt.ArrayLike, side: str | None, seam: str) -> Array:
         u = displacements_at(self.state.u, self.state.model, self._locate(x, side, seam), side)
         return u if np.ndim(x) > 1 else u[0]
 
@@ -116,6 +134,10 @@ class Probe:
         Raises:
             InputError: points outside the bodies and meshed layers; an unknown side or seam.
         """
+        self.state.model.kinematics.require(PLANE_STRAIN.unknown, "stress", "flux")
+        return self._stress(x, side, seam)
+
+    def _stress(self, x: npt.ArrayLike, side: str | None, seam: str) -> Array:
         located = self._locate(x, side, seam)
         pair_stresses = np.zeros((len(located.entity), 9))
         for points in law_points(self.state):
@@ -274,7 +296,7 @@ def displacements_at(u: fem.Function, model: Model, located: LocatedPoints, side
     first_pairs = np.searchsorted(located.point, np.arange(len(located.x)))
     is_jump = np.abs(values - values[first_pairs[located.point]]).max(axis=1) > ZERO_JUMP_TOLERANCE * largest_u
     hint = "several bodies meet there; give side= and seam=" if side else "give side="
-    refuse(is_jump, located.x[located.point], f"displacements jump at {{at}}: {hint}")
+    refuse(is_jump, located.x[located.point], f"{model.kinematics.unknown}s jump at {{at}}: {hint}")
     return np.asarray(values[first_pairs])
 
 

@@ -71,7 +71,8 @@ class Surface(SurfaceMesh):
     def traction(self, state: State) -> Array:
         """Return the traction (d, n, q) on S, stress times n, as a field that is linear on each facet.
 
-        For a scalar field it is the flux along n, with one component, see `flux`. It depends on what joins the bodies on a seam:
+        For a scalar field it is the flux along n, with one component, see `flux`. It depends on what joins the bodies
+        on a seam:
 
         - Contact law: its tractions at the nodes.
         - Interface law: the traction of the law, conjugate to the jump [u].
@@ -97,7 +98,7 @@ class Surface(SurfaceMesh):
         Raises:
             InputError: a state of displacements, or of another joint.
         """
-        state.model.kinematics.require(ScalarField.unknown, "flux")
+        state.model.kinematics.require(ScalarField.unknown, "flux", "traction")
         return self.traction(state)[0]
 
     def reaction(self, state: State) -> Array:

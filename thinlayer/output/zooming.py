@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from forms.base import Array, InputError
 from forms.ends.corner import CornerField
+from forms.kinematics import PLANE_STRAIN
 from forms.law import BulkLaw
 from forms.temperature import finite_values
 from geometry.refusals import refuse, require_known
@@ -67,6 +68,8 @@ class CornerStrength:
 
 class Zoom:
     """Stresses inside a layer of an interface model, computed on a mesh of this layer alone.
+
+    Of a scalar field such as a temperature, values and fluxes take the place of stresses.
 
     The displacements of the layer's lower and upper face are those of the bodies in the interface model. The layer's
     law must have an energy: a linear law, or plasticity in one step from rest. Sublayers, curved seams, seams that
@@ -171,7 +174,8 @@ class Zoom:
         body_traction = surface.reaction(self.state)
         error = surface.norm(surface.traction(layer_state) - body_traction) / (surface.norm(body_traction) or 1.0)
         if error > MAX_TRACTION_DIFFERENCE:
-            message = f"zoom into {self._seam_layer}: tractions differ by {100 * error:.2g} % from those of the bodies"
+            name = self.state.model.kinematics.quantities.traction
+            message = f"zoom into {self._seam_layer}: {name}s differ by {100 * error:.2g} % from those of the bodies"
             warn("zoom", f"{message}; take Zoom(estimate(state).better), where they agree", surface.model.comm)
 
     # ---------------------------------------------------------------- stresses
@@ -189,33 +193,48 @@ class Zoom:
             InputError: points off the seam; heights out of range; points within 1/16 of the thickness from a corner of
                 a free end, where stresses are infinite.
         """
+        points, y = self._inside(x, height)
+        free_rim = self._applicability.free_rim
+        if len(free_rim.vertices):
+            distances = free_rim.distance(self.state.model.joint.points, points)
+            is_near_corner = distances < (1 - ROUNDING_TOLERANCE) * CORNER_EXCLUSION * self.eps
+            is_near_corner &= np.abs(y) > 0.5 - CORNER_EXCLUSION
+            reason = f"height {y[is_near_corner.argmax()]:g} is too near a corner, where stresses are infinite"
+            refuse(is_near_corner, points, f"{{at}}, {reason}; `corners` has their strengths")
+        stresses = self._probe.stress(self._surface.in_layer(points, y))
+        return stresses if np.ndim(x) > 1 else stresses[0]
+
+    def value(self, x: npt.ArrayLike, height: npt.ArrayLike = 0.0) -> Array:
+        """Return the values (n,) of a scalar field inside the layer, or one value; arguments as of `stress`. Collective."""
+        values = self._probe.value(self._surface.in_layer(*self._inside(x, height)))
+        return values if np.ndim(x) > 1 else values[0]
+
+    def flux(self, x: npt.ArrayLike, height: npt.ArrayLike = 0.0) -> Array:
+        """Return the fluxes (n, 3) of a scalar field inside the layer, or (3,); arguments as of `stress`. Collective."""
+        fluxes = self._probe.flux(self._surface.in_layer(*self._inside(x, height)))
+        return fluxes if np.ndim(x) > 1 else fluxes[0]
+
+    def _inside(self, x: npt.ArrayLike, height: npt.ArrayLike) -> tuple[Array, Array]:
+        """Return points (n, d) of the seam, and the heights (n,) above it, after checking both."""
         located, _ = self._surface.at(x)
         if (y := finite_values(height, (), located.x.shape[:1])) is None or not (np.abs(y) <= 0.5).all():
             allowed = f"one number or {len(located.x)}, from -1/2 to 1/2 of the thickness"
             raise InputError(f"height is {height!r:.80}; allowed: {allowed}")
-        y = np.broadcast_to(y, located.x.shape[:1])
-        free_rim = self._applicability.free_rim
-        if len(free_rim.vertices):
-            distances = free_rim.distance(self.state.model.joint.points, located.x)
-            is_near_corner = distances < (1 - ROUNDING_TOLERANCE) * CORNER_EXCLUSION * self.eps
-            is_near_corner &= np.abs(y) > 0.5 - CORNER_EXCLUSION
-            reason = f"height {y[is_near_corner.argmax()]:g} is too near a corner, where stresses are infinite"
-            refuse(is_near_corner, located.x, f"{{at}}, {reason}; `corners` has their strengths")
-        stresses = self._probe.stress(self._surface.in_layer(located.x, y))
-        return stresses if np.ndim(x) > 1 else stresses[0]
+        return located.x, np.asarray(np.broadcast_to(y, located.x.shape[:1]))
 
     def through(self, x: npt.ArrayLike, n: int = 41) -> tuple[Array, Array]:
-        """Return the stresses through the thickness at one point of S. Collective.
+        """Return the stresses, or the values of a scalar field, through the thickness at one point of S. Collective.
 
         Args:
             x: (d,) the point, in d dimensions.
             n: number of heights.
 
         Returns:
-            (n,) heights from -1/2 to 1/2, as in `stress`, and the stresses (n, 3, 3) there.
+            (n,) heights from -1/2 to 1/2, as in `stress`, and the stresses (n, 3, 3) or values (n,) there.
         """
         heights = np.asarray(np.linspace(-0.5, 0.5, n), np.float64)
-        return heights, self.stress(np.tile(np.asarray(x, float), (n, 1)), heights)
+        at_heights = self.value if self.state.model.n_components == 1 else self.stress
+        return heights, at_heights(np.tile(np.asarray(x, float), (n, 1)), heights)
 
     # ---------------------------------------------------------------- corners
     @cached_property
@@ -251,6 +270,7 @@ class Zoom:
             InputError: the exponent of a corner is unknown, or a load acts on the layer's side.
         """
         prefix = f"zoom into {self._seam_layer} at its corners: "
+        self.state.model.kinematics.require(PLANE_STRAIN.unknown, f"{prefix}a strength")
         for load in SideLoad.loads_on_sides(self.state.model, self._seam_layer):
             raise Violation("loaded side", f"the {load.what} acts on the layer's side").error(prefix)
         self._applicability.require("corners", prefix)

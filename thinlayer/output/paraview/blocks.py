@@ -10,6 +10,8 @@ import pyvista
 from vtkmodules.vtkCommonCore import vtkStringArray
 
 from forms.base import Array
+from forms.kinematics import QuantityNames
+from forms.tensors import scalar_gradients
 from geometry.joint import Joint
 from geometry.topology import BoolArray, IntArray, lagrange
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -25,7 +27,7 @@ STRESS_ARRAY, VON_MISES_ARRAY = "stress", "von Mises"
 LINE_CODE = 4  # VTK cell type, straight between nodes, as ParaView does not integrate over curved lines
 CONTACT_CODES = {NO_CONTACT_STATUS: -1} | {name: code for code, name in enumerate(CONTACT_STATUSES)}
 # names of arrays; internal variables with these names get the prefix "internal"
-RESERVED_NAMES = ("u", STRESS_ARRAY, VON_MISES_ARRAY, "region", "seam", "status", "traction", "jump")
+RESERVED_NAMES = ("u", "T", "flux", STRESS_ARRAY, VON_MISES_ARRAY, "region", "seam", "status", "traction", "jump")
 
 
 def make_vtk_blocks(state: State, model: InterfaceModel | None) -> pyvista.MultiBlock | None:
@@ -47,7 +49,7 @@ def make_vtk_blocks(state: State, model: InterfaceModel | None) -> pyvista.Multi
 
 
 def _cell_and_facet_arrays(state: State) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Compute means of stresses and internal variables over cells, and of internal variables over facets of S.
+    """Compute means of stresses (or fluxes) and internal variables over cells, and of the latter over facets of S.
 
     Collective. A value is NaN where the law of a cell or facet has no variable of this name.
 
@@ -60,7 +62,9 @@ def _cell_and_facet_arrays(state: State) -> tuple[dict[str, Array], dict[str, Ar
     n_terms_below = Counter[str]()  # number of terms of each layer on S so far; a layer of order 1 has two
     for points in law_points(state):
         if points.quadrature.region.dim == joint.dim:
-            variables = {STRESS_ARRAY: points.stress()} | _named_arrays(points.internal())
+            stress, name = points.stress(), model.kinematics.quantities.stress
+            variables = {name: scalar_gradients(stress) if model.n_components == 1 else stress}
+            variables |= _named_arrays(points.internal())
             _add_means(cell_arrays, np.arange(len(joint.cells)), points, variables)
         else:
             key = points.term.key
@@ -99,7 +103,7 @@ def _add_means(arrays: dict[str, Array], entity_ids: IntArray, points: LawPoints
             Tensors have the six components XX, YY, ZZ, XY, YZ, XZ. Changed on rank 0.
         entity_ids: (n,) numbers of these cells or facets in the joint, ascending.
         points: quadrature points of the law, which acts in some of these cells or facets.
-        fields: name of a VTK array -> values at the quadrature points, (points,) or (points, 3, 3).
+        fields: name of a VTK array -> values at the quadrature points, (points,), (points, 3) or (points, 3, 3).
     """
     for name, values in fields.items():
         means = points.quadrature.cell_means(values[:, *VTK_TENSOR_PAIRS] if values.ndim == 3 else values)
@@ -118,18 +122,18 @@ def von_mises(stress: Array) -> Array:
 
 
 def _make_volume_grid(joint: Joint, grid: VtkGrid, cell_arrays: Mapping[str, Array]) -> pyvista.UnstructuredGrid:
-    """Make the VTK grid of all cells of bodies and meshed layers, with displacements and data of cells.
+    """Make the VTK grid of all cells of bodies and meshed layers, with the unknown and data of cells.
 
     Args:
         joint: the joint, whose names of regions and seams are added as well.
         grid: cells, nodes and displacements.
-        cell_arrays: name of a VTK array -> values (cells, components), among them "stress"; "von Mises" is computed
-            from it.
+        cell_arrays: name of a VTK array -> values (cells, components); "von Mises" is computed from "stress".
     """
     mesh = pyvista.UnstructuredGrid(grid.cells, grid.cell_codes, grid.points)
-    mesh.point_data["u"] = grid.u
+    mesh.point_data[grid.symbol] = grid.u if grid.value is None else grid.value
     mesh.cell_data.update(cell_arrays)
-    mesh.cell_data[VON_MISES_ARRAY] = von_mises(cell_arrays[STRESS_ARRAY])
+    if STRESS_ARRAY in cell_arrays:
+        mesh.cell_data[VON_MISES_ARRAY] = von_mises(cell_arrays[STRESS_ARRAY])
     mesh.cell_data["region"] = joint.region
     _add_texts(mesh, "regions", joint.regions)
     if joint.band is not None:
@@ -163,7 +167,8 @@ def _make_s_grid(state: State, model: InterfaceModel, means: Mapping[str, Array]
     Each facet has its own nodes. Point data are "traction", "jump", "normal", the displacements "u_upper" and "u_lower"
     of both sides, and their mean "u", by which ParaView can warp S. "t_N" and "w_N" are the normal components of
     traction and jump. "t_T" and "w_T" are their tangential parts: in 2D the component along (n_2, -n_1), in 3D the
-    vector in S. With contact laws there are also "contact", a code of `CONTACT_CODES`, and the vector "slip".
+    vector in S. Of a scalar field the values are "flux", "jump", "T_upper", "T_lower" and "T". With contact laws there
+    are also "contact", a code of `CONTACT_CODES`, and the vector "slip".
     Facet data are "seam", the seam's number, "status", a code, and means of internal variables. Texts in the grid's
     field data explain the numbers and codes.
 
@@ -188,7 +193,7 @@ def _make_s_grid(state: State, model: InterfaceModel, means: Mapping[str, Array]
     code, perm = (vtk_code(surface.kind, k), vtk_perm(surface.kind, k)) if d == 3 else (LINE_CODE, np.r_[0, 2:k, 1])
     cells = np.column_stack([np.full(n, k), np.arange(n * k).reshape(n, k)[:, perm]]).ravel()
     block = pyvista.UnstructuredGrid(cells, np.full(n, code), _pad_to_3d(nodal_fields.pop("x")))
-    block.point_data.update(_nodal_arrays(nodal_fields, d))
+    block.point_data.update(_nodal_arrays(nodal_fields, model.kinematics.quantities))
     block.cell_data["seam"] = joint.seam_numbers
     _add_texts(block, "seams", joint.seams)
     if status is not None:
@@ -227,22 +232,24 @@ def _pad_to_3d(values: Array) -> Array:
     return np.pad(flat, ((0, 0), (0, 3 - flat.shape[1])))
 
 
-def _nodal_arrays(fields: Mapping[str, Array], d: int) -> dict[str, Array]:
+def _nodal_arrays(fields: Mapping[str, Array], names: QuantityNames) -> dict[str, Array]:
     """Compute the VTK point data of S that `_make_s_grid` lists, from fields at the nodes of each facet.
 
     Args:
-        fields: name -> vectors (facets, nodes, d): "traction"; "upper" and "lower", the displacements of both sides;
-            "n", the normal, whose length need not be 1.
-        d: number of dimensions.
+        fields: name -> vectors (facets, nodes, c): "traction"; "upper" and "lower", the displacements of both sides;
+            and of length d "n", the normal, whose length need not be 1.
+        names: names of the unknown's quantities.
 
     Returns:
         Name of a VTK array -> its values, (facets * nodes,) or (facets * nodes, 3).
     """
     t, upper, lower = fields["traction"], fields["upper"], fields["lower"]
     n = fields["n"] / np.linalg.norm(fields["n"], axis=2, keepdims=True)
-    jump = upper - lower
-    vectors = {"traction": t, "jump": jump, "normal": n, "u": (upper + lower) / 2, "u_upper": upper, "u_lower": lower}
-    arrays = {name: _pad_to_3d(values) for name, values in vectors.items()}
+    jump, u, d = upper - lower, names.symbol, n.shape[2]
+    vectors = {names.traction: t, "jump": jump, u: (upper + lower) / 2, f"{u}_upper": upper, f"{u}_lower": lower}
+    if t.shape[2] == 1:
+        return {name: values.ravel() for name, values in vectors.items()} | {"normal": _pad_to_3d(n)}
+    arrays = {name: _pad_to_3d(values) for name, values in (vectors | {"normal": n}).items()}
     for name, vector in (("t", t), ("w", jump)):
         along_n = np.einsum("fki,fki->fk", vector, n)
         tangential = vector - along_n[..., None] * n

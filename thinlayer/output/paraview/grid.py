@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from forms.base import Array, InputError
+from forms.base import Array, InputError, require
 from geometry.joint import Joint
 from geometry.seam import BASE
-from geometry.topology import FACET_TYPES, IntArray, geometry_degree
+from geometry.topology import FACET_TYPES, BoolArray, IntArray, geometry_degree
 from thinlayer.discretisation.state import State
 from thinlayer.system.compat import interpolate
 
@@ -43,20 +43,22 @@ def vtk_perm(cell_type: str, n_nodes: int) -> IntArray:
 
 @dataclass(frozen=True)
 class VtkGrid:
-    """A displacement field on the n nodes of VTK cells; each side of S has its own nodes.
+    """A displacement or scalar field on the n nodes of VTK cells; each side of S has its own nodes.
 
     Attributes:
         dim: number of dimensions, 2 or 3; in 2D all third components are zero.
         points: (n, 3) coordinates of the nodes before deformation.
-        u: (n, 3) displacements.
-        loads: (n, 3) nodal forces of the loads.
-        n_supported: (n,) number of displacement components that supports prescribe at each node.
+        u: (n, 3) displacements; zero with a scalar field.
+        loads: (n, 3) nodal forces of the loads; zero with a scalar field.
+        n_supported: (n,) number of components of the unknown that supports prescribe at each node.
         cells: VTK's list of cells: for each cell the number of its nodes, then the nodes.
         cell_codes: (n_cells,) VTK's codes for the types of the cells.
         region: (n_cells,) number of the region of the bodies, from 0; regions of meshed layers have -1, -2, ...
         base_x: (facets, k, 3) coordinates of the k nodes, in VTK's order, of each facet where the joint lies on a
             rigid base. An empty array if there is a body on both sides of S.
         base_code: VTK's code for the type of these facets.
+        symbol: symbol of the unknown.
+        value: (n,) values of a scalar field; None: the unknown is the displacement.
     """
 
     dim: int
@@ -69,9 +71,16 @@ class VtkGrid:
     region: IntArray
     base_x: Array
     base_code: int
+    symbol: str
+    value: Array | None = None
+
+    @property
+    def is_fixed(self) -> BoolArray:
+        """Mask (n,) of the nodes at which supports prescribe all components of the unknown."""
+        return self.n_supported >= (self.dim if self.value is None else 1)
 
     def component(self, name: str) -> Array:
-        """Return a component (n,) of the displacements at the nodes, or their norm.
+        """Return a component (n,) of the displacements at the nodes, or their norm; or the values of a scalar field.
 
         Args:
             name: "x", "y" or "z"; "size" for the norm.
@@ -79,6 +88,9 @@ class VtkGrid:
         Raises:
             InputError: another name, or "z" in 2D.
         """
+        if self.value is not None:
+            require(name == "size", "component", name, "a scalar field has none; leave it out")
+            return self.value
         if name == "size":
             return np.linalg.norm(self.u, axis=1)
         if name not in tuple("xyz"[: self.dim]):
@@ -112,24 +124,24 @@ def nodal_displacement(state: State) -> fem.Function:
 
 
 def _loads_and_supports(state: State, V: fem.FunctionSpace) -> Array:
-    """Return for each node of V, ghosts included, the nodal force (d,) of the loads and the number of supported axes.
+    """Return for each node of V, ghosts included, the nodal force (c,) of the loads and the number of supported axes.
 
     Collective.
 
     Returns:
-        (n, d + 1) array.
+        (n, c + 1) array.
     """
-    model, d = state.model, state.model.joint.dim
+    model, c = state.model, state.model.n_components
     force = fem.Function(V)
     b = model.forces.nodal_forces_at(V, state.t)
     force.x.array[: b.getLocalSize()] = b.array_r
     b.destroy()
     force.x.scatter_forward()
-    n_supported = np.zeros(len(force.x.array) // d)
+    n_supported = np.zeros(len(force.x.array) // c)
     for place, components in model.supports.user_entries:
         for axis in components:
-            n_supported[np.unique(model.supports.dofs_at_place(V, place, axis) // d)] += 1
-    return np.column_stack([force.x.array.reshape(-1, d), n_supported])
+            n_supported[np.unique(model.supports.dofs_at_place(V, place, axis) // c)] += 1
+    return np.column_stack([force.x.array.reshape(-1, c), n_supported])
 
 
 def gather_grid(state: State) -> VtkGrid | None:
@@ -141,7 +153,7 @@ def gather_grid(state: State) -> VtkGrid | None:
     """
     model, joint = state.model, state.model.domain.joint
     u = nodal_displacement(state)
-    V, d = u.function_space, joint.dim
+    V, d, c = u.function_space, joint.dim, model.n_components
     W = fem.functionspace(model.domain.mesh, ("Lagrange", V.ufl_element().degree)) if joint.periods else V
     n = model.domain.mesh.topology.index_map(d).size_local
     perm = vtk_perm(joint.cell_type, V.dofmap.list.shape[1])
@@ -151,7 +163,7 @@ def gather_grid(state: State) -> VtkGrid | None:
     # coordinates of each cell, as a node on periodic sides has two positions
     x_space = fem.functionspace(V.mesh, ("DG", V.ufl_element().degree)) if joint.periods else V
     x = x_space.tabulate_dof_coordinates()[x_space.dofmap.list[:n]][:, perm]
-    values = np.column_stack([u.x.array.reshape(-1, d), _loads_and_supports(state, V)])[u_nodes]
+    values = np.column_stack([u.x.array.reshape(-1, c), _loads_and_supports(state, V)])[u_nodes]
     pieces = model.comm.gather((model.domain.original_cells[:n], *global_nodes, x, values), root=0)
     if pieces is None:
         return None
@@ -162,8 +174,11 @@ def gather_grid(state: State) -> VtkGrid | None:
     pair_order = np.argsort(first_rows)
     cell_nodes = np.argsort(pair_order)[pair_numbers.ravel()].reshape(global_nodes[0].shape)
     node_rows = first_rows[pair_order]
-    points, values = x.reshape(-1, 3)[node_rows], values.reshape(-1, 2 * d + 1)[node_rows]
-    displacements, loads = (np.pad(vectors, ((0, 0), (0, 3 - d))) for vectors in (values[:, :d], values[:, d:-1]))
+    points, values = x.reshape(-1, 3)[node_rows], values.reshape(-1, 2 * c + 1)[node_rows]
+    displacements, loads = (np.pad(vectors, ((0, 0), (0, 3 - c))) for vectors in (values[:, :c], values[:, c:-1]))
+    scalar: dict[str, Array] = {"value": displacements[:, 0]} if c == 1 else {}
+    if scalar:
+        displacements, loads = np.zeros((2, *points.shape))
     if joint.cell_type == "tetrahedron":  # VTK mistakes inner faces of left-handed cells for outer faces
         corners = points[cell_nodes[:, :4]]
         is_left_handed = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
@@ -173,7 +188,8 @@ def gather_grid(state: State) -> VtkGrid | None:
     region = np.where(joint.region >= first_layer_region, first_layer_region - joint.region - 1, joint.region)
     cell_codes = np.full(len(cell_nodes), vtk_code(joint.cell_type, cell_nodes.shape[1]), np.uint8)
     base = _base_points_and_code(joint)
-    return VtkGrid(d, points, displacements, loads, values[:, -1], cells, cell_codes, region, *base)
+    symbol = model.kinematics.quantities.symbol
+    return VtkGrid(d, points, displacements, loads, values[:, -1], cells, cell_codes, region, *base, symbol, **scalar)
 
 
 def _base_points_and_code(joint: Joint) -> tuple[Array, int]:

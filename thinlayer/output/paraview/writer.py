@@ -44,6 +44,9 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
       the code "status" of `Surface.status`, which "status codes" explain; means of the layer's internal variables, such
       as "phase".
 
+    Of a scalar field such as a temperature, nodes have "T", and "T_upper" and "T_lower" on S, in place of "u"; cells have
+    the vector "flux" in place of "stress"; "flux" and "jump" on S are numbers, without components.
+
     Vectors have three components, stresses and other tensors six: XX, YY, ZZ, XY, YZ, XZ. "von Mises" is computed from
     the mean stress of a cell. Internal variables that a cell's law does not have are NaN there. A layer with sublayers,
     or with an interface law of order 1, has several points through its thickness on each facet of S. The names of its

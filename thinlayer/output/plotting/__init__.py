@@ -5,5 +5,5 @@ from thinlayer.output.plotting.along import along
 from thinlayer.output.plotting.curves import curves, load_displacement, rates
 from thinlayer.output.plotting.movies import movie
 from thinlayer.output.plotting.scene import View
-from thinlayer.output.plotting.structures import deformed, on_surface
+from thinlayer.output.plotting.structures import deformed, field, on_surface
 from thinlayer.output.plotting.zoomed import zoomed

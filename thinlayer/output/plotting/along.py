@@ -34,6 +34,7 @@ def along(
     save: str | Path | None = None,
     length: str = "",
     stress: str = "",
+    unit: str = "",
     log: bool = False,
     ax: GivenAxes = None,
 ) -> Picture | None:
@@ -47,13 +48,15 @@ def along(
         fields: what is drawn, in one of three forms.
             1. Fields: label of a row -> field, for one curve; or label of a row -> {label of a curve: field}. A field
             consists of numbers, or of vectors with components along S and along n (see `Surface.frame`).
-            2. States: label of a curve -> state, or only a state. Traction and jump are drawn.
+            2. States: label of a curve -> state, or only a state. Traction, or the flux of a scalar field, and jump are
+            drawn.
             3. Results of `Surface.contact`: label of a curve -> result, or only a result. p, t_T, u_T and the opening
             are drawn.
         plane: (point, normal) of a plane that cuts a 3D structure; fields are drawn along the line in which it cuts S.
             None in 2D.
         save: name of a file to save the picture to, .png, .svg or .pdf; None: it is not saved.
-        length, stress: names of the units of lengths and of stresses, for the labels.
+        length, stress: names of the units of lengths, and of stresses or fluxes, for the labels.
+        unit: name of the unit of a scalar field, for its jumps.
         log: whether the vertical axes are logarithmic on both sides of zero.
         ax: matplotlib's axes to draw in, one for each panel; the legend is in the first. None: a new picture is made.
 
@@ -81,7 +84,7 @@ def along(
         ['t_N (MPa)', 't_T (MPa)', 'w_N (mm)', 'w_T (mm)']
     """
     require(isinstance(surface, Surface), "along: surface", surface, "give Surface(limit.model)")
-    unit_texts = [f" ({unit})" if unit else "" for unit in (stress, length)]
+    unit_texts = [f" ({name})" if name else "" for name in (stress, length, unit)]
     drawn = _fields_by_row(surface, fields, *unit_texts)
     rows = {label: {case: surface.along(f, plane=plane) for case, f in cases.items()} for label, cases in drawn.items()}
     seams, height = list(dict.fromkeys(surface.seams.tolist())), PANEL_INCHES[1] if len(rows) < 3 else LOW_PANEL_INCHES
@@ -105,7 +108,9 @@ def along(
     return finish_picture(panels, save, "", handles, min(len(handles), 5))
 
 
-def _fields_by_row(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, Mapping[str, npt.ArrayLike]]:
+def _fields_by_row(
+    surface: Surface, fields: Any, stress: str, length: str, value: str
+) -> dict[str, Mapping[str, npt.ArrayLike]]:
     """Return label of a row -> {label of a curve: field}, from the argument `fields` of `along` in any of its forms.
 
     Pressures and tangential tractions are NaN at pinned nodes, where supports exert the force.
@@ -113,14 +118,17 @@ def _fields_by_row(surface: Surface, fields: Any, stress: str, length: str) -> d
     Args:
         surface: the surface.
         fields: the argument of `along`.
-        stress, length: texts that follow the names of stresses and of lengths, such as " (MPa)" and " (mm)".
+        stress, length, value: texts that follow the names of stresses or fluxes, of lengths, and of values of a scalar
+            field, such as " (MPa)", " (mm)" and " (K)".
     """
     cases = entry_by_label("along", "fields", fields, object, "give a field, or label -> field")
     if not all(isinstance(case, (State, Contact)) for case in cases.values()):
         return {label: case if isinstance(case, Mapping) else {"": case} for label, case in cases.items()}
     rows: dict[str, dict[str, npt.ArrayLike]] = {}
     for label, case in cases.items():
-        if isinstance(case, State):
+        if isinstance(case, State) and case.model.n_components == 1:
+            case_fields = {f"flux{stress}": surface.flux(case), f"jump{value}": surface.jump(case)[0]}
+        elif isinstance(case, State):
             t, w = (surface.frame(f(case)) for f in (surface.traction, surface.jump))
             subscripts = ("N", "T") if len(t) == 2 else ("N", "1", "2")
             case_fields = {f"t_{k}{stress}": f for k, f in zip(subscripts, np.roll(t, 1, axis=0), strict=True)}

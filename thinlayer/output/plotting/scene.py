@@ -38,10 +38,11 @@ class View:
     """Settings of pictures of structures: colours, scale of displacements, window and direction of view.
 
     Attributes:
-        component: what the colours show: the component "x", "y" or "z" of the displacement, or "size", its norm.
+        component: what the colours show: the component "x", "y" or "z" of the displacement, or "size", its norm. A scalar
+            field has no components.
         scale: factor by which drawn displacements are enlarged. None: the largest is drawn as a twentieth of the
             structure's size.
-        unit: name of the unit of displacements, for the colour bar.
+        unit: name of the unit of displacements, or of a scalar field, for the colour bar.
         zoom: (left, right, bottom, top), the bounds of the window, in coordinates of the deformed structure as drawn.
             In 2D these are x and y, in 3D distances from the origin to the right and up in the picture. None: the whole
             structure.
@@ -49,8 +50,8 @@ class View:
             right and above. The axis y points up in the picture; in a view from directly above, -z points up.
         cut: whether to cut a 3D structure at its middle in z and draw only the half away from the viewer. S inside is
             then visible.
-        symbols: whether to draw loads as arrows of one length, and supports as triangles where they prescribe all
-            components of the displacement, as circles elsewhere.
+        symbols: whether to draw loads as arrows of one length, but not those of scalar fields, and supports as
+            triangles where they prescribe all components of the displacement, as circles elsewhere.
 
     Raises:
         InputError: a scale that is no finite number, or an invalid window.
@@ -149,7 +150,7 @@ class Symbols:
             size: length of the longer side of the picture.
         """
         points, length, cells = grid.points + factor * grid.u, SYMBOL_SPACING * size, grid.nodes_of_cells
-        forces, is_fixed = np.linalg.norm(grid.loads, axis=1), grid.n_supported >= grid.dim
+        forces, is_fixed = np.linalg.norm(grid.loads, axis=1), grid.is_fixed
         is_loaded = forces > ZERO_FORCE_RATIO * forces.max()
         is_loaded &= forces >= SMALLEST_FORCE_RATIO * np.median(forces[is_loaded]) if is_loaded.any() else False
         masks = is_loaded, is_fixed, (grid.n_supported > 0) & ~is_fixed
@@ -231,6 +232,8 @@ class Scene:
         window: (left, right, bottom, top), the bounds of the images along the first two axes, in deformed coordinates
             as drawn.
         colour_limits: smallest and largest displacement, or component of it, in the range of colours.
+        symbol: symbol of what colours show.
+        is_deformed: whether displacements are drawn, not a scalar field on undeformed bodies.
     """
 
     view: View
@@ -238,6 +241,8 @@ class Scene:
     displacement_factor: float
     window: Window = (0.0, 0.0, 0.0, 0.0)
     colour_limits: tuple[float, float] = (0.0, 0.0)
+    symbol: str = ""
+    is_deformed: bool = True
 
     @classmethod
     def of(cls, grids: Sequence[VtkGrid], view: View) -> Scene:
@@ -254,7 +259,10 @@ class Scene:
         axes = _view_axes(grids[0].dim, view)
         largest_u = max(np.linalg.norm(grid.u, axis=1).max() for grid in grids)
         factor = DRAWN_DISPLACEMENT_RATIO * np.ptp(grids[0].points, axis=0).max() / largest_u if largest_u > 0 else 1.0
-        scene = cls(view, axes, float(factor if view.scale is None else view.scale))
+        is_deformed, component = grids[0].value is None, view.component
+        symbol = grids[0].symbol if not is_deformed else "|u|" if component == "size" else f"u_{component}"
+        scale = (factor if view.scale is None else view.scale) * is_deformed
+        scene = cls(view, axes, float(scale), symbol=symbol, is_deformed=is_deformed)
         shapes = [scene.shape(grid) for grid in grids]
         x, y, _ = axes @ np.concatenate([shape.points for shape in shapes]).T
         arrows = [symbols.arrows.reshape(-1, 3) for grid in grids if (symbols := scene.symbols(grid))]
@@ -310,15 +318,18 @@ class Scene:
         largest = np.abs(self.colour_limits).max()
         power = 0 if largest == 0 or 0.01 <= largest < 1e4 else 3 * int(np.floor(np.log10(largest) / 3))
         unit = f"10^{power} {self.view.unit}" if power else self.view.unit
-        symbol = "|u|" if self.view.component == "size" else f"u_{self.view.component}"
-        label = f"{symbol} ({unit.strip()}); {self.factor_text}" if unit else f"{symbol}; {self.factor_text}"
+        quantity = f"{self.symbol} ({unit.strip()})" if unit else self.symbol
         low, high = (limit * 10.0**-power for limit in self.colour_limits)
         mappable = ScalarMappable(Normalize(low, high), COLOUR_MAP)
-        panels[0].figure.colorbar(mappable, ax=panels, **COLOUR_BAR_STYLE, label=label)
+        panels[0].figure.colorbar(
+            mappable, ax=panels, **COLOUR_BAR_STYLE, label="; ".join(filter(None, [quantity, self.factor_text]))
+        )
 
     @property
     def factor_text(self) -> str:
         """Text for the colour bar with the factor of the drawn displacements, as "displacements drawn 50 times"."""
+        if not self.is_deformed:
+            return ""
         return f"displacements drawn {self.displacement_factor:.3g} times".replace("drawn 1 times", "as they are")
 
 

@@ -43,6 +43,7 @@ def deformed(
 ) -> Picture | None:
     """Draw deformed structures side by side, coloured by displacement. Collective.
 
+    Of a scalar field such as a temperature, undeformed structures are drawn, coloured by its values.
     A meshed layer and the two sides of S have red outlines, so that jumps are visible; a rigid base is grey. 3D
     structures are drawn in parallel projection.
 
@@ -77,6 +78,9 @@ def deformed(
     """
     labelled = entry_by_label("deformed", "states", states, State, WANTED_STATES)
     return _draw_panels(labelled, view, None, Scene.draw_colour_bar, title, save, ax)
+
+
+field = deformed  # of a scalar field, which deforms nothing
 
 
 def on_surface(

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from forms.base import Array, InputError, is_number, require
+from forms.kinematics import PLANE_STRAIN
 from geometry.refusals import require_known
 from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.output.plotting.picture import GivenAxes, Picture, draw_on_root, make_panels
@@ -72,6 +73,7 @@ def zoomed(
     require(is_number(width) and CORNER_EXCLUSION < width < np.inf, "zoomed: width", width, allowed)
     if zoom.state.model.joint.dim != 2:
         raise InputError("zoomed: pictures of ends are for two dimensions; in 3D take zoom.stress")
+    zoom.state.model.kinematics.require(PLANE_STRAIN.unknown, "zoomed")
     require(end in range(len(zoom.ends)), "zoomed: end", end, f"S has {len(zoom.ends)} free ends")
     (straight_end, (end_point, *_)), axes = zoom.ends[end], zoom.ends[end][0].axes
     # the grid is finer towards the end and the faces, but excludes corners, where stresses are infinite
