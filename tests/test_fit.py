@@ -165,7 +165,7 @@ def test_a_file_of_a_spreadsheet(tmp_path):
     ("text", "message"),
     [
         ("quantity,value\n", "no measurements"),
-        ("quantity;value\n1;2\n", "line 2: no place, direction, deviation; there must be columns"),
+        ("quantity;value\n1;2\n", "line 2: no place, deviation; there must be columns"),
         (HEAD.replace("t\n", "t [s]\n") + GOOD, "line 1: column is 't .s.'; allowed, each once: quantity, .*, t"),
         (HEAD.replace("t\n", "value\n") + GOOD, "line 1: column is 'value, value'; allowed, each once"),
         (HEAD + "reaction,BOTTOM,0 1,-0,01189,0,00012\n", "line 2: the row is .*; there are 6 columns"),

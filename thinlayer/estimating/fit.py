@@ -31,8 +31,8 @@ NORMAL_QUANTILE = 1.96  # half-width of an interval of 95 %, over the standard d
 UNSEEN_DEVIATION = 1.0  # standard deviation of the logarithm of a parameter from which data do not see it
 RANK_TOLERANCE = 1e-6  # singular value, over the largest, up to which data do not see a combination of parameters
 UNSEEN_POWER = 0.05  # smallest power in an unseen product of a parameter that the data do not see, of a unit vector
-COLUMNS = ("quantity", "place", "direction", "value", "deviation")
-ALL_COLUMNS = (*COLUMNS, "t")
+COLUMNS = ("quantity", "place", "value", "deviation")
+ALL_COLUMNS = (*COLUMNS, "direction", "t")
 
 
 @dataclass(frozen=True)
@@ -119,11 +119,10 @@ def read_measurements(path: str | Path) -> list[Measurement]:
 
 def _measurement_of(row: Mapping[str, str], source: str) -> Measurement:
     try:
-        row = {"direction": ""} | row
         if lacking := [name for name in COLUMNS if name not in row]:
             raise InputError(f"no {', '.join(lacking)}; there must be columns {', '.join(COLUMNS)}")
         quantity, place = row["quantity"], row["place"]
-        direction = [*map(float, row["direction"].split())] or None
+        direction = [*map(float, row.get("direction", "").split())] or None
         x, _, side = place.rpartition(" ") if place.endswith((" lower", " upper")) else (place, "", None)
         goals: dict[str, Callable[[], Goal]] = {
             "displacement": lambda: Displacement([*map(float, x.split())], direction, side=side),

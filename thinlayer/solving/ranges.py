@@ -22,6 +22,7 @@ from thinlayer.discretisation.key import Key
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
+from thinlayer.solving.flux_ranges import warn_of_fluxes, warn_of_insulated_sides
 from thinlayer.surface.fracture_zone import short_zone_remark
 from thinlayer.surface.pressure_excess import (
     STIFFNESS_ERROR_LIMIT,
@@ -58,10 +59,12 @@ def warn_of_model(model: Model) -> None:
         model: the model.
     """
     setup = model.structure
+    if model.n_components == 1:
+        warn_of_insulated_sides(model)
     for law, C in zip(setup.body_laws_at_extremes, setup.extreme_body_tangents, strict=True):
         lmbda, mu = average_lame(C) if C is not None else (0.0, 1.0)
         nu = lmbda / (2 * (lmbda + mu))
-        if setup.degree == 1 and nu > LOCKING_NU and model.volume_strain_degree(law) is None:
+        if model.n_components > 1 and setup.degree == 1 and nu > LOCKING_NU and model.volume_strain_degree(law) is None:
             needs_hexahedra = model.contact is not None and setup.joint.cell_type == "tetrahedron"
             remedy = "hexahedra with element='Q2'" if needs_hexahedra else f"element='{setup.element[0]}2'"
             text = f"a body of {type(law).__name__} has Poisson's ratio {nu:.4g}, and {setup.element} locks near 0.5"
@@ -135,6 +138,8 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
         start: time at which the loads began; None: they are sudden in every state.
     """
     model = states[0].model
+    if model.n_components == 1:
+        return warn_of_fluxes(states)
     warn_of_strains(states)
     warn_of_fracture_zones(states)
     for applicability in model.applicability.values() if model.broken else ():
@@ -162,7 +167,7 @@ def warn_of_strains(states: Sequence[State]) -> None:
     Args:
         states: states of one model.
     """
-    if not states:
+    if not states or states[0].model.n_components == 1:
         return
     model = states[0].model
     for term in (term for term in model.bodies if not term.law.traits.linear):
@@ -219,11 +224,12 @@ def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | Non
 
 
 def _strain_layers(model: Model) -> list[SeamLayer]:
-    """Return the layers of an interface model whose laws depend on strains; an empty list for a full model.
+    """Return the layers of an interface model whose laws depend on strains; an empty list for others.
 
     A layer whose parameters vary in space occurs several times, with samples of their values.
     """
-    return [s for layer in model.layers.values() if layer.thin_layer for s in layer.samples] if model.broken else []
+    has_strains = model.broken and model.n_components > 1
+    return [s for layer in model.layers.values() if layer.thin_layer for s in layer.samples] if has_strains else []
 
 
 def _facet_remarks(model: Model, layer: SeamLayer) -> Iterator[Remark]:

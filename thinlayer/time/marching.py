@@ -15,6 +15,7 @@ from geometry.refusals import require_known
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
+from thinlayer.solving.flux_ranges import warn_of_layer_times
 from thinlayer.solving.history import History, Solution, column_getters
 from thinlayer.solving.ranges import (
     warn_of_fracture_zones,
@@ -172,6 +173,7 @@ def march(
         if has_time_errors and has_planned_steps:
             warn_of_step_errors(controller, theta, initial_states)
     warn_of_states(list(history), None if on_path else start)
+    warn_of_layer_times(history)
     return history
 
 

@@ -176,8 +176,8 @@ def gather_grid(state: State) -> VtkGrid | None:
     node_rows = first_rows[pair_order]
     points, values = x.reshape(-1, 3)[node_rows], values.reshape(-1, 2 * c + 1)[node_rows]
     displacements, loads = (np.pad(vectors, ((0, 0), (0, 3 - c))) for vectors in (values[:, :c], values[:, c:-1]))
-    scalar: dict[str, Array] = {"value": displacements[:, 0]} if c == 1 else {}
-    if scalar:
+    value = displacements[:, 0] if c == 1 else None
+    if value is not None:
         displacements, loads = np.zeros((2, *points.shape))
     if joint.cell_type == "tetrahedron":  # VTK mistakes inner faces of left-handed cells for outer faces
         corners = points[cell_nodes[:, :4]]
@@ -189,7 +189,7 @@ def gather_grid(state: State) -> VtkGrid | None:
     cell_codes = np.full(len(cell_nodes), vtk_code(joint.cell_type, cell_nodes.shape[1]), np.uint8)
     base = _base_points_and_code(joint)
     symbol = model.kinematics.quantities.symbol
-    return VtkGrid(d, points, displacements, loads, values[:, -1], cells, cell_codes, region, *base, symbol, **scalar)
+    return VtkGrid(d, points, displacements, loads, values[:, -1], cells, cell_codes, region, *base, symbol, value)
 
 
 def _base_points_and_code(joint: Joint) -> tuple[Array, int]:

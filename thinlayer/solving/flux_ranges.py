@@ -1,0 +1,137 @@
+"""Tests whether results of a scalar field are in the range of a layer's interface law; a RangeWarning says if not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from dolfinx import fem
+
+from forms.base import is_number
+from geometry.refusals import place_text
+from thinlayer.discretisation.layer import SeamLayer
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State
+from thinlayer.solving.history import History
+from thinlayer.surface.surface_mesh import surface_of
+
+# estimated error of variations along S above which there is a warning: of the order of the error, which may be ten times it
+MAX_VARIATION_ERROR = 0.03
+MESH_REMEDY = "mesh the layer (structure.full)"
+
+
+class Conductivities(NamedTuple):
+    """Conductivities of a layer, through all its sublayers.
+
+    Attributes:
+        along: largest conductivity along S, the mean through the thickness.
+        across: conductivity across S, the harmonic mean.
+        capacity: capacity per volume, the mean; 0 without `Heat`.
+    """
+
+    along: float
+    across: float
+    capacity: float
+
+    @classmethod
+    def of(cls, layer: SeamLayer) -> Conductivities | None:
+        """Return those of a layer with a thickness; None if its tangent at rest is unknown or not positive."""
+        n, sums = layer.initial_tangents.n, np.zeros(3)
+        n = np.pad(n, (0, 3 - len(n)))
+        for fraction, law, C in layer.initial_tangents.sublayers if layer.thin_layer else ():
+            if C is None or np.linalg.eigvalsh((C[:3, :3] + C[:3, :3].T) / 2)[0] <= 0:
+                return None
+            K = C[:3, :3]
+            along = np.linalg.eigvalsh((np.eye(3) - np.outer(n, n)) @ (K + K.T) / 2 @ (np.eye(3) - np.outer(n, n)))[-1]
+            capacity = law.parameters().get("c")
+            sums += fraction * np.array([along, 1 / (n @ K @ n), capacity if is_number(capacity) else 0.0])
+        return cls(sums[0], 1 / sums[1], sums[2]) if sums[1] else None
+
+
+def warn_of_insulated_sides(model: Model) -> None:
+    """Warn, before a solve, if the side of a conducting layer is insulated where the bodies beside it are held. Collective.
+
+    Such a layer touches the two supports in points alone, at which its flux is singular, and no mesh resolves it.
+    """
+    body_tangents = [C for C in model.structure.extreme_body_tangents if C is not None]
+    for name, layer in model.layers.items() if model.broken else ():
+        rim, k = model.applicability[name].free_rim.vertices.ravel(), Conductivities.of(layer)
+        if k is None or not body_tangents or k.along <= (least := min(C[0, 0] for C in body_tangents)) or not len(rim):
+            continue
+        surface, is_held = surface_of(model, name), fem.Function(model.V)
+        is_held.x.array[model.bc_dofs_in(model.V)] = 1.0
+        is_held.x.scatter_forward()
+        held_sides = surface.side_values(is_held, model, surface.corner_points).min(axis=(0, 1)) > 0.5
+        at_end = np.isin(surface.corners, rim) & held_sides
+        if at_end.any():
+            place = place_text(model.joint.points[surface.corners[at_end][0]])
+            text = f"the side of {layer} is insulated at {place}, between bodies that are held there, and the layer"
+            effect = (
+                f"conducts {k.along / least:.3g} times as well as a body: its value there depends on the mesh alone"
+            )
+            model.warn("insulated side", f"{text} {effect}; let the support hold the layer's side, too", name)
+
+
+def warn_of_fluxes(states: Sequence[State]) -> None:
+    """Warn, once for all states, if a law errs much in how values vary along S. Collective.
+
+    A law of order 0 leaves out the flux along S. One of order 1 takes the field as linear through the layer: along S its
+    flux is 1 + (delta/L)^2 times too large, with delta = eps sqrt(k_T/(12 k_n)) and the length L over which the mean
+    value on S varies.
+    """
+    model = states[0].model
+    for name, layer in model.layers.items() if model.broken else ():
+        if (k := Conductivities.of(layer)) is None:
+            continue
+        delta, order = layer.eps * np.sqrt(k.along / (12 * k.across)), layer.as_thin_layer.order
+        errors = [_variation_error(state, layer, k, delta) for state in states]
+        worst = int(np.argmax([error for error, _ in errors]))
+        error, length = errors[worst]
+        if error <= MAX_VARIATION_ERROR:
+            continue
+        if order == 0:
+            text, remedy = f"order 0 leaves out the flux along {layer}", "use order=1"
+        else:
+            text = (
+                f"the law of {layer} is for values that vary over more than delta = {delta:.3g}, and it is {length:.3g}"
+            )
+            remedy = MESH_REMEDY
+        text = f"at t = {states[worst].t:.4g} {text}: values vary along S with errors of about {error:.2g}"
+        model.warn("flux along", f"{text}; {remedy}", name, states[-1].t)
+
+
+def _variation_error(state: State, layer: SeamLayer, k: Conductivities, delta: float) -> tuple[float, float]:
+    """Return the estimated error of variations along S, over their size, and the length over which mean values vary.
+
+    It is the relative error of the flux along S, times the share of this flux in the fluxes at S.
+    """
+    surface = surface_of(state.model, layer.name)
+    lower, upper = surface.side_values(state.u, state.model, surface.corner_points)[:, 0]
+    T = surface.nodal(surface.from_corners((lower + upper) / 2))
+    stiffness, is_inner = surface.stiffness(), ~np.isin(surface.vertices, layer.sheet.rim.vertices)
+    laplacian = stiffness @ T / surface.areas * is_inner
+    gradient_squared, size = float(T @ stiffness @ T), float(np.abs(T).max(initial=0.0))
+    curvature_squared = float(surface.areas @ laplacian**2)
+    if gradient_squared <= 1e-16 * size**2 or not curvature_squared:
+        return 0.0, np.inf
+    along = layer.eps * k.along * np.sqrt(curvature_squared)
+    across = k.across / layer.eps * surface.norm(surface.from_corners(upper - lower))
+    inverse_square = curvature_squared / gradient_squared
+    error = 1.0 if layer.as_thin_layer.order == 0 else delta**2 * inverse_square
+    return error * along / (along + across), inverse_square**-0.5
+
+
+def warn_of_layer_times(history: History) -> None:
+    """Warn, after a march, if steps are shorter than the time in which values even out inside a layer.
+
+    Interface laws take values as linear through the layer, which holds for changes that are slow beside the time of its
+    slowest mode between held faces, eps^2 c/(pi^2 k_n). At that length of the steps, errors are 1 to 3 %.
+    """
+    model, step = history.model, min(np.diff(history.t), default=np.inf)
+    for name, layer in model.layers.items() if model.broken and model.n_components == 1 else ():
+        if (k := Conductivities.of(layer)) and (time := layer.eps**2 * k.capacity / (np.pi**2 * k.across)) > step:
+            text = (
+                f"values even out inside {layer} in {time:.3g}, longer than a step, {step:.3g}: the results of so short"
+            )
+            model.warn("layer time", f"{text} steps have errors of some per cent; {MESH_REMEDY}", name)
