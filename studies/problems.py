@@ -12,7 +12,7 @@ import numpy as np
 import ufl
 from scipy.linalg import expm
 
-from forms import BulkLaw, LinearElastic, MohrCoulomb
+from forms import BulkLaw, Conduction, LinearElastic, MohrCoulomb
 from forms.base import Array
 from forms.tensors import Expr
 from geometry import block, disc, fibre, read, ring, sandwich
@@ -20,7 +20,7 @@ from geometry.joint import Joint, Profile
 from geometry.shapes.sizing import GridArgs
 from geometry.topology import BoolArray
 from thinlayer import Structure, Surface, ThinLayer, examples, piecewise
-from thinlayer.discretisation.coefficient import LoadInput
+from thinlayer.discretisation.coefficient import LoadInput, Value
 from thinlayer.discretisation.forces import BodyForce
 from thinlayer.discretisation.part_definition import PartDefinition
 from thinlayer.discretisation.state import State
@@ -42,6 +42,7 @@ class StructureArguments(TypedDict, total=False):
     body: BulkLaw | Mapping[str, BulkLaw]
     supports: SupportsByPlace
     tractions: Mapping[str, LoadInput]
+    fluxes: Mapping[str, Value]
     body_force: BodyForce
     plane: str
     element: str
@@ -104,6 +105,22 @@ def fourier(h: float, *, cell: str = "triangle") -> Problem:
         The joint, and the arguments of its `Structure`.
     """
     return between_rollers(h, lambda x, t: (0.5 * ufl.sin(ufl.pi * x[0]), ufl.cos(ufl.pi * x[0])), cell=cell)
+
+
+def conducting(h: float) -> Problem:
+    """Two blocks, 1 wide and 0.5 high, that conduct heat: the flux cos(pi x) enters on top, the bottom is held at 0.
+
+    The solution is a single Fourier mode. The blocks have the conductivity 1; there are no units.
+
+    Args:
+        h: cell size; the mesh is a grid.
+
+    Returns:
+        The joint, and the arguments of its `Structure`.
+    """
+    setup: StructureArguments = {"body": Conduction(1.0), "supports": {"BOTTOM": 0}}
+    setup |= {"fluxes": {"TOP": lambda x, t: ufl.cos(ufl.pi * x[0])}}
+    return sandwich(1.0, 0.5, 0.5, h, cell="quadrilateral", structured=True), setup
 
 
 @dataclass(frozen=True)

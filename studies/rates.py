@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from forms import (
+    Conduction,
     Incompressible,
     KelvinVoigt,
     LinearElastic,
@@ -47,7 +48,7 @@ from studies.sweeping import (
     reaction_error,
     table_file,
 )
-from thinlayer import Surface, plotting
+from thinlayer import Structure, Surface, Table, ThinLayer, plotting, solve
 from thinlayer.output.plotting.curves import COLOURS, ERROR_COLUMNS
 from thinlayer.running.record import Record
 from thinlayer.solving.history import History, Solution
@@ -141,6 +142,38 @@ def check_smaller_fraction(record: Record, tables: Tables) -> None:
         record.check(what, less / more, low=2.5)
 
 
+def check_ratios(record: Record, tables: Tables) -> None:
+    """Compare three laws with meshed layers for nine ratios of conductivities, and check that order 1 is uniform.
+
+    Args:
+        record: record of the run. It writes table_conduction_ratios.csv: "eps", "ratio" of the conductivities of layer
+            and blocks, and for each law the relative error of the compliance, the integral of flux times temperature
+            on top.
+        tables: tables of other sweeps, which are not used.
+    """
+    joint, setup = problems.conducting(1 / 8 if record.options.get("quick") else 1 / 16)
+    structure, rows = Structure(joint, **setup), Table()
+    bonded = solve(structure.bonded()).load_work()
+    for eps in halves(3, 3):
+        full, *limits = (
+            model(ThinLayer(Conduction(1.0), eps, order=order))
+            for model, order in ((structure.full, 1), (structure.interface, 0), (structure.interface, 1))
+        )
+        for ratio in np.logspace(-4, 4, 9):
+            layers = (ThinLayer(Conduction(ratio), eps, order=order) for order in (1, 0, 1))
+            exact, *values = (
+                solve(model.with_layer(layer)).load_work() for model, layer in zip((full, *limits), layers, strict=True)
+            )
+            errors = dict(zip(RATIO_LAWS, (abs(value / exact - 1) for value in (bonded, *values)), strict=True))
+            rows.append({"eps": eps, "ratio": float(ratio), **errors})
+    record.write("table_conduction_ratios.csv", rows)
+    largest = {law: [float(part[law].max()) for part in rows.split("eps").values()] for law in RATIO_LAWS}
+    sup = Table.of({"eps": sorted({*rows["eps"]}, reverse=True), **largest})
+    record.check("order of the largest error over nine ratios", last_order(sup, "order 1"), low=1.7, high=2.3)
+    for law in RATIO_LAWS[:2]:
+        record.check(f"largest error over nine ratios, {law}", largest[law][-1], low=0.04)
+
+
 # ---------------------------------------------------------------- problems
 def fig2_bar(sizes: tuple[float, float, float]) -> Problem:
     """The bar of Fig. 2 of the paper, on a rigid base, pressed by 0.0164 MPa, sheared by 0.164 MPa.
@@ -176,6 +209,14 @@ HARD_LAWS = {"hard_layer": LinearElastic(lmbda=600.0, mu=400.0), "hard_layer sof
 SUBLAYERS = Stack((0.3, LinearElastic(400.0, 20.0)), (0.3, LinearElastic(20.0, 60.0)), (0.4, LinearElastic(60.0, 5.0)))
 
 
+RATIO_LAWS = ("bond", "order 0", "order 1")
+
+
+def foil(eps: float, order: int = 1) -> ThinLayer:
+    """Return a layer whose conductivity is the larger, the thinner it is, so that it conducts along S in the limit."""
+    return ThinLayer(Conduction(1 / eps), eps, order=order)
+
+
 # ---------------------------------------------------------------- the table
 # fmt: off
 EPS_MM = (0.8, 0.4, 0.2, 0.1)
@@ -185,6 +226,7 @@ STACK_VARIANTS = {"_order0": layer_fn(SUBLAYERS), "_mirrored": layer_fn(Stack(*S
 
 static_sweep = partial(Sweep, problem=fourier, orders=(0.95, 1.05), drawn=1)
 order_1_sweep = partial(Sweep, h=(1 / 32, 1 / 16), eps=halves(3, 5), orders=(1.9, 2.1), drawn=None)
+heat_sweep = partial(Sweep, problem=problems.conducting, h=(1 / 16, 1 / 8), eps=halves(3, 6), drawn=None)
 hard_sweep = partial(order_1_sweep, eps=halves(4, 5), orders=None, extras_fn=reaction_error)
 rubber_sweep = partial(order_1_sweep, eps=halves(3), orders=(1.9, 2.3), cells_through=2, extras_fn=reaction_error)
 glued_sweep = partial(Sweep, problem=problems.glued_hub, h=(1.0, 2.0), eps=EPS_MM, bodies="extended", unit="mm")
@@ -293,6 +335,11 @@ SWEEPS: dict[str, Sweep] = {
     "non_monotone printed": wrong_law_sweep("", "lambda + mu on S", phases.PRINTED_LAW, PRINTED_FLOOR),
     "non_monotone one_branch": wrong_law_sweep("", "no phase -1 on S", phases.ONE_BRANCH_LAW, ONE_BRANCH_FLOOR),
     "non_monotone across small_gain": wrong_law_sweep("across", "across S, G across", phases.SMALL_GAIN_LAW, GAIN_FLOOR),
+    "conduction": heat_sweep(layer_fn(Conduction(1.0), order=1), "k ~ eps", orders=(3.9, 4.1), check=check_ratios,
+        layer_variants={"_order0": layer_fn(Conduction(1.0))}),
+    "conduction fixed": heat_sweep(layer_fn(Conduction(3.0), None, order=1), "k = 3", orders=(2.8, 3.1),
+        layer_variants={"_order0": layer_fn(Conduction(3.0), None)}),
+    "conduction foil": heat_sweep(foil, "k ~ 1/eps", orders=(1.9, 2.1), layer_variants={"_order0": partial(foil, order=0)}),
     "bar": bar_sweep(layer_fn(fig3.glue_law(0.02)), "h = 0.02"),
     "bar less_elastic": bar_sweep(layer_fn(fig3.glue_law(0.01)), "h = 0.01", slow=True),
     "bar monodirectional": bar_sweep(layer_fn(BAR_LAW), "monodirectional, h = 0.01", slow=True),
@@ -304,6 +351,7 @@ DRAWN_ERRORS = {  # law -> label and column of each error, reference order
     "order1_stack": (BY_ORDER | {"jump, mirrored": "error_jump_mirrored"}, 2.0),
     "hard_layer": ({"traction": "error_reaction"}, 3.0),
     "rubber": ({"jump": "error_jump"}, 2.0),
+    "conduction": ({"flux, order 1": "error_flux", "flux, order 0": "error_flux_order0"}, 2.0),
     "incompressible": (ERROR_COLUMNS | {"[u_N]/[u] of the meshed layer": "normal_jump_full"}, 1.0),
 }
 SEPARATE_LAWS = ("monodirectional", "friction", "non_monotone")  # laws with separate pictures of tractions and jumps
@@ -313,7 +361,7 @@ def run(
     record: Record, *, law: Literal[
         "all", "elastic", "extended", "tapered", "order1", "order1_stack", "hard_layer", "rubber", "ring", "fibre", "tubes",
         "own_mesh", "butt_joint", "kelvin_voigt", "maxwell", "norton", "stack", "incompressible", "monodirectional",
-        "mohr_coulomb", "friction", "non_monotone", "bar",
+        "mohr_coulomb", "friction", "non_monotone", "conduction", "bar",
     ] = "all", eps: Sequence[float] = (), quick: bool = False,
 ) -> None:
     """Compare meshed layers with their interface laws for decreasing thickness, and check the rates of convergence.
@@ -355,5 +403,12 @@ def draw(record: Record) -> None:
             pictures = {files[error]: (f"{title}: {error}", {error: column}) for error, column in errors.items()}
         for file, (text, columns) in pictures.items():
             plotting.rates(tables, save=record.path(file), title=text, errors=columns, reference=order)
+        if law == "conduction":
+            by_eps = record.load("table_conduction_ratios.csv").split("eps").items()
+            panels = {
+                f"eps = 1/{1 / eps:.0f}": {name: (t["ratio"], t[name]) for name in RATIO_LAWS} for eps, t in by_eps
+            }
+            look = {"log": "xy", "styles": "o-", "save": record.path("rates_conduction_ratios.svg")}
+            plotting.curves(panels, "k of the layer over k of the blocks", "relative error of the compliance", **look)
         if along := {label: name for label, name in names.items() if SWEEPS[name].along_fn}:
             draw_along(record, along, f"along_{law}")

@@ -18,7 +18,8 @@ from thinlayer.discretisation.layer import SurfaceLaw
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.output.comparison import WhereFunction
-from thinlayer.output.plotting.curves import ERROR_COLUMNS, as_fraction
+from thinlayer.output.plotting.curves import as_fraction
+from thinlayer.output.sweep import needed_columns
 from thinlayer.running.record import Record
 from thinlayer.solving.history import Solution
 from thinlayer.surface.surface_mesh import Where as OnSurface
@@ -143,14 +144,15 @@ class Sweep:
             row = compare(full, limit, where=self.where)
             for suffix, variant_fn in self.layer_variants.items():
                 errors = compare(full, solve_interface(variant_fn(e), f"interface{suffix}_{e:g}"), where=self.where)
-                row |= {f"{column}{suffix}": errors[column] for column in ERROR_COLUMNS.values()}
+                row |= {f"{column}{suffix}": errors[column] for column in needed_columns(errors)[1:]}
             return row | (self.extras_fn(full, limit) if self.extras_fn else {})
 
         record.say(f"meshed layer {law}, on S {self.wrong_law}" if self.wrong_law else law)
         table = record.sweep(compare_at, eps, table_file(name))
         low, high = self.orders or (None, None)
-        reaction_column = {"traction": "error_reaction"} if "error_reaction" in table.columns else {}
-        for what, column in (ERROR_COLUMNS | reaction_column).items() if self.orders and len(eps) > 1 else ():
+        columns = {column.removeprefix("error_"): column for column in needed_columns(table.columns)[1:]}
+        columns |= {"traction": "error_reaction"} if "error_reaction" in table.columns else {}
+        for what, column in columns.items() if self.orders and len(eps) > 1 else ():
             record.check(f"last observed order of the {what}, {name}", last_order(table, column), low=low, high=high)
         return table
 

@@ -28,6 +28,7 @@ COLOURS = (LAW_COLOUR, MESHED_COLOUR, "#009E73", "#CC79A7", "#E69F00", "#56B4E9"
 Dash = str | tuple[int, tuple[int, ...]]  # matplotlib's line style
 LINE_STYLES: tuple[Dash, ...] = ("-", "--", "-.", ":", (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1)), (0, (1, 3)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+MAX_SUBTICK_RATIO = 1e4  # ratio of the ends of a logarithmic axis above which it has ticks at powers of ten alone
 SYMLOG_RATIO = 1e-3  # smallest visible value, over the largest, on an axis that is logarithmic on both sides of zero
 # sizes in a legend, inches: width of a letter, width of the line and the margins of an entry, height of a row
 LETTER_INCHES, LINE_INCHES, ROW_INCHES = (0.075, 0.75, 0.21)
@@ -90,7 +91,10 @@ def rates(
     )  # fmt: skip
     axes: Any = figure.axes[0] if figure and ax is None else ax
     axes.set_xticks(eps, [as_fraction(e) for e in eps])
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    low, high = axes.get_ylim()
+    axes.yaxis.set_major_locator(
+        LogLocator(subs=(1.0, 2.0, 5.0) if high < MAX_SUBTICK_RATIO * low else (1.0,), numticks=16)
+    )
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.minorticks_off()
     return finish_picture([axes], save)
