@@ -266,7 +266,7 @@ def s_terms(
     sides: Interface,
     eps: Expr,
     order: int = 0,
-    prescribed_strain: Expr | None = None,
+    prescribed_strain: Expr | tuple[Expr, Expr] | None = None,
     grad_eps: Expr | None = None,
     ends: EndWeights | None = None,
 ) -> list[Term]:
@@ -287,8 +287,8 @@ def s_terms(
         sides: the two sides of S.
         eps: the thickness, UFL.
         order: order of the interface law in eps, 0 or 1.
-        prescribed_strain: strain (3, 3), uniform through the layer, that is added to that of the displacements; None:
-            zero.
+        prescribed_strain: strain (3, 3), uniform through the layer, that is added to that of the displacements; or two,
+            at the lower and at the upper face, linear between them; None: zero.
         grad_eps: gradient (d,) of the thickness eps along S, UFL; None: eps is uniform.
         ends: reductions of the stiffness near free ends, for laws with `end_constants`; None: no reductions.
 
@@ -297,11 +297,17 @@ def s_terms(
     """
     n, d, weight, kinematics = sides.n, len(sides.n), sides.factor * eps, sides.kinematics
     c, across = len(kinematics.components(d)), kinematics.strain_across
+    prescribed_change = ufl.zero(3, 3)
+    if isinstance(prescribed_strain, tuple):
+        lower, upper = prescribed_strain
+        prescribed_strain, prescribed_change = (lower + upper) / 2, upper - lower
     term = partial(Term, measure=sides.measure, n=n, kinematics=kinematics)
     if order == 0 and not kinematics.has_value_in_strain:
         return [term(law, lambda u: across(sides.jump(u), n) / eps, weight, prescribed_strain=prescribed_strain)]
     grad_eps = grad_eps if order == 1 else None
-    fixed_faces = Faces(n, eps, ufl.zero(c), ufl.zero(c, d), prescribed_strain, across, kinematics.strain_along)
+    fixed_faces = Faces(
+        n, eps, ufl.zero(c), ufl.zero(c, d), prescribed_strain, across, lambda gradient, u: prescribed_change
+    )
 
     def jump_faces(i: int) -> Faces:
         unit_jump, no_strain = ufl.as_vector([float(i == j) for j in range(c)]), ufl.zero(3, 3)

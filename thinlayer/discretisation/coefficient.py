@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from dataclasses import replace as changed
 from functools import cached_property, reduce, wraps
 from itertools import product
-from typing import Any, Self, TypeAlias, TypeVar
+from typing import Any, Protocol, Self, TypeAlias, TypeVar, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -55,7 +55,7 @@ class Coordinates(FormerNames):
     For kept bodies the place is that in the joint as drawn, before S is opened to the layer's thickness.
 
     Attributes:
-        mesh: the mesh.
+        domain: the distributed mesh, with its joint.
         x: (d,) UFL coordinates in d dimensions.
         clock: clock of the model, which holds the time.
         test_places: (n, d) coordinates of n vertices of the joint, extreme ones among them, where functions are tested.
@@ -65,7 +65,7 @@ class Coordinates(FormerNames):
     """
 
     former_names = {"given": "coefficient"}
-    mesh: Mesh
+    domain: Domain
     x: Expr
     clock: Clock
     test_places: Array
@@ -82,7 +82,12 @@ class Coordinates(FormerNames):
         x, points = ufl.SpatialCoordinate(mesh), (band.drawn_joint if band else domain.joint).points
         sample_indices = {0, *(int(k) for c in points.T for k in (c.argmin(), c.argmax(), np.abs(c).argmin()))}
         is_kept = band is not None and band.bodies != "extended"
-        return cls(mesh, x - inflation_motion(domain) if is_kept else x, Clock(mesh), points[sorted(sample_indices)])
+        return cls(domain, x - inflation_motion(domain) if is_kept else x, Clock(mesh), points[sorted(sample_indices)])
+
+    @property
+    def mesh(self) -> Mesh:
+        """The mesh."""
+        return self.domain.mesh
 
     @property
     def t(self) -> TimeConstant:
@@ -148,9 +153,18 @@ class Coordinates(FormerNames):
         return self.planned_kinks[0]
 
 
+@runtime_checkable
+class HandsOver(Protocol):
+    """A result that other models take as a value of place and time: a state or a history of a scalar field."""
+
+    def field_on(self, at: Coordinates) -> Expr:
+        """Return the result's scalar as UFL on the mesh of a model with the coordinates `at`. Collective."""
+
+
 class Coefficient:
     """A user's value of place and time: numbers, a table, a function (x, t), a UFL expression or a DOLFINx function.
 
+    It may also be a result of a scalar field, a state or a history.
     A function is called with UFL symbols for the place x and the time t. Python's == and `in` are always False for
     symbols. Therefore the function is tested at some places and times: it must give the same values for plain numbers.
     DOLFINx functions on other meshes, such as computed temperatures, are interpolated on this mesh.
@@ -174,8 +188,9 @@ class Coefficient:
     """
 
     def __init__(self, value: object, what: str, shapes: Sequence[Shape], at: Coordinates, *, place_only: bool) -> None:
-        self.value, self.what, self._shapes, self._place_only = value, what, shapes, place_only
         self.at = at.with_own_kinks  # does not refer to this object: both are freed with their model
+        value = value.field_on(self.at) if isinstance(value, HandsOver) else value
+        self.value, self.what, self._shapes, self._place_only = value, what, shapes, place_only
         is_function = callable(value) and not isinstance(value, ufl.core.expr.Expr)
         self.components = self._interpolate_foreign(self._function_components() if is_function else self._read(value))
         self.varies = is_function or any(isinstance(c, ufl.core.expr.Expr) for c in self.components.flat)

@@ -32,8 +32,10 @@ from thinlayer.discretisation.layer import Layers, SeamLayer, law_of_terms, law_
 from thinlayer.discretisation.mesh_functions import MidSurface, cellwise_function, relative_thickness
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.side_loads import add_side_loads
+from thinlayer.discretisation.time_functions import HandedField
 from thinlayer.errors import Violation
 from thinlayer.pointwise.quadrature import quadrature_degree
+from thinlayer.system.compat import ufl_replace
 from thinlayer.system.ranks import errors_on_all
 
 if TYPE_CHECKING:
@@ -100,13 +102,18 @@ class InterfaceModel(Model):
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
         return at.with_place(at.x + self._middle.offset) if self._middle else at
 
-    def _layer_strain(self, layer: SeamLayer) -> Expr | None:
+    def _layer_strain(self, layer: SeamLayer) -> Expr | tuple[Expr, Expr] | None:
+        """Return minus the eigenstrain of a layer, or a pair: at its lower and at its upper face."""
         strain = layer.prescribed_strain(self._coordinates_on(self.coordinates))
-        if strain is None or not (self._middle or extract_coefficients(strain)):
+        functions = [] if strain is None else extract_coefficients(strain)
+        if strain is None or not (self._middle or functions):
             return strain
-        sides = self.sides_of(layer.name)
-        is_two_sided = not (self._middle or layer.name in self.joint.base_seams)
-        return (sides.upper(strain) + sides.lower(strain)) / 2 if is_two_sided else sides.upper(strain)
+        sides, handed = self.sides_of(layer.name), [f for f in functions if isinstance(f, HandedField)]
+        if layer.name in self.joint.base_seams:
+            on_base = ufl_replace(strain, dict.fromkeys(handed, ufl.as_ufl(0.0)))
+            return (sides.upper(on_base), sides.upper(strain)) if handed else sides.upper(strain)
+        is_two_sided = handed or not self._middle
+        return (sides.lower(strain), sides.upper(strain)) if is_two_sided else sides.upper(strain)
 
     @cached_property
     def dS(self) -> ufl.Measure:

@@ -20,7 +20,7 @@ from forms.temperature import finite_values
 from forms.tensors import MANDEL_PAIRS, SQRT2, Expr, three_dimensional
 from forms.work import Term, sum_strains
 from geometry.joint import Joint
-from thinlayer.discretisation.coefficient import Coordinates, depends_on_place
+from thinlayer.discretisation.coefficient import Coordinates, HandsOver, depends_on_place
 from thinlayer.discretisation.time_functions import time_constants
 from thinlayer.system.compat import compiled
 
@@ -255,7 +255,7 @@ class PrescribedEigenstrain(Eigenstrain):
 
 @dataclass(frozen=True)
 class ThermalExpansion(Eigenstrain):
-    """Thermal expansion by a change of temperature: the eigenstrain alpha T.
+    """Thermal expansion by a change of temperature: the eigenstrain alpha (T - reference).
 
     With a DOLFINx Function as T, making a model is collective. Another process, such as a restart, cannot recognise the
     Function, and takes it for changed data.
@@ -264,9 +264,12 @@ class ThermalExpansion(Eigenstrain):
         alpha: coefficient of expansion, per degree: a number, three of them along the axes x, y, z, or a symmetric
             table (3, 3).
         T: change of temperature, degrees: a number, a function (x, t) of UFL coordinates, `piecewise`, or a scalar
-            DOLFINx Function on a mesh that covers the bodies. A layer on S takes the mean of its values on both sides.
-        factor: factor of T, a number or a function (x, t). With it a DOLFINx Function can grow in time; otherwise it
+            DOLFINx Function on a mesh that covers the bodies. Or the temperature itself: a state of heat, or a history,
+            which is linear in time between its states. A layer on S takes the values on both sides, linear through the
+            thickness; of order 0 their mean.
+        factor: factor of T - reference, a number or a function (x, t). With it a DOLFINx Function can grow in time; otherwise it
             acts suddenly.
+        reference: temperature without strain; needed if T is a state or a history. None: T is a change from it.
 
     Raises:
         InputError: alpha of another shape, not finite or not symmetric; T or factor that is not a number or a function.
@@ -289,16 +292,20 @@ class ThermalExpansion(Eigenstrain):
     """
 
     alpha: float | Sequence[float] | Sequence[Sequence[float]] | Array
-    T: float | Callable[[Expr, Expr], Expr] | fem.Function
+    T: float | Callable[[Expr, Expr], Expr] | fem.Function | HandsOver
     factor: float | Callable[[Expr, Expr], Expr] = 1.0
+    reference: float | None = None
 
     def __post_init__(self) -> None:
         alpha = finite_values(self.alpha, (), (3,), (3, 3))
         require(alpha is not None, "alpha", self.alpha, "allowed: a finite number, three, or a symmetric (3, 3)")
         if np.ndim(self.alpha) == 2:
             require_symmetric(np.array(self.alpha, float), "alpha")
-        for name, value in (("the change of temperature T", self.T), ("factor", self.factor)):
+        is_field, reference = isinstance(self.T, HandsOver), self.reference
+        for name, value in (("the change of temperature T", 0.0 if is_field else self.T), ("factor", self.factor)):
             require(callable(value) or is_finite(value), name, value, "allowed: a finite number or a function (x, t)")
+        hint = "give the temperature without strain, a number" + "; only T of a state needs it" * (not is_field)
+        require(is_finite(reference) or not (is_field or reference is not None), "reference", reference, hint)
 
     def components(self, context: EigenstrainContext) -> TensorRows:
         """Return the eigenstrain of a body or layer as rows (3, 3) of numbers or UFL scalars.
@@ -307,7 +314,7 @@ class ThermalExpansion(Eigenstrain):
             InputError: the temperature or its factor is not a scalar.
         """
         T, scale = context.scalar(self.T, "the change of temperature T"), context.scalar(self.factor, "the factor of T")
-        T, alpha = scale * T, np.array(self.alpha, float)
+        T, alpha = scale * (T - self.reference if self.reference else T), np.array(self.alpha, float)
         table = alpha if alpha.ndim == 2 else np.diag(np.broadcast_to(alpha, 3))
         return [[a * T if a else 0.0 for a in row] for row in table.tolist()]
 

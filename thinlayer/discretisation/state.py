@@ -9,15 +9,19 @@ from functools import cached_property, reduce
 from operator import add
 from typing import Any
 
+import basix.ufl
 import numpy as np
 import ufl
 from dolfinx import fem
+from mpi4py import MPI
 
 from forms.base import Array, InputError
 from forms.tensors import MANDEL_PAIRS, Expr, mandel_tensor, mandel_vector, three_dimensional
 from forms.work import Term, energy, stress, with_added_strain
+from geometry.domain import Domain
 from geometry.seam import BASE, S
 from geometry.topology import IntArray
+from thinlayer.discretisation.coefficient import Coordinates
 from thinlayer.discretisation.form_compilation import checked_user_form, compiled_functionals, unit_values
 from thinlayer.discretisation.key import BODY_KIND, LAYER_KIND, PRESSURE_KIND, Key
 from thinlayer.discretisation.layer import BODIES
@@ -25,7 +29,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.prescribed_strains import MEAN_STRAIN, VOIGT_POSITIONS_OF_DIM, from_voigt
 from thinlayer.discretisation.rigid_motions import Resultant, default_moment_point, load_resultants, resultant
 from thinlayer.discretisation.supports import Place, is_same_or_part
-from thinlayer.discretisation.time_functions import TimeLevel, with_strains
+from thinlayer.discretisation.time_functions import HandedField, TimeLevel, with_strains
 from thinlayer.errors import FormerNames
 from thinlayer.system.ranks import carry_cell_values
 
@@ -182,6 +186,10 @@ class State(Configuration):
 
     def __repr__(self) -> str:
         return f"State({self.model!r}, t = {self.t:g}, {self.report.method}, {self.report.iterations} iterations)"
+
+    def field_on(self, at: Coordinates) -> Expr:
+        """Return the scalar field of this state as UFL on the mesh of another model. Collective."""
+        return scalar_field_on(self, at.domain)
 
     def identity(self) -> dict[str, object]:
         """Return the data that identify the state, as JSON: those of its model, and the time."""
@@ -395,6 +403,33 @@ class State(Configuration):
         if not all(p.law.traits.has_energy for p in form_terms):
             return math.nan
         return self._integrate(energy(form_terms, self.u)) if form_terms else 0.0
+
+
+def scalar_field_on(state: State, domain: Domain) -> Expr:
+    """Return the scalar field of a state as UFL on the mesh of another model. Collective.
+
+    If both models have the same joint, each cell gets the field's values in the same cell, and thus those on its side
+    of S. Otherwise it is a function on the mesh of the state, for `Coefficient` to sample.
+
+    Raises:
+        InputError: the state is one of displacements, or it has no values in a meshed layer of the other model.
+    """
+    model, joint = state.model, domain.joint
+    if not model.kinematics.has_value_in_strain:
+        raise InputError(f"{state!r} is a state of a {model.kinematics.unknown}; give one of a temperature")
+    if (joint.band.drawn_joint if joint.band else joint).points is not model.joint.points:
+        return state.u[0]
+    is_taken = domain.original_cells < len(model.joint.cells)
+    if joint.band and model.domain.joint.band and np.array_equal(joint.cells, model.domain.joint.cells):
+        is_taken[:] = True
+    if not state.model.comm.allreduce(int(is_taken.all()), op=MPI.MIN):
+        text = "a meshed layer needs values inside it, which this one has not"
+        raise InputError(f"{state!r}: {text}; give the state of a full model with the same cells_through")
+    family, cell = model.V.ufl_element().basix_element.family, domain.mesh.basix_cell()
+    element = basix.ufl.element(family, cell, model.structure.degree, discontinuous=True)
+    field = HandedField(fem.functionspace(domain.mesh, element))
+    field.x.array[field.function_space.dofmap.list] = node_values(state.u, model, domain.original_cells)[..., 0]
+    return field
 
 
 def node_values(f: fem.Function, model: Model, cells: IntArray) -> Array:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
+from typing import ClassVar
 from weakref import WeakSet
 
 import numpy as np
@@ -14,7 +15,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from ufl.algebra import Division, Product, Sum
-from ufl.algorithms.analysis import extract_constants
+from ufl.algorithms.analysis import extract_coefficients, extract_constants
 from ufl.constantvalue import ConstantValue
 from ufl.core.multiindex import MultiIndex
 from ufl.core.terminal import Terminal
@@ -57,7 +58,7 @@ class Clock:
 
     def _set_time(self, t: float) -> None:
         for constant in self.symbol.time_constants:
-            constant.value = constant.at(t)
+            _set_value(constant, constant.at(t))
 
 
 class TimeConstant(fem.Constant):
@@ -67,7 +68,7 @@ class TimeConstant(fem.Constant):
 
     Attributes:
         mesh: the mesh.
-        time_constants: all constants of the same clock.
+        time_constants: all constants and fields in time of the same clock.
     """
 
     def __init__(
@@ -75,7 +76,7 @@ class TimeConstant(fem.Constant):
     ) -> None:
         super().__init__(mesh, np.full(table.columns.shape[1], np.nan) if table else math.nan)
         self.mesh, self._time, self._argument, self._table = mesh, time, argument, table
-        self.time_constants: WeakSet[TimeConstant] = WeakSet() if time is None else time.time_constants
+        self.time_constants: WeakSet[TimeDependent] = WeakSet() if time is None else time.time_constants
         self.time_constants.add(self)
 
     def __eq__(self, other: object) -> bool:
@@ -88,6 +89,10 @@ class TimeConstant(fem.Constant):
     def at(self, t: float) -> float | Array:
         """Return the value at the time t: the time itself, or the values (m,) of the table."""
         return t if self._table is None else self._table.values_at(self._argument_at(t))
+
+    def copy_at(self, t: float) -> fem.Constant:
+        """Return a constant with the value at the time t."""
+        return fem.Constant(self.mesh, np.array(self.at(t), float))
 
     def _argument_at(self, t: float) -> float:
         """Return the argument of the table at the time t; NaN where the expression is not defined."""
@@ -112,9 +117,55 @@ class TimeConstant(fem.Constant):
         return {(t - start) / rate for t in self._table.kinks} if is_linear and rate else set()
 
 
-def time_constants(expression: Expr) -> list[TimeConstant]:
-    """Return the constants of clocks in an expression or a form; none if it does not depend on the time."""
-    return [c for c in extract_constants(expression) if isinstance(c, TimeConstant)]
+class HandedField(fem.Function):
+    """A scalar field of another model on the mesh of this one; on a rigid base it is zero."""
+
+
+class FieldInTime(HandedField):
+    """A function on a mesh that is linear in time between fields at some times, and NaN before and after them.
+
+    Like a `TimeConstant` it has values only inside the context of its clock.
+
+    Args:
+        fields: functions in one space at the times `times`, increasing.
+        times: (n,) the times.
+        clock: the clock of the model.
+    """
+
+    kinks: ClassVar[frozenset[float]] = frozenset()  # steps need not end at the times of another march
+
+    def __init__(self, fields: Sequence[fem.Function], times: Sequence[float], clock: Clock) -> None:
+        super().__init__(fields[0].function_space)
+        self._table = PiecewiseLinear(np.array(times, float), np.array([field.x.array for field in fields]))
+        clock.symbol.time_constants.add(self)
+
+    def at(self, t: float) -> Array:
+        """Return the degrees of freedom on this rank at the time t, ghosts included."""
+        return self._table.values_at(t)
+
+    def copy_at(self, t: float) -> fem.Function:
+        """Return a function with the values at the time t."""
+        copy = fem.Function(self.function_space)
+        copy.x.array[:] = self.at(t)
+        return copy
+
+
+TimeDependent = TimeConstant | FieldInTime
+
+
+def time_constants(expression: Expr) -> list[TimeDependent]:
+    """Return what an expression or a form has of clocks: constants and fields in time; none if it has no time."""
+    return [
+        c for c in (*extract_constants(expression), *extract_coefficients(expression)) if isinstance(c, TimeDependent)
+    ]
+
+
+def _set_value(target: fem.Constant | fem.Function, value: float | Array) -> None:
+    """Set the value of a constant, or the degrees of freedom of a function."""
+    if isinstance(target, fem.Function):
+        target.x.array[:] = value
+    else:
+        target.value = value
 
 
 class TimeLevel:
@@ -125,20 +176,20 @@ class TimeLevel:
     """
 
     def __init__(self, t: float = 0.0) -> None:
-        self._t, self._constants = t, dict[TimeConstant, fem.Constant]()
+        self._t, self._constants = t, dict[TimeDependent, fem.Constant | fem.Function]()
 
     def set_time(self, t: float) -> None:
         """Set the time of this level, and so the values of its constants in compiled forms."""
         self._t = t
         for time_constant, constant in self._constants.items():
-            constant.value = time_constant.at(t)
+            _set_value(constant, time_constant.at(t))
 
     def at_level(self, expression: Expr) -> Expr:
         """Return an expression or a form in which constants of this time level replace those of the clock."""
         constants = time_constants(expression)
         for constant in constants:
             if constant not in self._constants:
-                self._constants[constant] = fem.Constant(constant.mesh, np.array(constant.at(self._t), float))
+                self._constants[constant] = constant.copy_at(self._t)
         return ufl_replace(expression, {c: self._constants[c] for c in constants}) if constants else expression
 
 

@@ -10,9 +10,12 @@ from typing import Any
 import numpy as np
 
 from forms.base import Array, InputError, is_finite, require
+from forms.tensors import Expr
+from thinlayer.discretisation.coefficient import Coordinates
 from thinlayer.discretisation.layer import BODIES
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.state import State
+from thinlayer.discretisation.state import State, scalar_field_on
+from thinlayer.discretisation.time_functions import FieldInTime, HandedField
 from thinlayer.surface.law_points import layer_shares, seams_with_shares, share_columns
 from thinlayer.system.table import Table
 
@@ -83,6 +86,19 @@ class History:
     def __repr__(self) -> str:
         span_text = f", t = {self.t[0]:g} to {self.t[-1]:g}" if self.table.rows else ""
         return f"History({self.model!r}, {len(self)} steps{span_text}, {len(self.states)} states)"
+
+    def field_on(self, at: Coordinates) -> Expr:
+        """Return the scalar field of the states as UFL on the mesh of another model, linear in time. Collective.
+
+        Raises:
+            InputError: states were not kept, or times occur twice.
+        """
+        if len(self.states) < max(len(self), 2) or (np.diff(self.t) <= 0).any():
+            raise InputError(f"{self!r} is no field in time: give a march of two states or more, with keep='all'")
+        fields = [scalar_field_on(state, at.domain) for state in self]
+        if not isinstance(fields[0], HandedField):
+            raise InputError(f"{self!r} is of another joint; make both models from one joint, or hand over a state")
+        return FieldInTime(fields, self.t, at.clock)
 
     def identity(self) -> dict[str, Any]:
         """Return data that identify the history: those of its model (`Model.identity`), and the times of its states."""
