@@ -8,7 +8,7 @@ from forms.adhesion import Adhesion
 from forms.breaking import Breaking, Cohesive
 from forms.broken_friction import CohesiveFriction
 from forms.check import check
-from forms.conduction import AnisotropicConduction, Conduction, Heat
+from forms.conduction import AnisotropicConduction, Conductance, Conduction, Heat
 from forms.contact import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, Tresca
 from forms.elastic import Anisotropic, LinearElastic
 from forms.flux import FluxLaw

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,8 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from forms.base import Array, InputError
 from forms.flux import FluxLaw, FluxStep
-from forms.law import choice, require_positive
+from forms.law import BulkLaw, choice, require_positive
+from forms.parameter_fields import ParameterValue
+from forms.temperature import checked_values, place_and_time_text
 from forms.tensors import Expr, layer_frame
+from forms.traction import JumpStep, TractionLaw
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +122,78 @@ class AnisotropicConduction(FluxLaw):
             rotation = Rotation.align_vectors([np.pad(n, (0, 3 - len(n)))], [[0.0, 1.0, 0.0]])[0].as_matrix()
             K = rotation @ K @ rotation.T
         return np.pad(K, (0, 3))
+
+
+class _ConductanceOfGradients(Conduction):
+    """A conductance in the form of a law of gradients, for a layer with the thickness 1."""
+
+    functions: ClassVar = ("k",)
+
+    def check(self) -> None:
+        if not callable(self.k):
+            super().check()
+
+    def stiffness(self, n: Array) -> Array | None:  # type: ignore[override]
+        return None if callable(self.k) else super().stiffness(n)
+
+    @property
+    def varies(self) -> bool:
+        return callable(self.k)
+
+    def parameters(self) -> dict[str, ParameterValue]:
+        return {"k": math.nan if callable(self.k) else self.k}
+
+    def at(self, x: Array, t: float) -> dict[str, Array]:
+        if not callable(self.k):
+            return {}
+        wanted = "it must be a numpy function of places (d, n) on S and of the time that gives n numbers > 0"
+        h = checked_values("h(x, t)", self.k, x, t, wanted=wanted, where=partial(place_and_time_text, x, t))
+        for k in np.flatnonzero(h <= 0)[:1]:
+            raise InputError(f"h(x, t) is {h[k]:g}{place_and_time_text(x, t, int(k))}; {wanted}")
+        return {"k": h}
+
+
+@dataclass(frozen=True, eq=False)
+class Conductance(TractionLaw):
+    """Law of a scalar field on S without a thickness: the flux is h times the jump of the field.
+
+    Examples are a contact resistance 1/h, or gas in a gap: h = k_g/(opening + g_0), with the opening of a mechanical
+    model (`Surface.function`).
+
+    Attributes:
+        h: conductance, flux over jump; > 0. A number, or a numpy function (x, t) of the coordinates (d, n) of n places
+            on S and of the time.
+
+    Raises:
+        InputError: h out of range, also while a model is solved.
+
+    Example:
+        >>> from forms import Conductance, Conduction
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, solve
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")  # mm
+        >>> plates = Structure(
+        ...     joint, body=Conduction(k=0.05), supports={"BOTTOM": 20, "TOP": 80}
+        ... )
+        >>> state = solve(plates.interface(Conductance(h=2e-3)))
+        >>> print(f"{state.reaction('TOP').flow:.4f} W/mm")
+        0.4286 W/mm
+    """
+
+    h: float
+    unknown = FluxLaw.unknown
+    linear = True
+    functions: ClassVar = ("h",)
+
+    def check(self) -> None:
+        if not callable(self.h):
+            require_positive(self, "h")
+
+    def traction(self, step: JumpStep) -> Expr:
+        return self.h * step.w
+
+    def as_bulk_law(self) -> BulkLaw:
+        return _ConductanceOfGradients(self.h)
 
 
 @dataclass(frozen=True, eq=False)

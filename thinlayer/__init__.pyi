@@ -6,6 +6,7 @@ from thinlayer.discretisation.broken_mesh import BrokenMesh as BrokenMesh
 from thinlayer.discretisation.coefficient import Pressure as Pressure
 from thinlayer.discretisation.layer import Bond as Bond
 from thinlayer.discretisation.layer import Gap as Gap
+from thinlayer.discretisation.layer import SurfaceSource as SurfaceSource
 from thinlayer.discretisation.layer import ThinLayer as ThinLayer
 from thinlayer.discretisation.point_loads import LineLoad as LineLoad
 from thinlayer.discretisation.point_loads import PointLoad as PointLoad
@@ -39,10 +40,12 @@ from thinlayer.output.surface import Surface as Surface
 from thinlayer.output.sweep import sweep as sweep
 from thinlayer.output.zooming import Zoom as Zoom
 from thinlayer.parts.film import Film as Film
+from thinlayer.parts.joule import JouleHeat as JouleHeat
 from thinlayer.parts.plates import RigidPlate as RigidPlate
 from thinlayer.parts.springs import Springs as Springs
 from thinlayer.parts.ufl_part import UflPart as UflPart
 from thinlayer.pointwise.drive import drive as drive
+from thinlayer.solving.coupling import coupled as coupled
 from thinlayer.solving.solve import solve as solve
 from thinlayer.solving.step_problem import StepProblem as StepProblem
 from thinlayer.system.table import Table as Table

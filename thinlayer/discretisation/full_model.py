@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 import ufl
+from dolfinx import fem
 from scipy.spatial import cKDTree
 
 from forms import work as forms
@@ -23,7 +24,7 @@ from geometry.refusals import require_known
 from thinlayer.discretisation.boundary import require_normal_shifts, require_revolution
 from thinlayer.discretisation.forces import LoadRegion
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.layer import Layers, SeamLayer, ThinLayer, law_with_numbers
+from thinlayer.discretisation.layer import Layers, SeamLayer, SurfaceSource, ThinLayer, law_with_numbers
 from thinlayer.discretisation.mesh_functions import band_of, director, law_with_constants
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.supports import Place
@@ -123,9 +124,14 @@ class FullModel(Model):
                 terms.append(replace(term, key=seam_layer.key, prescribed_strain=self.layer_strains[name]))
         return terms
 
-    def _load_region(self, layer: SeamLayer) -> LoadRegion:
+    def _load_region(self, layer: SeamLayer, source: SurfaceSource | None) -> LoadRegion:
+        if source and (source.height or layer.described_profile):
+            raise InputError(
+                f"a SurfaceSource at {source.height:g} of a meshed layer: allowed: 0, in a uniform thickness"
+            )
         regions = [*band_of(self.domain.joint).regions_of_seam[layer.name], *self._junction_regions(layer.name)]
-        return LoadRegion(self.dx(self.domain.region_tags(*regions)), self.kinematics.factor)
+        factor = self.kinematics.factor / fem.Constant(self.domain.mesh, layer.eps if source else 1.0)
+        return LoadRegion(self.dx(self.domain.region_tags(*regions)), factor)
 
     def _junction_regions(self, name: str) -> list[str]:
         """Return the names of those regions of cells, where layers meet, that have the law of the seam `name`."""

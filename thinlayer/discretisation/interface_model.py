@@ -28,7 +28,7 @@ from thinlayer.discretisation.boundary import require_revolution
 from thinlayer.discretisation.coefficient import Coordinates
 from thinlayer.discretisation.forces import Forces, LoadRegion
 from thinlayer.discretisation.form_compilation import law_with_expressions
-from thinlayer.discretisation.layer import Layers, SeamLayer, law_of_terms, law_with_numbers
+from thinlayer.discretisation.layer import Layers, SeamLayer, SurfaceSource, law_of_terms, law_with_numbers
 from thinlayer.discretisation.mesh_functions import MidSurface, cellwise_function, relative_thickness
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.side_loads import add_side_loads
@@ -222,19 +222,23 @@ class InterfaceModel(Model):
         names = [name for name, applicability in self.applicability.items() if applicability.weights]
         return super()._description() | ({"free ends": names} if names else {})
 
-    def _load_region(self, layer: SeamLayer) -> LoadRegion:
+    def _load_region(self, layer: SeamLayer, source: SurfaceSource | None) -> LoadRegion:
         """Return the region on S where the loads of a layer act.
 
-        Each side of S carries half of a load. On a rigid base, the base carries the lower half.
+        Each side of S carries half of a load, of a source its share. On a rigid base, the base carries the lower part.
         """
-        sides = self.sides_of(layer.name)
+        sides, share = self.sides_of(layer.name), 0.5 + (source.height if source else 0.0)  # of the upper side
 
         def base_displacement(v: Expr) -> Expr:  # the base moves and rotates as the facets of the body above it do
-            return sides.upper(v + ufl.dot(ufl.grad(v), 2 * self._middle.offset) if self._middle else v) / 2
+            return sides.upper(v + ufl.dot(ufl.grad(v), 2 * self._middle.offset) if self._middle else v) * (1 - share)
 
         base_argument = base_displacement if layer.name in self.joint.base_seams else None
-        upper, lower, weight = sides.upper, sides.lower, self._thickness(layer, sides) * sides.factor
-        return LoadRegion(sides.measure, weight, upper, lambda v: (upper(v) + lower(v)) / 2, base_argument)
+        weight = sides.factor if source else self._thickness(layer, sides) * sides.factor
+
+        def work_argument(v: Expr) -> Expr:
+            return share * sides.upper(v) + (1 - share) * sides.lower(v)
+
+        return LoadRegion(sides.measure, weight, sides.upper, work_argument, base_argument)
 
 
 def _law_on_surface(domain: Domain, joint: Joint, name: str, upper: InterfaceSide, law: BulkLaw) -> BulkLaw:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dolfinx.mesh import Mesh
 
@@ -148,6 +148,32 @@ class Gap:
 
     def __post_init__(self) -> None:
         _check_thickness("gap's width eps", self.eps)
+
+
+@dataclass(frozen=True)
+class SurfaceSource:
+    """A source of a scalar per area of a layer, for `Structure(sources={"S": ...})`: such as the heat of friction.
+
+    At a height z it goes by 1/2 + z into the upper side of S, by 1/2 - z into the lower one. So the share beta of the
+    upper side is that of z = beta - 1/2. The seam's law may also be one without a thickness.
+
+    Attributes:
+        power: source per area: a number, a function (x, t), or `Surface.function` of another model's results.
+        height: place across the layer over its thickness, from -1/2 at the lower to 1/2 at the upper face. A meshed
+            layer, through which the source is uniform, needs 0.
+
+    Raises:
+        InputError: height out of range, or power that is no number or function.
+    """
+
+    power: Any
+    height: float = 0.0
+
+    def __post_init__(self) -> None:
+        is_value = callable(self.power) or is_finite(self.power)
+        require(is_value, "power of a SurfaceSource", self.power, "give a number or a function")
+        is_height = is_finite(self.height) and abs(self.height) <= 0.5
+        require(is_height, "height of a SurfaceSource", self.height, "allowed: from -1/2 to 1/2")
 
 
 @dataclass(frozen=True)
@@ -367,6 +393,9 @@ def loads_of_layers(model: Model) -> dict[str, LoadInput]:
     loads_by_name = force if isinstance(force, Mapping) else {}
     seams = [seam for seam in model.joint.seams if seam not in model.bonds]
     loads = {seam: loads_by_name[name] for name in loads_by_name for seam in seams if name in (S, seam)}
-    for seam in (seam for seam in loads if seam not in layers or not layers[seam].thin_layer):
+    if model.n_components > 1 and any(isinstance(load, SurfaceSource) for load in loads.values()):
+        raise InputError("a SurfaceSource is a source of a scalar field; the bodies have laws of displacements")
+    is_per_volume = {seam: not isinstance(load, SurfaceSource) for seam, load in loads.items()}
+    for seam in (seam for seam in loads if seam not in layers or (is_per_volume[seam] and not layers[seam].thin_layer)):
         raise InputError(f"body force in the layer {seam!r}: it has no layer with a thickness, so no weight is known")
     return loads

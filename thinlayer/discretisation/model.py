@@ -30,7 +30,17 @@ from thinlayer.discretisation.constraints import Constraints
 from thinlayer.discretisation.forces import BodyForce, Forces, LoadRegion
 from thinlayer.discretisation.form_compilation import checked_term, compiled_functionals, compiled_terms, mesh_origin
 from thinlayer.discretisation.key import BODY_KIND, Key
-from thinlayer.discretisation.layer import BODIES, Bond, Gap, Layers, SeamContent, SeamLayer, ThinLayer, loads_of_layers
+from thinlayer.discretisation.layer import (
+    BODIES,
+    Bond,
+    Gap,
+    Layers,
+    SeamContent,
+    SeamLayer,
+    SurfaceSource,
+    ThinLayer,
+    loads_of_layers,
+)
 from thinlayer.discretisation.mesh_functions import law_with_constants, mesh_cut_at_faces, vector_space
 from thinlayer.discretisation.part_definition import PartDefinition, check_part_definitions
 from thinlayer.discretisation.point_loads import ConcentratedLoad, check_loads
@@ -271,7 +281,9 @@ class Model(ABC):
         at = self.coordinates.with_own_kinks
         forces = Forces(self.domain, self.kinematics, self.joint, at, self.structure)
         for name, load in loads_of_layers(self).items():
-            forces.add_layer_load(name, load, self._load_region(self.layers[name]), self._coordinates_on(at))
+            source = load if isinstance(load, SurfaceSource) else None
+            region = self._load_region(self.layers[name], source)
+            forces.add_layer_load(name, source.power if source else load, region, self._coordinates_on(at))
         return forces
 
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
@@ -279,8 +291,8 @@ class Model(ABC):
         return at
 
     @abstractmethod
-    def _load_region(self, layer: SeamLayer) -> LoadRegion:
-        """Return the region over which a force per volume of the layer acts."""
+    def _load_region(self, layer: SeamLayer, source: SurfaceSource | None) -> LoadRegion:
+        """Return the region over which a force per volume of the layer acts, or the source per area `source`."""
 
     def require(self, use: str, what: str = "") -> None:
         """Raise InputError if a layer of the model violates a condition for a use of layers.

@@ -36,6 +36,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, node_values
 from thinlayer.surface.lines import Line, Plane, lines_on
 from thinlayer.surface.locating import EXTENDED_BODIES_HINT, LocatedPoints
+from thinlayer.surface.surface_function import SurfaceFunction
 
 Where = Array | BoolArray | Callable[[Array], object]
 SIDE_NAMES = ("lower", "upper")
@@ -480,6 +481,23 @@ class SurfaceMesh:
         each.
         """
         return np.asarray(at_corners @ self.shapes.T)
+
+    def function(self, f: npt.ArrayLike, times: npt.ArrayLike | None = None) -> SurfaceFunction:
+        """Return a field as a function of place and time, for data of other models of the same joint.
+
+        It is the L2 projection of degree 1, and takes parameters of laws, or sources, from another model's results.
+
+        Args:
+            f: a number, or values at the q quadrature points of n facets: (n, q), at several times (rows, n, q).
+            times: (rows,) increasing times, between which the function is linear; None: it does not depend on time.
+
+        Raises:
+            InputError: f is no field; times do not increase, or are not as many as the fields.
+        """
+        values, count = self._as_field(f), 0 if times is None else np.size(times)
+        require(times is None or (count > 1 and (np.diff(times) > 0).all()), "times", times, "two or more, increasing")
+        require(values.shape[:-2] == ((count,) if count else ()), "shape of f", np.shape(f), f"{count or 'no'} times")
+        return SurfaceFunction(self, self.nodal(values).T if count else self.nodal(values), times)
 
     def profile(self, f: npt.ArrayLike) -> tuple[Array, Array]:
         """Return the coordinates (m, d) of the m nodes of S, and nodal values of a field there.

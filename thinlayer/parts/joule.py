@@ -1,0 +1,83 @@
+"""JouleHeat: the heat of an electric current, as a source in bodies and layers of a structure of heat."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
+from typing import ClassVar
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from forms.base import Array, require
+from forms.kinematics import ScalarField
+from forms.tensors import Expr, scalar_value
+from forms.work import stress
+from thinlayer.discretisation.form_compilation import compiled_functionals
+from thinlayer.discretisation.part_definition import HostModel, PartDefinition
+from thinlayer.discretisation.state import Configuration, State
+from thinlayer.parts.form_part import FormPart
+
+
+@dataclass(frozen=True)
+class JouleHeat(PartDefinition):
+    """Heat of an electric current: a source of flux times gradient of the potential, in bodies and in layers.
+
+    In a layer on S the source is at the heights at which its law is evaluated. Structure and layers of the current have
+    the joint of those of heat. Flows out of the
+    structure balance it, but `State.applied` does not contain it.
+
+    Attributes:
+        current: state of the electric potential, whose laws have conductivities that are numbers.
+
+    Raises:
+        InputError: no state of a potential; when a model is made: another joint, or conductivities that vary.
+
+    Example:
+        >>> from forms import Conduction
+        >>> from geometry import sandwich
+        >>> from thinlayer import JouleHeat, Structure, ThinLayer, solve
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")  # mm
+        >>> wires = Structure(joint, body=Conduction(1e3), supports={"BOTTOM": 0, "TOP": 0.1})  # A/(V mm), V
+        >>> current = solve(wires.interface(ThinLayer(Conduction(1.0), eps=0.1)))
+        >>> plates = Structure(
+        ...     joint, body=Conduction(0.05), supports={"BOTTOM": 20}, parts=[JouleHeat(current)]
+        ... )
+        >>> state = solve(plates.interface(ThinLayer(Conduction(2e-4), eps=0.1)))
+        >>> state.reaction("BOTTOM"), current.load_work()
+        ''
+    """
+
+    unknowns: ClassVar = (ScalarField.unknown,)
+    current: State
+    key: ClassVar[str] = "joule"  # type: ignore[misc]
+
+    def __post_init__(self) -> None:
+        is_potential = isinstance(self.current, State) and self.current.model.kinematics.has_value_in_strain
+        require(is_potential, "current", self.current, "give the state of an electric potential")
+
+    def check(self, model: HostModel) -> None:
+        electric = self.current.model
+        hint = "the current needs the joint of the structure of heat, and conductivities that are numbers"
+        is_linear = all(p.law.traits.proportional and not p.law.traits.compiled for p in electric.terms)
+        require(is_linear and electric.joint.points is model.joint.points, "current", self.current, hint)
+
+    def work(self, model: HostModel, u: Expr, v: Expr) -> ufl.Form:
+        electric = self.current.model
+        potential = ufl.as_vector([self.current.field_on(model.coordinates)])
+        terms = model.with_bodies(electric.body_laws).with_layer(electric.on_seams).terms
+        powers = ((p, ufl.inner(stress(p, potential), p.strain(potential))) for p in terms)
+        return reduce(add, (-power * scalar_value(p.strain(v)) * p.weight * p.measure for p, power in powers))
+
+    def rigid_stiffness(self, model: HostModel, motions: list[fem.Function]) -> Array:  # type: ignore[override]
+        return np.zeros((len(motions), len(motions)))
+
+    def load_work(self, model: HostModel, state: Configuration) -> float:
+        forms = compiled_functionals(-self.work(model, state.u, state.u))
+        return float(model.comm.allreduce(sum(map(fem.assemble_scalar, forms))))
+
+    def part(self, model: HostModel) -> FormPart:
+        u, v = fem.Function(model.V), ufl.TestFunction(model.V)
+        return FormPart(self.key, u, g=self.work(model, u, v), energy=self.work(model, u, u))
