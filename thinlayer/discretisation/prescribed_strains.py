@@ -267,8 +267,8 @@ class ThermalExpansion(Eigenstrain):
             DOLFINx Function on a mesh that covers the bodies. Or the temperature itself: a state of heat, or a history,
             which is linear in time between its states. A layer on S takes the values on both sides, linear through the
             thickness; of order 0 their mean.
-        factor: factor of T - reference, a number or a function (x, t). With it a DOLFINx Function can grow in time; otherwise it
-            acts suddenly.
+        factor: factor of T - reference, a number or a function (x, t). With it a DOLFINx Function can grow in time;
+            otherwise it acts suddenly.
         reference: temperature without strain; needed if T is a state or a history. None: T is a change from it.
 
     Raises:

@@ -134,9 +134,9 @@ class FieldInTime(HandedField):
 
     kinks: ClassVar[frozenset[float]] = frozenset()  # steps need not end at the times of another march
 
-    def __init__(self, fields: Sequence[fem.Function], times: Sequence[float], clock: Clock) -> None:
+    def __init__(self, fields: Sequence[fem.Function], times: Array, clock: Clock) -> None:
         super().__init__(fields[0].function_space)
-        self._table = PiecewiseLinear(np.array(times, float), np.array([field.x.array for field in fields]))
+        self._table = PiecewiseLinear(times, np.array([field.x.array for field in fields]))
         clock.symbol.time_constants.add(self)
 
     def at(self, t: float) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 
 from forms.base import Array, InputError, require
 from forms.tensors import Expr
+from geometry.topology import IntArray
 from thinlayer.discretisation.mesh_functions import cellwise_function
 from thinlayer.discretisation.time_functions import FieldInTime, PiecewiseLinear
 
@@ -30,8 +31,8 @@ class SurfaceFunction:
 
     def __init__(self, surface: SurfaceMesh, values: Array, times: Array | None) -> None:
         self._surface, self._values, self._times = surface, np.atleast_2d(values), times
-        self._table = None if times is None else PiecewiseLinear(np.array(times, float), self._values)
-        self._located: tuple[Array, Array, Array] | None = None
+        self._table = None if times is None else PiecewiseLinear(times, self._values)
+        self._located: tuple[Array, IntArray, Array] | None = None
 
     def __call__(self, x: Array, t: float = 0.0) -> Array:
         """Return the values (n,) at n places x (d, n) of S, and at the time t.
@@ -45,9 +46,9 @@ class SurfaceFunction:
         if self._located is None or not np.array_equal(self._located[0], x):
             located, at = self._surface.at(np.asarray(x).T)
             first = np.unique(located.point, return_index=True)[1]  # a place on an edge is on several facets
-            corners = self._surface.nodes[at.rows[first]]
-            self._located = np.array(x), corners, at.shapes[first, 0]
-        return np.asarray((nodal[self._located[1]] * self._located[2]).sum(axis=1))
+            self._located = np.array(x), self._surface.nodes[at.rows[first]], np.asarray(at.shapes[first, 0])
+        _, nodes, shapes = self._located
+        return np.asarray((nodal[nodes] * shapes).sum(axis=1))
 
     def field_on(self, at: Coordinates) -> Expr:
         """Return the function as UFL on the mesh of a model, where it is zero at vertices that are not on S."""
@@ -56,12 +57,12 @@ class SurfaceFunction:
         require(
             (joint.band.drawn_joint if joint.band else joint).points is drawn.points, "joint", joint, "not that of S"
         )
-        at_vertices = np.zeros((len(self._values), len(drawn.points)))
+        at_vertices: Array = np.zeros((len(self._values), len(drawn.points)))
         at_vertices[:, self._surface.vertices] = self._values
         corners = joint.corners
         if joint.band:  # vertices of layers come from those of S that have the same place
             on_s = {tuple(drawn.points[k]): k for k in self._surface.vertices}
             source = [on_s.get(tuple(place), -1) for place in joint.reference]
-            at_vertices = np.pad(at_vertices, ((0, 0), (0, 1)))[:, source]
+            at_vertices = np.hstack([at_vertices, np.zeros((len(at_vertices), 1))])[:, source]
         fields = [cellwise_function(at.domain, ("Lagrange", 1), row[corners][..., None]) for row in at_vertices]
         return fields[0] if self._times is None else FieldInTime(fields, self._times, at.clock)

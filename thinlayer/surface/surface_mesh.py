@@ -494,10 +494,11 @@ class SurfaceMesh:
         Raises:
             InputError: f is no field; times do not increase, or are not as many as the fields.
         """
-        values, count = self._as_field(f), 0 if times is None else np.size(times)
-        require(times is None or (count > 1 and (np.diff(times) > 0).all()), "times", times, "two or more, increasing")
+        values, rows = self._as_field(f), None if times is None else np.array(times, float)
+        count = 0 if rows is None else rows.size
+        require(rows is None or (count > 1 and (np.diff(rows) > 0).all()), "times", times, "two or more, increasing")
         require(values.shape[:-2] == ((count,) if count else ()), "shape of f", np.shape(f), f"{count or 'no'} times")
-        return SurfaceFunction(self, self.nodal(values).T if count else self.nodal(values), times)
+        return SurfaceFunction(self, self.nodal(values).T if count else self.nodal(values), rows)
 
     def profile(self, f: npt.ArrayLike) -> tuple[Array, Array]:
         """Return the coordinates (m, d) of the m nodes of S, and nodal values of a field there.
