@@ -67,10 +67,15 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 def draw(record: Record) -> None:
     """Draw temperatures of both sides of the pad and its shear stress, from table.csv in the folder of `record`."""
-    tables = record.load("table.csv").split("model")
-    names = {"full": "meshed pad", "interface": "law on S", "bond": "heat without pad"}
-    sides = {f"{names[k]}, {side}": (tables[k]["x"], tables[k][side]) for k in names for side in ("lower", "upper")}
-    panels = {"temperature of both sides": sides}
-    panels["shear stress of the pad"] = {names[k]: (tables[k]["x"], tables[k]["shear"]) for k in names}
-    labels = {"temperature of both sides": "T (degrees Celsius)", "shear stress of the pad": "MPa"}
-    plotting.curves(panels, "x from the middle (mm)", labels, save=record.path("chip.svg"), title="a chip on a pad")
+    tables, names = (
+        record.load("table.csv").split("model"),
+        {"full": "meshed pad", "interface": "law on S", "bond": "heat without pad"},
+    )
+    columns = {"lower": "copper's side of the pad", "upper": "chip's side", "shear": "shear stress"}
+    lines = {
+        title: {names[model]: (rows["x"], rows[column]) for model, rows in tables.items()}
+        for column, title in columns.items()
+    }
+    labels = {title: "MPa" if column == "shear" else "degrees Celsius" for column, title in columns.items()}
+    look = {"title": "a chip on a thermal pad", "styles": {"meshed pad": "."}}
+    plotting.curves(lines, "x from the middle (mm)", labels, save=record.path("chip.svg"), **look)

@@ -15,9 +15,11 @@ from forms import Conductance, Conduction, LinearElastic
 from forms.base import Array
 from geometry import sandwich
 from thinlayer import Structure, Surface, Table, ThermalExpansion, ThinLayer, coupled, plotting, solve
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.running.record import Record
+from thinlayer.solving.history import Solution
 
 K_GAS, G_0, CONTACT = 0.002, 0.0002, 2000.0  # of the gap; growth of the conductance by the overlap
 CASES = {  # expansions of the lower and the upper bar, cold opening: s at the solution
@@ -42,12 +44,17 @@ def heat(opening: Array) -> State:
     return solve(HEATED.interface(Conductance(SURFACE.function(conductance(opening)))))
 
 
-def expand(lower: float, upper: float, temperature: State) -> State:
-    """Solve for the displacements of bars with these coefficients of expansion."""
+def bars(lower: float, upper: float, temperature: Solution) -> InterfaceModel:
+    """Make the model of bars with these coefficients of expansion, open to each other."""
     rollers = {"BOTTOM": 0, "TOP": {"y": 0}, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
     expansions = {"LOWER": lower, "UPPER": upper}
     strains = {body: ThermalExpansion(alpha, temperature, reference=0) for body, alpha in expansions.items()}
-    return solve(Structure(JOINT, body=LinearElastic(0, 0.5), supports=rollers, eigenstrain=strains).interface(EMPTY))
+    return Structure(JOINT, body=LinearElastic(0, 0.5), supports=rollers, eigenstrain=strains).interface(EMPTY)
+
+
+def expand(lower: float, upper: float, temperature: State) -> State:
+    """Solve for the displacements of bars with these coefficients of expansion."""
+    return solve(bars(lower, upper, temperature))
 
 
 def closed_opening(opening: float, lower: float, upper: float, cold: float) -> float:
