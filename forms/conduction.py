@@ -11,7 +11,7 @@ import numpy as np
 import ufl
 from scipy.spatial.transform import Rotation
 
-from forms.base import Array, InputError
+from forms.base import Array, InputError, is_finite, require
 from forms.flux import FluxLaw, FluxStep
 from forms.law import BulkLaw, choice, require_positive
 from forms.parameter_fields import ParameterValue
@@ -99,6 +99,8 @@ class AnisotropicConduction(FluxLaw):
     @classmethod
     def layered(cls, along: float, across: float) -> AnisotropicConduction:
         """Return the law of a layer with one conductivity > 0 along it, and another one > 0 across it."""
+        for name, value in (("along", along), ("across", across)):
+            require(is_finite(value), f"{cls.__name__}.layered: {name}", value, "allowed: > 0")
         return cls(np.diag([along, across, along]), "layer")
 
     def _rotation(self, n: Any) -> Expr:

@@ -86,7 +86,8 @@ class Forces:
         dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
         tractions = {} if structure.tractions is None else structure.tractions
         body_force = {} if structure.body_force is None else structure.body_force
-        require(isinstance(tractions, Mapping), "tractions", tractions, "give {name: traction}")
+        arguments = names.load_arguments
+        require(isinstance(tractions, Mapping), arguments[0], tractions, f"give {{name: {names.traction}}}")
         for name in sorted(tractions, key=str):  # in the same order on all ranks
             load = tractions[name]
             tags = boundary_tags(domain, kinematics, name, f"{names.traction} on {name!r}", layer_side=True)
@@ -97,7 +98,7 @@ class Forces:
                 label, traction, *_ = self._loads[-1]
                 self.add_weighted_load("", label, side_share * traction, LoadRegion(ds(domain.values(layer_side)), 1))
         seams = (*(domain.joint.band.drawn_joint if domain.joint.band else domain.joint).seams, S)
-        body_loads: dict[str, LoadInput] = values_by_body(body_force, domain.joint, "body_force", seams)
+        body_loads: dict[str, LoadInput] = values_by_body(body_force, domain.joint, arguments[1], seams)
         for name, load in body_loads.items():
             label = f"{names.body_force} in {name!r}"
             require(not isinstance(load, Pressure), label, load, "there is no normal inside a body; give a vector")

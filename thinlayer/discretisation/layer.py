@@ -11,7 +11,7 @@ from dolfinx.mesh import Mesh
 
 from forms.base import Array, InputError, is_finite, is_number, require
 from forms.contact import ContactLaw
-from forms.kinematics import Kinematics
+from forms.kinematics import Kinematics, ScalarField
 from forms.law import BulkLaw, Law
 from forms.law_tangents import declared_or_computed_tangent, is_checked_at_rest, require_stable, tangent_after
 from forms.tensors import Expr, average_lame
@@ -104,6 +104,10 @@ class ThinLayer:
             self.law.stations()  # raises errors of laws without order 1
         require(self.profile is None or callable(self.profile), "the profile", self.profile, "give a function of x")
         require(self.edges in EDGE_CHOICES, "edges", self.edges, f"allowed: {', '.join(map(repr, EDGE_CHOICES))}")
+        if self.law.unknown == ScalarField.unknown:
+            for name in ("eigenstrain", "edges"):
+                reason = f"it is of displacements, and {type(self.law).__name__} is a law of a {self.law.unknown}"
+                require(getattr(self, name) is None, name, getattr(self, name), reason)
 
     @property
     def material(self) -> BulkLaw:

@@ -147,7 +147,9 @@ class Structure:
             self.body_laws = self._laws_by_body(body)
             self._check_choices()
             self.degree = int(self.element[1])
-            self.tractions, self.body_force = self._loads_of_unknown(tractions, body_force, fluxes, sources)
+            self.tractions, self.body_force = self._loads_of_unknown(
+                self.loads, tractions=tractions, body_force=body_force, fluxes=fluxes, sources=sources
+            )
             self._check_unknown(eigenstrain)
             eigenstrains = values_by_body(eigenstrain, joint, "eigenstrain")
             self.eigenstrains = {name: value for name, value in eigenstrains.items() if value is not None}
@@ -271,7 +273,9 @@ class Structure:
             supports: place -> prescribed displacements; None: unchanged.
         """
         new = copy_without_caches(self)
-        tractions, body_force = self._loads_of_unknown(tractions, body_force, fluxes, sources)
+        tractions, body_force = self._loads_of_unknown(
+            loads, tractions=tractions, body_force=body_force, fluxes=fluxes, sources=sources
+        )
         data = {"tractions": tractions, "body_force": body_force, "loads": loads and tuple(loads), "supports": supports}
         changed = {name: value for name, value in data.items() if value is not None}
         vars(new).update(changed)
@@ -354,36 +358,34 @@ class Structure:
             raise InputError(f"{text}; make a structure for each unknown, and see thinlayer.coupled")
         return laws
 
-    def _loads_of_unknown(
-        self,
-        tractions: Mapping[str, LoadInput | Pressure] | None,
-        body_force: BodyForce | None,
-        fluxes: Mapping[str, Value] | None,
-        sources: Value | Mapping[str, Value] | None,
-    ) -> tuple[Any, Any]:
+    def _loads_of_unknown(self, loads: object, /, **data: Any) -> list[Any]:
         """Return the loads on facets and in volumes: tractions and body forces, or a scalar field's fluxes and sources.
+
+        `data` has the arguments with these names, and `loads` are the concentrated loads.
 
         Raises:
             InputError: loads of the other kind are given.
         """
-        forces, flows = {"tractions": tractions, "body_force": body_force}, {"fluxes": fluxes, "sources": sources}
-        loads, others = (flows, forces) if self.kinematics.unknown == ScalarField.unknown else (forces, flows)
-        for (name, value), instead in zip(others.items(), loads, strict=True):
-            if value is not None:
-                raise InputError(f"{name} do not act on a {self.kinematics.unknown}; give {instead}")
-        surface_loads, volume_loads = loads.values()
-        return surface_loads, volume_loads
+        arguments, unknown = self.kinematics.quantities.load_arguments, self.kinematics.unknown
+        for name in (name for name, value in data.items() if name not in arguments and value is not None):
+            raise InputError(f"{name}= does not act on a {unknown}; give {' or '.join(arguments)}")
+        if loads and unknown == ScalarField.unknown:
+            raise InputError(f"loads= does not act on a {unknown}; give {' or '.join(arguments)}")
+        return [data[name] for name in arguments]
 
     def _check_unknown(self, eigenstrain: Eigenstrains | None) -> None:
-        """Raise InputError if a structure of a scalar field has data that only displacements have."""
-        if self.kinematics.unknown != ScalarField.unknown:
+        """Raise InputError if the structure has data or parts of another unknown than that of its bodies' laws."""
+        unknown = self.kinematics.unknown
+        for part in self.parts:
+            require(isinstance(part, PartDefinition), "parts", part, "each must be a part, such as Springs or Film")
+            if unknown not in part.unknowns:
+                raise InputError(f"{part!r:.80} acts on a {part.unknowns[0]}; the bodies have laws of a {unknown}")
+        if unknown != ScalarField.unknown:
             require(self.initial is None, "initial", self.initial, "displacements begin at zero, without stress")
             return
-        data = {"eigenstrain": eigenstrain, "strain": self.strain, "stress": self.stress, "loads": self.loads or None}
+        data = {"eigenstrain": eigenstrain, "strain": self.strain, "stress": self.stress}
         for name in (name for name, value in data.items() if value is not None):
-            raise InputError(f"{name}= is of displacements, and the bodies have laws of a {self.kinematics.unknown}")
-        for part in (part for part in self.parts if self.kinematics.unknown not in part.unknowns):
-            raise InputError(f"{part!r:.80} acts on displacements; the bodies have laws of a scalar field")
+            raise InputError(f"{name}= is of displacements, and the bodies have laws of a {unknown}")
 
 
 def require_body_law(name: str, law: Law) -> None:

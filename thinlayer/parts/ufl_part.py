@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import ufl
 from dolfinx import fem
@@ -12,6 +13,7 @@ from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
 from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
 
 from forms.base import InputError
+from forms.kinematics import PLANE_STRAIN, ScalarField
 from forms.tensors import Expr
 from thinlayer.discretisation.form_compilation import checked_user_form
 from thinlayer.discretisation.part_definition import HostModel, PartDefinition
@@ -62,6 +64,7 @@ class UflPart(PartDefinition):
         '6.79'
     """
 
+    unknowns: ClassVar = (PLANE_STRAIN.unknown, ScalarField.unknown)
     virtual_work: Callable[[Expr, Expr, HostModel], ufl.Form] | None = None
     energy: Callable[[Expr, HostModel], ufl.Form] | None = None
     key: str = "own form"
