@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import ClassVar, Self
 
+import numpy as np
 import ufl
 
 from forms.base import InputError
 from forms.law import BulkLaw, Step, require_shape
-from forms.tensors import Expr, scalar_gradient, scalar_strain, scalar_value
+from forms.tensors import Expr, scalar_gradient, scalar_strain, scalar_value, three_dimensional
 
 
 class FluxStep(Step):
@@ -89,6 +90,12 @@ class FluxLaw(BulkLaw):
     def sink(self, step: FluxStep) -> Expr:
         """Return what a unit of volume takes in per time, UFL, at t + theta dt."""
         return ufl.as_ufl(0.0)
+
+    def conductivity_across(self, n: Expr) -> Expr:
+        """Return the flux along the unit vector `n` (d,) per gradient along n, UFL; the law must be linear."""
+        n = three_dimensional(n)
+        law = self.mapped(lambda value, _: ufl.as_tensor(value) if np.ndim(value) else ufl.as_ufl(value))
+        return ufl.dot(law.flux(FluxStep(scalar_strain(n), n)), n)
 
     def evolve(self, step: FluxStep) -> dict[str, Expr]:
         """Return the internal variables at the end of the step, UFL by name."""

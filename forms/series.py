@@ -12,9 +12,10 @@ import ufl
 
 from forms.base import Array, InputError, is_integer, require
 from forms.elastic import LinearElastic
+from forms.flux import FluxLaw
 from forms.law import ORDER_0_REMEDY, BulkLaw, ChangeParameter
 from forms.parameter_fields import ParameterField, ParameterValue
-from forms.stations import AnyStation, Faces, Station
+from forms.stations import GAUSS_HEIGHTS, AnyStation, Faces, Station
 from forms.tensors import Expr, jump_strain, three_dimensional
 from forms.traits import Traits, require_valid_declarations
 
@@ -116,6 +117,37 @@ def sublayer_stations(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[AnyS
     return [Station(across_law, 1, EqualTractionLaw.strain), *in_plane_stations]
 
 
+def conducting_stations(stack: Stack) -> list[AnyStation]:
+    """Return the stations of the interface law for sublayers that conduct a scalar field, two in each sublayer.
+
+    The field at a height is <T> + Phi [T], with the mean <T> and the jump [T] of the faces. Phi grows from -1/2 to 1/2,
+    with a derivative proportional to 1/k, where k is the conductivity across the layer: the flux is uniform through
+    the layer, as in the law of order 0.
+
+    Args:
+        stack: the law of the layer.
+
+    Raises:
+        InputError: a sublayer is not linear, so that its part of the jump is not known beforehand.
+    """
+    for law in (law for law in stack.laws if not law.traits.linear):
+        raise InputError(f"Stack: {type(law).__name__} is not linear, so its part of the jump is unknown; mesh the layer (structure.full)")
+
+    def station_at(i: int, z: float) -> AnyStation:
+        height = sum(stack.fractions[:i]) + (z + 0.5) * stack.fractions[i] - 0.5
+
+        def strain(laws: Sequence[FluxLaw], faces: Faces) -> Expr:
+            conductivities = [law.conductivity_across(faces.n) for law in laws]
+            resistances = [a / k for a, k in zip(stack.fractions, conductivities, strict=True)]
+            phi = sum(resistances[:i], (z + 0.5) * resistances[i]) / sum(resistances) - 0.5
+            slope = resistances[i] / sum(resistances) / stack.fractions[i]
+            return slope * faces.strain_across(height) + faces.mean_strain_s + phi * faces.strain_difference
+
+        return Station(stack.laws[i], stack.fractions[i] / 2, strain, strain_laws=stack.laws)
+
+    return [station_at(i, z) for i in range(len(stack.laws)) for z in GAUSS_HEIGHTS]
+
+
 def _start_and_step(steps: list[float]) -> Iterator[tuple[float, float]]:
     """Yield, for each sublayer from the lower face on, the value of Phi at its lower side and the increment over it.
 
@@ -128,6 +160,8 @@ def _start_and_step(steps: list[float]) -> Iterator[tuple[float, float]]:
 @dataclass(frozen=True)
 class Stack(BulkLaw):
     """Law of sublayers in series between the faces: tractions and in-plane strains are equal, jumps add up.
+
+    Sublayers that conduct a scalar field must be linear on S; the flux across them is equal, and jumps add up.
 
     The meshed layer has cells for each sublayer. On S, with the mean strain e at a point, sublayer i has the strain e +
     sym(g_i (x) n). The vectors g_i are such that tractions are equal and sum_i a_i g_i = 0, with the fractions a_i of
@@ -173,6 +207,8 @@ class Stack(BulkLaw):
         self.require(abs(total - 1) < 1e-12, "sum of the fractions", "1", total)
         for law in self.laws:
             self.require(isinstance(law, BulkLaw) and law.traits.stackable, "a sublayer", allowed, law)
+        unknowns = sorted({law.unknown for law in self.laws})
+        self.require(len(unknowns) == 1, "sublayers", "laws of one unknown", f"laws of {' and '.join(unknowns)}")
         softening = [type(law).__name__ for law in self.laws if law.traits.softens]
         allowed = "at most one: of several, only the weakest would break, and equal ones would break together"
         self.require(len(softening) <= 1, "sublayers that soften", allowed, " and ".join(softening))
@@ -192,6 +228,16 @@ class Stack(BulkLaw):
     @property
     def sublayers(self) -> tuple[tuple[float, BulkLaw], ...]:
         return tuple(zip(self.fractions, self.laws, strict=True))
+
+    @property
+    def unknown(self) -> str:  # type: ignore[override]  # a class attribute of other laws
+        """Name of the unknown of the sublayers' laws."""
+        return self.laws[0].unknown
+
+    @property
+    def default_order(self) -> int:  # type: ignore[override]
+        """Order of the interface law if the user chooses none."""
+        return self.laws[0].default_order
 
     @property
     def break_times(self) -> set[float]:
@@ -227,6 +273,8 @@ class Stack(BulkLaw):
     def stations(self) -> list[AnyStation]:
         if len(self.laws) == 1:
             return self.laws[0].stations()
+        if self.unknown == FluxLaw.unknown:
+            return conducting_stations(self)
         if self.fields:
             subject = "order=1 of a Stack with parameters that are functions"
             raise InputError(f"{subject}: the sublayers' shares of the jump would change along S; {ORDER_0_REMEDY}")

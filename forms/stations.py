@@ -108,6 +108,7 @@ class Station(Generic[LawType]):
         mobility: function of the same law that returns the flux along S over the pressure's gradient and eps^3; 0
             without a pressure.
         max_lame_ratio: lmbda/mu for small strains, beyond which this strain makes the layer lock.
+        strain_laws: laws that `strain` gets, as a tuple, in place of `law`, such as those of all sublayers; (): `law`.
     """
 
     law: LawType
@@ -115,6 +116,7 @@ class Station(Generic[LawType]):
     strain: Callable[[LawType, Faces], Expr]
     mobility: Callable[[LawType], Expr] = lambda law: 0
     max_lame_ratio: float = math.inf
+    strain_laws: tuple[Any, ...] = ()
 
 
 AnyStation = Station[Any]  # of a law of any class; a list of stations may have laws of several

@@ -16,7 +16,7 @@ from forms.base import InputError
 from forms.ends.weights import EndWeights
 from forms.kinematics import PLANE_STRAIN, Kinematics
 from forms.law import BulkLaw, Step, checked_stress
-from forms.stations import AnyStation, Faces, gauss_stations
+from forms.stations import AnyStation, Faces
 from forms.tensors import Expr, three_dimensional
 
 
@@ -314,7 +314,8 @@ def s_terms(
         return Faces(n, eps, unit_jump, ufl.zero(c, d), no_strain, across, lambda gradient, u: no_strain, grad_eps)
 
     def term_at(station: AnyStation) -> Term:
-        surface_law, station_weight = sides.law_on_surface(station.law), station.station_weight
+        surface_laws = tuple(map(sides.law_on_surface, station.strain_laws))
+        surface_law, station_weight = surface_laws or sides.law_on_surface(station.law), station.station_weight
         strain_of = partial(station.strain, surface_law)
 
         def traction(stress: Expr) -> Expr:
@@ -329,8 +330,6 @@ def s_terms(
 
         return at_station(station.law, strain, weight * station_weight)
 
-    if order == 0:
-        return [term_at(station) for station in gauss_stations(law)]
     return [term_at(station) for station in (law.stations() if ends is None else law.stations_at_ends(ends))]
 
 

@@ -29,6 +29,7 @@ from thinlayer.errors import Violation
 MIN_STIFFNESS_CONTRAST = 40.0  # least Young's modulus of the bodies over the layer's mu
 # least radius of free ends over the thickness in axisymmetry; the error of end constants is of the order of its inverse
 MIN_RADIUS_RATIO = 4.0
+MAX_SPREADING = 0.1  # length over which a sublayer spreads a scalar field, over the width of S; the error is 3 %
 MESH_REMEDY = "use order=0, or mesh the layer (structure.full)"
 GOALS_REMEDY = "and compare goals: goal.value(state, model)"
 # 48 (1 - nu^2): (eps k)^3 E/mu at which half-spaces are as compliant as the layer under a pressure of wave number k
@@ -259,11 +260,13 @@ def _order_1_conditions(r: Applicability) -> Iterator[Violation]:
         return
     if thin.law.traits.constrained and structure.plane == "stress":
         yield Violation("pressure in a sheet", "no pressure builds up in plane stress", "use LinearElastic or order=0")
-    if structure.degree != 2:
-        yield Violation("element", f"order=1 has gradients on S, elements are {structure.element}", "use degree 2")
     if r.bend_text and r.bodies == "kept":
         remedy = "use bodies='extended', for the interface and the full model alike"
         yield Violation("bent", f"order=1 {r.bend_text} needs bodies at their true places", remedy)
+    if structure.kinematics.has_value_in_strain:
+        return  # a scalar field does not lock, and its energy of order 1 is positive at tips and junctions, too
+    if structure.degree != 2:
+        yield Violation("element", f"order=1 has gradients on S, elements are {structure.element}", "use degree 2")
     if r.bend_text and len(thin.law.sublayers) > 1:
         yield Violation("bent stack", f"order=1 of a Stack {r.bend_text}: shares of the jump turn along S", MESH_REMEDY)
     yield from filter(None, (sample_layer.initial_tangents.locking_violation() for sample_layer in r.layer.samples))
@@ -302,6 +305,28 @@ def _support_conditions(r: Applicability) -> Iterator[Violation]:
     if len(ridges := sheet.rim.vertices[np.abs(layer_projectors).max(axis=(1, 2)) > FLAT_SQUARED_COSINE]):
         reason = f"a support holds the side of {r.layer} alone, at {place_text(sheet.joint.points[ridges[0, 0]])}"
         yield Violation("held alone", reason, "support the bodies too, or mesh the layer")
+
+
+def _sublayer_conditions(r: Applicability) -> Iterator[Violation]:
+    """Yield a violation if an inner sublayer conducts so well that its value is not that of a field of equal flux.
+
+    In a foil between two insulating sublayers the field spreads along S over `spreading` times the thickness, before it
+    reaches the nearer face.
+    """
+    if not r.layer.structure.kinematics.has_value_in_strain or len(r.layer.law.sublayers) < 3:
+        return
+    x = r.layer.sheet.joint.points[r.layer.sheet.vertices]
+    width = float(np.ptp(x.reshape(-1, x.shape[-1]), axis=0).max())
+    for layer in r.layer.samples:
+        fractions, across, along = layer.initial_tangents.conductivities
+        to_lower = np.cumsum(fractions / across)
+        resistances = np.minimum(to_lower[:-2], to_lower[-1] - to_lower[1:-1])
+        spreading = layer.eps * float(np.sqrt(fractions[1:-1] * along[1:-1] * resistances).max())
+        if spreading > MAX_SPREADING * width:
+            text = f"a sublayer of {r.layer} spreads the field over {spreading:.3g} along S, which is {width:.3g} wide"
+            effect = f"from {MAX_SPREADING:g} of its width on it has a value of its own, unknown on S"
+            yield Violation("foil", f"{text}; {effect}", "mesh the layer (structure.full)")
+            return
 
 
 def _thickness_conditions(r: Applicability) -> Iterator[Violation]:
@@ -435,6 +460,7 @@ CONDITIONS_OF_USE: dict[str, tuple[Condition, ...]] = {
     "law": (_law_conditions,),
     "mesh": (_thickness_conditions, _law_conditions, _meshed_layer_conditions),
     "sides": (_support_conditions,),
+    "sublayers": (_sublayer_conditions,),
     "mean strain": (_mean_strain_conditions,),
     "interface law": (_law_conditions, _order_1_conditions),
     "ends": (_thickness_conditions, _free_end_law_conditions),

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from dolfinx.mesh import Mesh
 
 from forms.base import Array, InputError, is_finite, is_number, require
@@ -257,6 +258,14 @@ class InitialTangents:
         for _, law, C in self.sublayers:
             if is_checked_at_rest(law):
                 require_stable(law, C, self.n)
+
+    @property
+    def conductivities(self) -> tuple[Array, Array, Array]:
+        """Fractions (k,) of the k sublayers of a scalar field's layer, their conductivities across and along S."""
+        d = len(self.n)
+        K = np.array([np.eye(d) if C is None else C[:d, :d] for _, _, C in self.sublayers])
+        across = np.einsum("i,kij,j->k", self.n, K, self.n)
+        return np.array([a for a, *_ in self.sublayers]), across, (np.trace(K, axis1=1, axis2=2) - across) / (d - 1)
 
     def locking_violation(self) -> Violation | None:
         """Return why the interface law of order 1 is much too stiff (it locks); None if it is not.

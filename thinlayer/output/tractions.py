@@ -131,8 +131,8 @@ def _add_meshed_forces(corner_forces: Array, surface: SurfaceMesh, facets: IntAr
     n = q.n[:, : joint.dim]
     t = points.term.kinematics.tractions(points.stress(), n)
     tangential_weight, normal_weight = _sublayer_weights(layer, points)
-    if normal_weight != tangential_weight:
-        t = tangential_weight * t + (normal_weight - tangential_weight) * np.einsum("pi,pi,pj->pj", t, n, n)
+    t_N = np.einsum("pi,pi,pj->pj", t, n, n) if t.shape == n.shape else t  # a flux is that along n
+    t = tangential_weight * (t - t_N) + normal_weight * t_N
     np.add.at(corner_forces, facets, np.einsum("fq,fqa,fqd->fad", q.weights[point_ids] / point_eps, N, t[point_ids]))
 
 
@@ -143,6 +143,8 @@ def _sublayer_weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float
     the jump is then the sum of the sublayers' work. In elastic layers the fraction of the jump follows from the
     sublayers' compliances. In layers of one material, and in layers that are not elastic, both weights are 1.
 
+    Fluxes have the second weight, by the conductivities of the sublayers.
+
     Args:
         layer: the layer.
         points: quadrature points of the sublayer's law.
@@ -150,12 +152,15 @@ def _sublayer_weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float
     if len(layer.law.sublayers) == 1:
         return 1.0, 1.0
     model = points.state.model
+    k = [p.measure for p in model.layer_terms if p.key == layer.key].index(points.term.measure)
     sublayers = law_with_numbers(layer.layer, model.kinematics).sublayers
+    if model.n_components == 1:
+        fractions, across, _ = layer.samples[0].initial_tangents.conductivities
+        return 1.0, float(1 / across[k] / (fractions @ (1 / across)))
     try:
         lame = [law.elastic_moduli() for _, law in sublayers]
     except InputError:
         return 1.0, 1.0
-    k = [p.measure for p in model.layer_terms if p.key == layer.key].index(points.term.measure)
     compliance = np.array([(a / mu, a / (lmbda + 2 * mu)) for (a, _), (lmbda, mu) in zip(sublayers, lame, strict=True)])
     tangential_weight, normal_weight = compliance[k] / compliance.sum(axis=0) / sublayers[k][0]
     return float(tangential_weight), float(normal_weight)

@@ -84,6 +84,8 @@ def warn_of_model(model: Model) -> None:
             model.warn("coarse ends", f"{text}: {effect}", name)
         if violation := applicability.why_not("sides"):
             model.warn(violation.key, f"{violation.reason}: what it bears is left out; {violation.remedy}", name)
+        if violation := applicability.why_not("sublayers"):
+            model.warn(violation.key, f"{violation.reason}; {violation.remedy}", name)
 
 
 def _bond_line_remarks(model: Model, layer: SeamLayer) -> Iterator[Remark]:
