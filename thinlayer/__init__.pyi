@@ -34,6 +34,7 @@ from thinlayer.estimating.strength import strength as strength
 from thinlayer.estimating.thickness import thin_enough as thin_enough
 from thinlayer.output.comparison import compare as compare
 from thinlayer.output.ensemble import ensemble as ensemble
+from thinlayer.output.homogenised import homogenised_conductivity as homogenised_conductivity
 from thinlayer.output.homogenised import homogenised_stiffness as homogenised_stiffness
 from thinlayer.output.probe import Probe as Probe
 from thinlayer.output.surface import Surface as Surface

@@ -291,8 +291,11 @@ def _meshed_layer_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _mean_strain_conditions(r: Applicability) -> Iterator[Violation]:
-    if r.layer.thin_layer and r.layer.thin_layer.order:
+    is_scalar = r.layer.structure.kinematics.has_value_in_strain
+    if r.layer.thin_layer and r.layer.thin_layer.order and not is_scalar:
         yield Violation("order 1", f"{r.layer} has order=1, whose strains along S have a mean part", "use order=0")
+    if is_scalar and r.bodies == "extended" and len(r.layer.law.sublayers) > 1:
+        yield Violation("mean gradient", f"{r.layer} has sublayers, whose shares of a mean gradient differ", MESH_REMEDY)
 
 
 def _support_conditions(r: Applicability) -> Iterator[Violation]:

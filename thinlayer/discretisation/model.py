@@ -17,7 +17,7 @@ from dolfinx import fem
 from forms import work as forms
 from forms.base import InputError
 from forms.law import BulkLaw
-from forms.tensors import Expr
+from forms.tensors import Expr, scalar_gradient, scalar_strain, three_dimensional
 from geometry.domain import Domain
 from geometry.inflating.layering import value_by_seam
 from geometry.joint import Joint
@@ -47,6 +47,7 @@ from thinlayer.discretisation.point_loads import ConcentratedLoad, check_loads
 from thinlayer.discretisation.prescribed_strains import (
     EigenstrainContext,
     EigenstrainInput,
+    MeanGradient,
     MeanStrain,
     MeanStress,
     MeanTensorInput,
@@ -173,7 +174,7 @@ class Model(ABC):
             self.layer_strains = {name: self._layer_strain(seam_layer) for name, seam_layer in self.layers.items()}
             if not (strain is None and stress is None):
                 self.require("mean strain")
-            self.strain = None if strain is None else MeanStrain(strain, self.coordinates, self.joint)
+            self.strain = None if strain is None else self._mean_strain(strain, self.coordinates)
         self.bodies = self._with_mean_strain(self._terms_of_bodies())
         self.layer_terms = self._terms_of_layers()
         with errors_on_all(self.comm):
@@ -475,14 +476,14 @@ class Model(ABC):
 
         Args:
             strain: (d, d) symmetric numbers in d dimensions, or a function (x, t) of the time t alone that returns
-                them.
+                them; for a scalar field its mean gradient (d,).
         """
         new = copy_without_caches(self, keep=MESH_CACHE_NAMES)
         new.family, new.coordinates = ModelFamily(), Coordinates.of_domain(self.domain)
-        new.strain, new.stress = MeanStrain(strain, new.coordinates, self.joint), None
+        new.strain, new.stress = self._mean_strain(strain, new.coordinates), None
         new.bodies = new._with_mean_strain([replace(p, prescribed_strain=None) for p in self.bodies])
         new.layer_terms = new._with_mean_strain([replace(p, prescribed_strain=None) for p in self.layer_terms])
-        new.structure = self.structure.with_loads(tractions={}, body_force={}, loads=())
+        new.structure = self.structure.with_loads(**dict.fromkeys(self.kinematics.quantities.arguments, {}), loads=())
         new.forces = new._make_forces()
         return new
 
@@ -567,10 +568,32 @@ class Model(ABC):
     def _with_mean_strain(self, terms: list[forms.Term]) -> list[forms.Term]:
         """Return terms with the prescribed mean strain of a periodic cell added to their strains.
 
-        Terms on S are unchanged, and so are all terms if no mean strain is prescribed.
+        All terms are unchanged if no mean strain is prescribed, and terms on S as far as `uniform_strain_in` says.
         """
-        on_s = any(p.measure.integral_type() != "cell" for p in terms)
-        return forms.with_added_strain(terms, self.strain.expression) if self.strain and not on_s else terms
+        if self.strain is None:
+            return terms
+        strains = ((p, self.uniform_strain_in(p, self.strain.expression)) for p in terms)
+        return [p if e is None else forms.with_added_strain([p], e)[0] for p, e in strains]
+
+    def uniform_strain_in(self, term: forms.Term, strain: Expr) -> Expr | None:
+        """Return the part (3, 3) of a uniform strain, UFL, that a term has besides that of jumps; None: it has none.
+
+        On S only laws of a scalar field have a part: along S at order 1, and across S where bodies give up the layer's
+        thickness.
+        """
+        if term.measure.integral_type() == "cell":
+            return strain
+        layer = next(layer for layer in self.layers.values() if layer.owns_key(term.key))
+        has_along = self.n_components == 1 and layer.as_thin_layer.order == 1
+        has_across = self.n_components == 1 and self.domain.joint.parted is not None
+        if not (has_along or has_across):
+            return None
+        gradient, n = scalar_gradient(strain), three_dimensional(term.n)
+        across = ufl.dot(gradient, n) * n
+        return scalar_strain((gradient - across) * has_along + across * has_across)
+
+    def _mean_strain(self, strain: MeanTensorInput, at: Coordinates) -> MeanStrain:
+        return (MeanGradient if self.n_components == 1 else MeanStrain)(strain, at, self.joint)
 
     @property
     def cell_terms(self) -> list[forms.Term]:

@@ -17,7 +17,7 @@ from forms.kinematics import Kinematics
 from forms.law import BulkLaw
 from forms.law_tangents import tangent_at_rest
 from forms.temperature import finite_values
-from forms.tensors import MANDEL_PAIRS, SQRT2, Expr, three_dimensional
+from forms.tensors import MANDEL_PAIRS, SQRT2, Expr, scalar_strain, three_dimensional
 from forms.work import Term, sum_strains
 from geometry.joint import Joint
 from thinlayer.discretisation.coefficient import Coordinates, HandsOver, depends_on_place
@@ -53,13 +53,15 @@ class MeanStrain:
     """
 
     what: ClassVar[str] = "the mean strain"
+    rank: ClassVar[int] = 2
 
     def __init__(self, value: MeanTensorInput, at: Coordinates, joint: Joint) -> None:
         if joint.periods is None:
             raise InputError(f"{self.what} needs a periodic joint; see geometry.periodic")
         self._dim = d = joint.dim
-        self._coefficient, self.size = at.coefficient(value, self.what, (d, d)).once("the whole cell"), joint.size
-        self.expression = three_dimensional(self._coefficient.expression)
+        coefficient = at.coefficient(value, self.what, (d,) * self.rank)
+        self._coefficient, self.size = coefficient.once("the whole cell"), joint.size
+        self.expression = (three_dimensional, scalar_strain)[self.rank == 1](self._coefficient.expression)
         if not self._coefficient.varies:
             self.tensor_at(0.0)
 
@@ -70,8 +72,16 @@ class MeanStrain:
             InputError: it is not finite or not symmetric.
         """
         strain = self._coefficient.at_time(t)
-        require_symmetric(strain, f"{self.what} at t = {t:g}")
+        if self.rank == 2:
+            require_symmetric(strain, f"{self.what} at t = {t:g}")
         return strain
+
+
+class MeanGradient(MeanStrain):
+    """Prescribed mean gradient of a scalar field in a periodic cell, (d,) numbers or a function of the time."""
+
+    what = "the mean gradient"
+    rank = 1
 
 
 class MeanStress(MeanStrain):

@@ -16,7 +16,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from forms.base import Array, InputError
-from forms.tensors import MANDEL_PAIRS, Expr, mandel_tensor, mandel_vector, three_dimensional
+from forms.tensors import MANDEL_PAIRS, Expr, mandel_tensor, mandel_vector, scalar_strain, three_dimensional
 from forms.work import Term, energy, stress, with_added_strain
 from geometry.domain import Domain
 from geometry.seam import BASE, S
@@ -293,13 +293,13 @@ class State(Configuration):
     def mean_strain(self) -> Array:
         """Return the mean strain (d, d) of a periodic cell, prescribed or computed under a mean stress. Collective.
 
-        It is zero if the model prescribes neither.
+        It is zero if the model prescribes neither. For a scalar field it is the mean gradient (d,).
         """
         model, d = self.model, self.model.joint.dim
         if model.strain:
             return model.strain.tensor_at(self.t)
         if MEAN_STRAIN not in self.fields:
-            return np.zeros((d, d))
+            return np.zeros((d,) if model.n_components == 1 else (d, d))
         E, dofmap = self.fields[MEAN_STRAIN].x.array, self.fields[MEAN_STRAIN].function_space.dofmap
         owned_values = E[: dofmap.index_map.size_local * dofmap.index_map_bs]
         return np.concatenate(model.comm.allgather(owned_values))[VOIGT_POSITIONS_OF_DIM[d]] / (2 - np.eye(d))
@@ -385,14 +385,19 @@ class State(Configuration):
     def mean_stress(self) -> Array:
         """Return the mean stress (d, d) of the bodies and of meshed layers. Collective.
 
-        In a periodic cell it is the stress of the cell as a whole, with layers on S included, see `Model.volume`.
+        In a periodic cell it is the stress of the cell as a whole, with layers on S included, see `Model.volume`. For a
+        scalar field it is the mean flux (d,).
         """
         model, d = self.model, self.model.joint.dim
-        voigt_factors = fem.Constant(model.domain.mesh, np.zeros(d * (d + 1) // 2))
-        terms = self.bodies if model.broken else [*self.bodies, *self.layers]
-        unit = three_dimensional(from_voigt(voigt_factors))
-        work_form = sum(ufl.inner(s, unit) * p.weight * measure for p, s, measure in self._terms_with_stress(terms))
-        return unit_values(model.comm, work_form, voigt_factors)[VOIGT_POSITIONS_OF_DIM[d]] / model.volume
+        is_scalar = model.n_components == 1
+        factors = fem.Constant(model.domain.mesh, np.zeros(d if is_scalar else d * (d + 1) // 2))
+        unit = scalar_strain(factors) if is_scalar else three_dimensional(from_voigt(factors))
+        parts = [(p, model.uniform_strain_in(p, unit)) for p in [*self.bodies, *self.layers]]
+        unit_strains = [e for _, e in parts if e is not None]
+        stresses = self._terms_with_stress([p for p, e in parts if e is not None])
+        works = (ufl.inner(s, e) * p.weight * dx for e, (p, s, dx) in zip(unit_strains, stresses, strict=True))
+        values = unit_values(model.comm, sum(works), factors) / model.volume
+        return values if is_scalar else values[VOIGT_POSITIONS_OF_DIM[d]]
 
     def _form_energy(self, terms: Sequence[Term]) -> float:
         """Return the stored energy of those terms whose laws are in UFL forms. Collective.

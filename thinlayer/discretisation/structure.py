@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from forms.base import Array, InputError, require
 from forms.kernel import KernelLaw
-from forms.kinematics import KINEMATICS_BY_NAME, SCALAR_KINEMATICS_BY_NAME, ScalarField
+from forms.kinematics import KINEMATICS_BY_NAME, SCALAR_KINEMATICS_BY_NAME, Kinematics, ScalarField
 from forms.law import BulkLaw, Law, explained_errors
 from forms.law_tangents import declared_or_computed_tangent, depends_on_normal, require_stable
 from geometry.joint import Joint
@@ -75,6 +75,8 @@ class Structure:
             jump [u]. Translations that nothing prevents are fixed at one vertex, so `supports={}` is allowed.
         stress: mean stress instead of a mean strain, (d, d) or such a function. The mean strain is then unknown, see
             `State.mean_strain`. The joint must be periodic in all directions, and the bodies linear.
+        gradient: for a scalar field, its mean gradient in a periodic joint, (d,) numbers or such a function. The field
+            then excludes the linear field with this gradient.
         eigenstrain: strain that the bodies would have without stress, or region name -> strain. Allowed are a number, a
             symmetric table (d, d) or (3, 3), and a function (x, t) of UFL coordinates that returns one of these;
             `ThermalExpansion`, `Prestress`, or a list of several that add up. A number multiplies the identity in three
@@ -91,7 +93,8 @@ class Structure:
         degree: its polynomial degree.
         kinematics: strains of displacements for `plane`, not yet on a mesh.
         body_laws: name of a body -> its law.
-        supports, tractions, body_force, loads, parts, strain, stress: the arguments.
+        supports, tractions, body_force, loads, parts, stress: the arguments; of a scalar field fluxes, sources.
+        strain: the mean strain, or the mean gradient of a scalar field.
         eigenstrains: name of a body -> its eigenstrain as the user wrote it; bodies without one are left out.
         comm: MPI communicator; None: the world.
         data_hash: hash of the data, equal on all ranks.
@@ -131,13 +134,15 @@ class Structure:
         parts: Sequence[PartDefinition] = (),
         strain: MeanTensorInput | None = None,
         stress: MeanTensorInput | None = None,
+        gradient: MeanTensorInput | None = None,
         eigenstrain: Eigenstrains | None = None,
         initial: Value | None = None,
         comm: MPI.Intracomm | None = None,
     ) -> None:
         require(comm is None or isinstance(comm, MPI.Intracomm), "comm", comm, "give an MPI communicator, or None")
         self.joint, self.plane, self.comm = joint, plane, comm
-        self.supports, self.strain, self.stress, self.initial = supports, strain, stress, initial
+        self.supports, self.stress, self.initial = supports, stress, initial
+        self.strain = strain if gradient is None else gradient
         with errors_on_all(comm):
             require(isinstance(joint, Joint), "joint", joint, "it must be a Joint, such as geometry.sandwich gives")
             require(isinstance(parts, Sequence), "parts", parts, "it must be a list of parts")
@@ -150,7 +155,7 @@ class Structure:
             self.tractions, self.body_force = self._loads_of_unknown(
                 self.loads, tractions=tractions, body_force=body_force, fluxes=fluxes, sources=sources
             )
-            self._check_unknown(eigenstrain)
+            self._check_unknown(strain=strain, stress=stress, eigenstrain=eigenstrain, gradient=gradient, initial=initial)
             eigenstrains = values_by_body(eigenstrain, joint, "eigenstrain")
             self.eigenstrains = {name: value for name, value in eigenstrains.items() if value is not None}
             for law, C in zip(self.body_laws_at_extremes, self.extreme_body_tangents, strict=True):
@@ -158,7 +163,7 @@ class Structure:
         self.data_hash = require_same(
             comm, joint=joint, body=body, supports=_ordered_pairs(supports), tractions=self.tractions,
             body_force=self.body_force, loads=self.loads, plane=plane, element=self.element, parts=self.parts,
-            strain=strain, stress=stress, eigenstrain=eigenstrain, **({} if initial is None else {"initial": initial}),
+            strain=self.strain, stress=stress, eigenstrain=eigenstrain, **({} if initial is None else {"initial": initial}),
         )  # fmt: skip
 
     # ---------------------------------------------------------------- models
@@ -334,7 +339,8 @@ class Structure:
         if self.strain is not None and self.stress is not None:
             raise InputError("give a mean strain or a mean stress, not both")
         if self.kinematics.has_axis and not (self.strain is None and self.stress is None):
-            raise InputError(f"plane={self.plane!r}: a mean strain or stress is for periodic cells without an axis")
+            what = "mean gradient" if unknown == ScalarField.unknown else "mean strain or stress"
+            raise InputError(f"plane={self.plane!r}: a {what} is for periodic cells without an axis")
         if self.element not in element_names:
             cells_text = f"{joint.cell_type} cells; allowed: {', '.join(element_names)}"
             raise InputError(f"element {self.element!r} does not exist on {cells_text}")
@@ -373,19 +379,21 @@ class Structure:
             raise InputError(f"loads= does not act on a {unknown}; give {' or '.join(arguments)}")
         return [data[name] for name in arguments]
 
-    def _check_unknown(self, eigenstrain: Eigenstrains | None) -> None:
-        """Raise InputError if the structure has data or parts of another unknown than that of its bodies' laws."""
+    def _check_unknown(self, **data: object) -> None:
+        """Raise InputError if the structure has data or parts of another unknown than that of its bodies' laws.
+
+        `data` has arguments by name.
+        """
         unknown = self.kinematics.unknown
         for part in self.parts:
             require(isinstance(part, PartDefinition), "parts", part, "each must be a part, such as Springs or Film")
             if unknown not in part.unknowns:
                 raise InputError(f"{part!r:.80} acts on a {part.unknowns[0]}; the bodies have laws of a {unknown}")
-        if unknown != ScalarField.unknown:
-            require(self.initial is None, "initial", self.initial, "displacements begin at zero, without stress")
-            return
-        data = {"eigenstrain": eigenstrain, "strain": self.strain, "stress": self.stress}
-        for name in (name for name, value in data.items() if value is not None):
-            raise InputError(f"{name}= is of displacements, and the bodies have laws of a {unknown}")
+        scalar_data = ("gradient", "initial")
+        for name, value in data.items():
+            if value is not None and (name in scalar_data) != (unknown == ScalarField.unknown):
+                other = ScalarField.unknown if name in scalar_data else Kinematics.unknown
+                raise InputError(f"{name}= is of a {other}, and the bodies have laws of a {unknown}")
 
 
 def require_body_law(name: str, law: Law) -> None:

@@ -1,11 +1,11 @@
-"""Homogenised stiffness of a periodic cell."""
+"""Homogenised stiffness or conductivity of a periodic cell."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from forms.base import Array, InputError
-from forms.kinematics import PLANE_STRAIN
+from forms.kinematics import Kinematics, ScalarField
 from geometry.parallel import default_comm
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.prescribed_strains import VOIGT_PAIRS_OF_DIM, MeanTensorInput
@@ -54,42 +54,80 @@ def homogenised_stiffness(model: Model) -> Array:
          [ 970. 5500.    0.]
          [   0.    0. 1800.]]
     """
+    return _homogenised(model, "homogenised_stiffness", Kinematics.unknown)
+
+
+def homogenised_conductivity(model: Model) -> Array:
+    """Compute the conductivity matrix (d, d) of a periodic cell, from mean gradients to mean fluxes. Collective.
+
+    It needs one factorisation of the tangent, and one solve for each of the d directions. Conducting layers on S need
+    order 1: at order 0 the flux along them is missing.
+
+    Args:
+        model: a model of a periodic joint with a scalar field, linear laws, and supports that do not move. Its loads
+            and its prescribed mean gradient are ignored.
+
+    Returns:
+        (d, d) conductivity. A column is the mean flux if one component of the mean gradient is 1 and the others vanish.
+
+    Raises:
+        InputError: the joint is not periodic; a law is not linear; supports move.
+        SolveError: the solution is not unique; the conductivity of symmetric laws is not symmetric.
+
+    Example:
+        >>> from forms import Conduction
+        >>> from geometry import bond_cell
+        >>> from thinlayer import Structure, ThinLayer, homogenised_conductivity
+        >>> joint = bond_cell((0.25, 0.125), h=1 / 32)  # m
+        >>> cell = Structure(joint, body=Conduction(k=0.6), supports={}, gradient=(0, 0))
+        >>> print(homogenised_conductivity(cell.interface(ThinLayer(Conduction(k=0.2), eps=0.01))).round(3) + 0)
+        [[0.55 0.  ]
+         [0.   0.5 ]]
+    """
+    return _homogenised(model, "homogenised_conductivity", ScalarField.unknown)
+
+
+def _homogenised(model: Model, name: str, unknown: str) -> Array:
+    """Return the matrix that the function with this name, for models of this unknown, computes."""
     with errors_on_all(model.comm if isinstance(model, Model) else default_comm()):
-        _require_linear_periodic(model)
-    with Solver(model.under_mean_strain(_make_unit_strain_function(model.joint.dim))) as solver:
-        times = map(float, range(len(VOIGT_PAIRS_OF_DIM[model.joint.dim])))
-        stresses = [solver.step(solver.rest_state(t), t).mean_stress() for t in times]
-    stiffness = np.column_stack([[stress[pair] for pair in VOIGT_PAIRS_OF_DIM[len(stress)]] for stress in stresses])
+        _require_linear_periodic(model, name, unknown)
+    d = model.joint.dim
+    pairs = tuple((i,) for i in range(d)) if unknown == ScalarField.unknown else VOIGT_PAIRS_OF_DIM[d]
+    with Solver(model.under_mean_strain(_make_unit_strain_function(d, pairs))) as solver:
+        stresses = [solver.step(solver.rest_state(t), t).mean_stress() for t in map(float, range(len(pairs)))]
+    stiffness = np.column_stack([[stress[pair] for pair in pairs] for stress in stresses])
     asymmetry, norm = float(np.abs(stiffness - stiffness.T).max()), float(np.abs(stiffness).max())
     body_norm = max(np.abs(C).max() for C in model.structure.extreme_body_tangents if C is not None)
     if model.symmetric and asymmetry > ASYMMETRY_TOLERANCE * norm + ASYMMETRY_ROUNDING_RATIO * body_norm:
-        raise SolveError(f"the homogenised stiffness is not symmetric: entries of {norm:.1e} differ by {asymmetry:.1e}")
+        raise SolveError(f"{name}: the result is not symmetric: entries of {norm:.1e} differ by {asymmetry:.1e}")
     return stiffness
 
 
-def _require_linear_periodic(model: Model) -> None:
+def _require_linear_periodic(model: Model, name: str, unknown: str) -> None:
     if not isinstance(model, Model) or model.joint.periods is None:
-        raise InputError(f"homogenised_stiffness needs a model of a periodic joint (geometry.periodic), not {model!r}")
-    model.kinematics.require(PLANE_STRAIN.unknown, "homogenised_stiffness")
-    if not model.kinematics.has_rigid_rotations:
-        raise InputError(f"homogenised_stiffness, plane={model.plane!r}: a body of revolution has no mean strain")
+        raise InputError(f"{name} needs a model of a periodic joint (geometry.periodic), not {model!r}")
+    model.kinematics.require(unknown, name)
+    if model.kinematics.has_axis:
+        raise InputError(f"{name}, plane={model.plane!r}: a body of revolution has no mean strain")
     model.require("mean strain")
     for law in (p.law for p in model.terms if not p.law.traits.proportional):
         remedy = "march under Structure(..., strain=...), and take State.mean_stress"
         raise InputError(f"{law!r} is not linear, or has stresses without strains; {remedy}")
     if not model.linear:
-        raise InputError("the model is not linear; homogenised_stiffness needs linear laws and parts")
+        raise InputError(f"the model is not linear; {name} needs linear laws and parts")
     if moving_places := model.supports.moving_places:
-        raise InputError(f"the support on {moving_places[0]!r} moves; homogenised_stiffness needs supports at rest")
+        raise InputError(f"the support on {moving_places[0]!r} moves; {name} needs supports at rest")
 
 
-def _make_unit_strain_function(d: int) -> MeanTensorInput:
+def _make_unit_strain_function(d: int, pairs: tuple[tuple[int, ...], ...]) -> MeanTensorInput:
     """Return a function of (x, t), whose value at the time t = k is the unit strain of the column k of the stiffness.
 
-    It is a mean strain (d, d) in d = 2 or 3 dimensions, the same at all places x. Columns, from 0, and their unit
-    strains are those of `homogenised_stiffness`.
+    It is a mean strain (d, d) in d = 2 or 3 dimensions, or a mean gradient (d,), the same at all places x. Columns,
+    from 0, and their unit strains are those of `homogenised_stiffness`; `pairs` are the indices of their components.
     """
-    axes = np.eye(d)
-    unit_strains = [(np.outer(axes[i], axes[j]) + np.outer(axes[j], axes[i])) / 2 for i, j in VOIGT_PAIRS_OF_DIM[d]]
+    unit_strains = np.zeros((len(pairs), *(d,) * len(pairs[0])))
+    for unit, pair in zip(unit_strains, pairs, strict=True):
+        unit[pair] += 0.5
+        unit[pair[::-1]] += 0.5
     interpolant = piecewise({float(k): strain.ravel().tolist() for k, strain in enumerate(unit_strains)})
-    return lambda x, t: np.reshape(interpolant(x, t), (d, d)).tolist()
+    return lambda x, t: np.reshape(interpolant(x, t), unit_strains.shape[1:]).tolist()
