@@ -297,7 +297,8 @@ class ScalarField(Kinematics):
         return tuple(range(d))
 
     def strain(self, u: Expr) -> Expr:
-        return scalar_strain(ufl.grad(u[0]), u[0])
+        value = u[0] if u.ufl_shape else u
+        return scalar_strain(ufl.grad(value), value)
 
     def strain_along(self, gradient: Expr, u: Expr) -> Expr:
         return scalar_strain(gradient[0, :], u[0])

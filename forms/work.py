@@ -14,7 +14,7 @@ import ufl
 
 from forms.base import InputError
 from forms.ends.weights import EndWeights
-from forms.kinematics import PLANE_STRAIN, Kinematics
+from forms.kinematics import PLANE_STRAIN, Kinematics, ScalarField
 from forms.law import BulkLaw, Step, checked_stress
 from forms.stations import AnyStation, Faces
 from forms.tensors import Expr, three_dimensional
@@ -161,7 +161,7 @@ class Interface:
             grad_eps: gradient (d,) of the thickness eps along S, UFL; None: eps is uniform.
             uniform: whether gradients along S count as zero, as in interface laws of order 0.
         """
-        d = len(self.n)
+        u, d = u if u.ufl_shape else ufl.as_vector([u]), len(self.n)  # a script's scalar field may have no shape
         projector = ufl.Identity(d) - ufl.outer(self.director, self.n)
         grad_upper, grad_lower = (ufl.dot(side.gradient(u), projector) for side in (self.upper, self.lower))
         if uniform:
@@ -221,16 +221,19 @@ class Term:
         return None if self.n is None else three_dimensional(self.n)
 
 
-def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, degree: int | None = None) -> Term:
+def body(
+    law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics | None = None, degree: int | None = None
+) -> Term:
     """Return the term of a law in a body.
 
     Args:
         law: the law for these kinematics (`Kinematics.law`).
         measure: dx of the body.
-        kinematics: kinematics of the mesh.
+        kinematics: kinematics of the mesh; None: plane strain or 3D, or for a law of a scalar field, this field.
         degree: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell (B-bar);
             None: no projection.
     """
+    kinematics = kinematics or (ScalarField() if law.unknown == ScalarField.unknown else PLANE_STRAIN)
     return Term(law, kinematics.strain, kinematics.factor, measure, kinematics=kinematics, bbar_degree=degree)
 
 

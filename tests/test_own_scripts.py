@@ -52,7 +52,8 @@ KINDS = {name: mesh.CellType[name] for name in ("triangle", "quadrilateral", "te
 
 # ---------------------------------------------------------------- the scripts
 TEXTS = {"page": "".join(SCRIPTS)} | {
-    name: (CLONE / "tests" / "own_scripts" / f"{name}.py").read_text() for name in ("bricks", "two_blocks", "glue_line")
+    name: (CLONE / "tests" / "own_scripts" / f"{name}.py").read_text()
+    for name in ("bricks", "two_blocks", "glue_line", "heat")
 }
 
 
@@ -93,6 +94,13 @@ def test_script_of_a_mesh_of_dolfinx(there):
     for text in (printed("glue_line"), there["glue_line"]):
         assert float(re.search(r"S opens by (\S+) mm;", text)[1]) == pytest.approx(0.005, rel=1e-7)
         assert float(re.search(r"but for (\S+) of it", text)[1]) < 1e-4
+
+
+@on_ranks(printed_by_all, 2)
+def test_script_of_a_temperature(there):
+    """It jumps by flux times eps/k."""
+    for text in (printed("heat"), there["heat"]):
+        assert numbers(text) == pytest.approx([3.0 * 0.05 / 0.1, 20.0 + 3.0 / 2.0 + 3.0 * 0.05 / 0.1], abs=1e-9)
 
 
 # ---------------------------------------------------------------- two blocks, as a script makes them

@@ -15,7 +15,7 @@ from dolfinx.mesh import Mesh, MeshTags
 from mpi4py import MPI
 
 from forms.base import Array, InputError, require
-from forms.kinematics import KINEMATICS_BY_NAME, Kinematics
+from forms.kinematics import KINEMATICS_BY_NAME, SCALAR_KINEMATICS_BY_NAME, Kinematics, ScalarField
 from forms.law import BulkLaw
 from forms.traction import TractionLaw
 from forms.work import Interface, Term, s_terms
@@ -160,7 +160,10 @@ class BrokenMesh:
         """
         allowed = "allowed: ThinLayer, TractionLaw; a ContactLaw is for ContactPart"
         require(isinstance(layer, ThinLayer | TractionLaw), "layer", layer, allowed)
-        law, thin = law_with_numbers(layer, self.kinematics), layer if isinstance(layer, ThinLayer) else None
+        thin = layer if isinstance(layer, ThinLayer) else None
+        is_scalar = thin is not None and thin.law.unknown == ScalarField.unknown
+        kinematics = SCALAR_KINEMATICS_BY_NAME[self.kinematics.name].on_mesh(self.mesh) if is_scalar else self.kinematics
+        law = law_with_numbers(layer, kinematics)
         if law.traits.constrained:
             raise InputError(f"{type(law).__name__} needs a pressure of its own; use it in a Model")
         law.check_dimension(self._dim)
@@ -173,7 +176,8 @@ class BrokenMesh:
             raise InputError(f"order=1 of a thickness that varies needs bodies at their true places; {remedy}")
         if order:
             self._require_no_locking(tag, law)
-        sides = replace(self.interface(tag), law_on_surface=partial(self._law_on_facets, tag))
+        on_facets = partial(self._law_on_facets, tag)
+        sides = replace(self.interface(tag), kinematics=kinematics, law_on_surface=on_facets)
         thickness = fem.Constant(self.mesh, float(eps))
         if profile is not None:
             relative_thickness = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1)))  # linear between vertices

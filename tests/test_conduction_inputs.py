@@ -1,0 +1,242 @@
+"""What goes into structures of a scalar field: refusals by name, stacks, seams that meet, periodic cells, scripts."""
+
+import math
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import (
+    AnisotropicConduction,
+    Conduction,
+    FluxLaw,
+    Heat,
+    HolonomicCoulomb,
+    Incompressible,
+    LinearElastic,
+    Stack,
+)
+from forms.base import InputError
+from geometry import bond_cell, periodic, sandwich, wall
+from tests.own_laws import Cubic
+from tests.refused import refused
+from thinlayer import (
+    Bond,
+    Film,
+    PointLoad,
+    Prestress,
+    Pressure,
+    RigidPlate,
+    Springs,
+    Structure,
+    ThermalExpansion,
+    ThinLayer,
+    UflPart,
+    compare,
+    homogenised_conductivity,
+    homogenised_stiffness,
+    march,
+    solve,
+)
+
+K_BODY, EPS = 0.05, 0.2
+GLUE, ELASTIC = Conduction(2e-4), LinearElastic(1.0, 1.0)
+LAYER = ThinLayer(GLUE, EPS)
+
+
+def plates(**data):
+    data = {"body": Conduction(K_BODY), "supports": {"BOTTOM": 20.0}, "fluxes": {"TOP": 0.05}} | data
+    return Structure(sandwich(40, 4, 6, 5, cell="quadrilateral"), **data)
+
+
+def elastic(**data):
+    data = {"body": ELASTIC, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, 1.0)}} | data
+    return Structure(sandwich(40, 4, 6, 5, cell="quadrilateral"), **data)
+
+
+@dataclass(frozen=True)
+class Stressed(FluxLaw):
+    k: float
+
+    def stress(self, step):
+        return self.k * step.mid
+
+
+REFUSED = {
+    "eigenstrain= is of a displacement": lambda: plates(eigenstrain=ThermalExpansion(1e-5, 20.0)),
+    "eigenstrain is 0.01; it is of displacements": lambda: ThinLayer(GLUE, EPS, eigenstrain=0.01),
+    r"eigenstrain is Prestress\(": lambda: ThinLayer(GLUE, EPS, eigenstrain=Prestress(np.eye(2))),
+    "edges is 'free'": lambda: ThinLayer(GLUE, EPS, edges="free"),
+    "a scalar field takes fluxes": lambda: plates(fluxes={"TOP": Pressure(1.0)}).interface(LAYER),
+    "flux on 'TOP' is": lambda: plates(fluxes={"TOP": (0.0, 1.0)}).interface(LAYER),
+    "fluxes is 1.0": lambda: plates(fluxes=1.0).interface(LAYER),
+    "sources: unknown body": lambda: plates(sources={"PLATE": 1.0}).interface(LAYER),
+    "tractions= does not act on a scalar field; give fluxes": lambda: plates(tractions={"TOP": (0, 1)}),
+    "fluxes= does not act on a displacement": lambda: elastic(fluxes={"TOP": 1.0}),
+    "loads= does not act": lambda: plates().interface(LAYER).with_loads(loads=[PointLoad((0.0, 6.0), (0.0, 1.0))]),
+    "RigidPlate.* acts on a displacement": lambda: plates(parts=[RigidPlate("TOP")]),
+    "Springs.* acts on a displacement": lambda: plates(parts=[Springs("TOP", normal=1.0)]),
+    "Film.* acts on a scalar field": lambda: elastic(parts=[Film("TOP", 1.0, 20.0)]),
+    "each must be a part": lambda: plates(parts=["film"]),
+    "unknown component 'n'; known: T": lambda: plates(supports={"BOTTOM": {"n": 20.0}}).interface(LAYER),
+    "nothing holds the field": lambda: plates(supports={}).interface(LAYER),
+    "gradient= is of a scalar field": lambda: elastic(gradient=(1.0, 0.0)),
+    "strain= is of a displacement": lambda: plates(strain=np.zeros((2, 2))),
+    "initial= is of a scalar field": lambda: elastic(initial=20.0),
+    "a march with a capacity needs": lambda: march(
+        plates(body=Heat(1.0, 1.0)).interface(ThinLayer(Heat(1.0, 1.0), EPS)), [1.0]
+    ),
+    "LinearElastic is a law of a displacement": lambda: plates().interface(ThinLayer(ELASTIC, EPS)),
+    "Conduction is a law of a scalar field": lambda: elastic().interface(LAYER),
+    "HolonomicCoulomb is a law": lambda: plates().interface(HolonomicCoulomb(1.0, 1.0, 0.3)),
+    "Incompressible is a law": lambda: plates().interface(ThinLayer(Incompressible(1.0), EPS)),
+    "laws of different unknowns": lambda: plates(body={"LOWER": GLUE, "UPPER": ELASTIC}),
+    "laws of one unknown": lambda: Stack((0.5, GLUE), (0.5, ELASTIC)),
+    "Stressed has a method stress": lambda: Stressed(1.0),
+    "layered: along is": lambda: AnisotropicConduction.layered([1.0], 2.0),
+    "homogenised_stiffness is of a displacement": lambda: homogenised_stiffness(cell(0.5).interface(LAYER)),
+}
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_what_is_refused_by_name(words):
+    refused(InputError, words, REFUSED[words])
+
+
+def test_a_stack_of_laws_that_are_not_linear_is_refused_on_s():
+    @dataclass(frozen=True)
+    class Hotter(FluxLaw):
+        k: float
+        symmetric = False
+
+        def flux(self, step):
+            return self.k * (1 + step.T**2) * step.g
+
+    refused(InputError, "not linear, so its part", ThinLayer, Stack((0.5, Hotter(1.0)), (0.5, GLUE)), EPS)
+    assert issubclass(Cubic, object)
+
+
+def test_a_part_in_ufl_acts_on_a_scalar_field():
+    """Radiation h T^4 balances the flux."""
+    radiation = UflPart(virtual_work=lambda u, v, m: 1e-9 * u[0] ** 4 * v[0] * m.ds(m.domain.values("BOTTOM")))
+    state = solve(plates(supports={}, parts=[radiation], initial=80.0).interface(LAYER))
+    want = (0.05 / 1e-9) ** 0.25 + 0.05 * (10 / K_BODY + EPS / 2e-4)
+    assert state.u.x.array.max() == pytest.approx(want, rel=1e-8)
+
+
+# ---------------------------------------------------------------- stacks
+LOWER, UPPER, K_LOWER, K_UPPER, K = 0.4, 0.7, 2.0, 0.5, math.pi
+
+
+def blocks(h=1 / 8, **data):
+    joint = sandwich(1, LOWER, UPPER, h=h, cell="quadrilateral")
+    fluxes = {"TOP": lambda x, t: ufl.cos(K * x[0])}
+    body = dict(zip(joint.bodies, (Conduction(K_LOWER), Conduction(K_UPPER)), strict=True))
+    return Structure(joint, **({"body": body, "supports": {"BOTTOM": 0.0}, "fluxes": fluxes} | data))
+
+
+def meshed_compliance(*sublayers):
+    """That of meshed blocks and sublayers (thickness, k), closed: transfer through each of them."""
+    M = np.eye(2)
+    for H, k in ((LOWER, K_LOWER), *sublayers, (UPPER, K_UPPER)):
+        c, s = math.cosh(K * H), math.sinh(K * H)
+        M = np.array([[c, s / (k * K)], [k * K * s, c]]) @ M
+    return M[0, 1] / M[1, 1] / 2
+
+
+@pytest.mark.parametrize(
+    ("fractions", "conductivities", "errors"),
+    [
+        ((0.5, 0.5), lambda eps: (eps, 4 * eps), {1 / 8: 9.1e-6, 1 / 16: 1.3e-6}),
+        ((0.3, 0.7), lambda eps: (0.2, 5.0), {1 / 8: 3.2e-5, 1 / 16: 5.5e-6}),
+        ((0.5, 0.5), lambda eps: (1 / eps, eps), {1 / 8: 3.9e-6, 1 / 16: 1.4e-6}),  # a foil under glue
+        ((0.3, 0.2, 0.5), lambda eps: (eps, 1 / eps, 2 * eps), {1 / 8: 2.9e-4, 1 / 16: 2.8e-4}),  # between glues: no rate
+    ],
+    ids=["insulating", "fixed", "foil", "foil between"],
+)
+def test_stacks(fractions, conductivities, errors):
+    for eps, error in errors.items():
+        ks = conductivities(eps)
+        layer = ThinLayer(Stack(*((a, Conduction(k)) for a, k in zip(fractions, ks, strict=True))), eps)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            state = solve(blocks(1 / 16).interface(layer))
+        want = meshed_compliance(*((a * eps, k) for a, k in zip(fractions, ks, strict=True)))
+        assert want - state.energies()["loads"] == pytest.approx(-error, rel=0.1)
+        assert any("spreads the field" in str(w.message) for w in caught) == (len(ks) == 3)
+
+
+@pytest.mark.filterwarnings("ignore::thinlayer.RangeWarning")
+@pytest.mark.parametrize(
+    ("lower", "upper", "error"),
+    [
+        (Conduction(16.0), GLUE, 1e-3),
+        (Conduction(lambda x: 0.1 * (1 + x[0])), Conduction(lambda x: 0.2 * (2 - x[0])), 5e-3),
+        (AnisotropicConduction.layered(1.0, 0.1), Conduction(0.1), 1e-3),
+    ],
+    ids=["foil", "functions", "anisotropic"],
+)
+def test_stacks_agree_with_meshed_ones(lower, upper, error):
+    layer, structure = ThinLayer(Stack((0.5, lower), (0.5, upper)), 1 / 16), blocks()
+    errors = compare(solve(structure.full(layer)), solve(structure.interface(layer)))
+    assert max(errors["error_traction"], errors["error_jump"]) < error
+
+
+# ---------------------------------------------------------------- seams that meet, shapes
+@pytest.mark.filterwarnings("ignore::thinlayer.RangeWarning")
+def test_a_wall_of_conducting_seams():
+    """They exchange their fluxes where they meet, at order 1, also in elements of degree 1; at order 0 they do not."""
+    eps, joint = 1 / 16, wall(2, 2, (0.5, 0.5), h=1 / 8)
+    data = {"body": Conduction(1.0), "supports": {"BOTTOM": 0.0}, "fluxes": {"TOP": lambda x, t: 1 + x[0]}}
+
+    def compliance(make, order=1, element="Q2"):
+        layers = dict.fromkeys(joint.seams, ThinLayer(Conduction(16.0), eps, order=order))
+        return solve(getattr(Structure(joint, element=element, **data), make)(layers)).energies()["loads"]
+
+    want = compliance("full")
+    assert compliance("interface") == pytest.approx(want, rel=0.03)
+    assert compliance("interface", element="Q1") == pytest.approx(want, rel=0.03)
+    assert compliance("interface", order=0) > 1.8 * want
+
+
+def test_a_taper():
+    layer = ThinLayer(GLUE, EPS, profile=lambda x: 1 + 0.4 * np.cos(np.pi * x[0] / 40))
+    joint = sandwich(40, 4, 6, 2, cell="quadrilateral")
+    data = {"body": Conduction(K_BODY), "supports": {"BOTTOM": 20.0}, "fluxes": {"TOP": 0.05}}
+    for make in ("full", "interface"):
+        model = getattr(Structure(joint, **data), make)(layer, bodies="extended")
+        assert solve(model).u.x.array.max() == pytest.approx(83.62312865, abs=2e-8)
+
+
+# ---------------------------------------------------------------- periodic cells
+def cell(h=0.25, joint=None, k=2.0, **data):
+    joint = joint or periodic(sandwich(1, 0.5, 0.5, h=h, cell="quadrilateral"), ("LEFT", "RIGHT"), ("BOTTOM", "TOP"))
+    return Structure(joint, body=Conduction(k), supports={}, **data)
+
+
+@pytest.mark.filterwarnings("ignore::thinlayer.RangeWarning")
+@pytest.mark.parametrize("k", [0.3, 30.0])
+def test_conductivity_of_a_laminate(k):
+    """Conductances add up along it, resistances across it; at order 0 the layer has none along it."""
+    eps, law = 0.1, Stack((0.3, Conduction(k)), (0.7, Conduction(2 * k)))
+    along, across = 2.0 + eps * 1.7 * k, 1 / (0.5 + eps * 0.65 / k)
+    for order, want in ((1, [along, across]), (0, [2.0, across])):
+        K_eff = homogenised_conductivity(cell().interface(ThinLayer(law, eps, order=order)))
+        assert K_eff == pytest.approx(np.diag(want), abs=1e-11)
+
+
+def test_a_mean_gradient():
+    """Across a laminate it drops in the layer; the mean flux follows."""
+    joint = periodic(sandwich(1, 0.5, 0.5, h=0.25, cell="quadrilateral"), ("BOTTOM", "TOP"))
+    for bodies, want in (("kept", 1 / (0.5 + 0.1 / 0.3)), ("extended", 1 / (0.9 / 2.0 + 0.1 / 0.3))):
+        state = solve(cell(joint=joint, gradient=(0, 3.0)).interface(ThinLayer(Conduction(0.3), 0.1), bodies=bodies))
+        assert state.mean_strain() == pytest.approx([0.0, 3.0])
+        assert state.mean_stress() == pytest.approx([0.0, 3.0 * want])
+
+
+def test_a_bond_conducts_as_its_bricks():
+    structure = cell(joint=bond_cell((2.0, 1.0), 0.5), gradient=(0, 0))
+    bonded = structure.interface(dict.fromkeys(structure.joint.seams, Bond()))
+    assert homogenised_conductivity(bonded) == pytest.approx(2.0 * np.eye(2), abs=1e-11)
