@@ -20,7 +20,6 @@ from forms import (
 )
 from forms.base import InputError
 from geometry import bond_cell, periodic, sandwich, wall
-from tests.own_laws import Cubic
 from tests.refused import refused
 from thinlayer import (
     Bond,
@@ -96,7 +95,7 @@ REFUSED = {
     "laws of one unknown": lambda: Stack((0.5, GLUE), (0.5, ELASTIC)),
     "Stressed has a method stress": lambda: Stressed(1.0),
     "layered: along is": lambda: AnisotropicConduction.layered([1.0], 2.0),
-    "homogenised_stiffness is of a displacement": lambda: homogenised_stiffness(cell(0.5).interface(LAYER)),
+    "homogenised_stiffness is of a displacement": lambda: homogenised_stiffness(cell().interface(LAYER)),
 }
 
 
@@ -115,15 +114,13 @@ def test_a_stack_of_laws_that_are_not_linear_is_refused_on_s():
             return self.k * (1 + step.T**2) * step.g
 
     refused(InputError, "not linear, so its part", ThinLayer, Stack((0.5, Hotter(1.0)), (0.5, GLUE)), EPS)
-    assert issubclass(Cubic, object)
 
 
 def test_a_part_in_ufl_acts_on_a_scalar_field():
-    """Radiation h T^4 balances the flux."""
-    radiation = UflPart(virtual_work=lambda u, v, m: 1e-9 * u[0] ** 4 * v[0] * m.ds(m.domain.values("BOTTOM")))
-    state = solve(plates(supports={}, parts=[radiation], initial=80.0).interface(LAYER))
-    want = (0.05 / 1e-9) ** 0.25 + 0.05 * (10 / K_BODY + EPS / 2e-4)
-    assert state.u.x.array.max() == pytest.approx(want, rel=1e-8)
+    """Radiation, proportional to T^4, takes a part of the flux."""
+    radiation = UflPart(virtual_work=lambda u, v, m: 1e-9 * u[0] ** 4 * v[0] * m.ds(m.domain.values("TOP")))
+    T = solve(plates(parts=[radiation]).interface(LAYER)).u.x.array.max()
+    assert T - 20.0 == pytest.approx((0.05 - 1e-9 * T**4) * (10 / K_BODY + EPS / 2e-4), rel=1e-8)
 
 
 # ---------------------------------------------------------------- stacks
@@ -164,7 +161,7 @@ def test_stacks(fractions, conductivities, errors):
             warnings.simplefilter("always")
             state = solve(blocks(1 / 16).interface(layer))
         want = meshed_compliance(*((a * eps, k) for a, k in zip(fractions, ks, strict=True)))
-        assert want - state.energies()["loads"] == pytest.approx(-error, rel=0.1)
+        assert want - state.energies()["loads"] == pytest.approx(error, rel=0.1)
         assert any("spreads the field" in str(w.message) for w in caught) == (len(ks) == 3)
 
 

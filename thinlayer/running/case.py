@@ -14,7 +14,10 @@ from thinlayer.discretisation.layer import Layers, ThinLayer
 from thinlayer.discretisation.point_loads import LineLoad, PointLoad
 from thinlayer.discretisation.structure import Structure
 from thinlayer.discretisation.time_functions import piecewise
-from thinlayer.estimating.goals import Compliance, Displacement, Goal, MeanTraction, Reaction
+from thinlayer.estimating.goals import (
+    Compliance, Displacement, Goal, Inflow, MeanFlux, MeanTraction, PointValue, Reaction,
+)  # fmt: skip
+from thinlayer.parts.film import Film
 from thinlayer.running.description import Arguments, Description
 from thinlayer.running.materials import MaterialEntry, Materials
 from thinlayer.running.toml_table import TimeSeries
@@ -23,7 +26,8 @@ from thinlayer.system.ranks import errors_on_all
 ResultType = TypeVar("ResultType")
 # kind of a goal in a description -> its class
 GOAL_CLASSES: Mapping[str, Callable[..., Goal]] = {
-    "compliance": Compliance, "reaction": Reaction, "mean_traction": MeanTraction, "displacement": Displacement
+    "compliance": Compliance, "reaction": Reaction, "mean_traction": MeanTraction, "displacement": Displacement,
+    "inflow": Inflow, "mean_flux": MeanFlux, "value": PointValue,
 }  # fmt: skip
 MIN_EPS_RATIO = 1e-9  # thickness over size of the bodies; rounding exceeds the effect of thinner layers
 
@@ -35,7 +39,8 @@ class DescribedCase:
     Attributes:
         description: content of the input file.
         structure: the bodies with their supports and loads.
-        layer: layer on all seams, or name of a seam -> its layer. The interface laws are of order 0.
+        layer: layer on all seams, or name of a seam -> its layer. The interface laws are of order 0, of a
+            scalar field of order 1.
         goals: quantities whose change is estimated. Without goals in the input file it is the compliance.
     """
 
@@ -86,10 +91,13 @@ def _make_structure(description: Description, joint: Joint) -> Structure:
     loads = [(LineLoad if "first" in load else PointLoad)(**_replace_series(load)) for load in description.loads]
     strained_bodies = {name: entry for name, entry in description.body.items() if entry.eigenstrain is not None}
     eigenstrain = _map_all(strained_bodies, lambda entry: entry.eigenstrain) or None
-    load_arguments: Arguments = {"tractions": tractions, "body_force": description.body_force, "loads": loads}
+    load_arguments: Arguments = {"tractions": tractions or None, "body_force": description.body_force, "loads": loads}
+    fluxes = _replace_series(description.fluxes) or None
+    load_arguments |= {"fluxes": fluxes, "sources": description.sources, "initial": description.initial}
+    films = [Film(name, film["h"], _replace_series(film["T"])) for name, film in description.films.items()]
     body_args: Arguments = {"body": _map_all(description.body, lambda entry: entry.law), "eigenstrain": eigenstrain}
     plane, element = description.plane or "strain", description.element
-    return Structure(joint, supports=supports, plane=plane, element=element, **body_args, **load_arguments)
+    return Structure(joint, supports=supports, plane=plane, element=element, parts=films, **body_args, **load_arguments)
 
 
 def _replace_series(value: object) -> Any:

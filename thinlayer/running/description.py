@@ -47,8 +47,11 @@ GOAL_READERS: dict[str, dict[str, Reader]] = {
     "reaction": {"place": TEXT, "direction": VECTOR},
     "mean_traction": {"direction": VECTOR, "seam": TEXT},
     "displacement": {"x": VECTOR, "direction": VECTOR, "side": choice_reader("lower", "upper")},
+    "inflow": {"place": TEXT},
+    "mean_flux": {"seam": TEXT},
+    "value": {"x": VECTOR, "side": choice_reader("lower", "upper")},
 }  # kind of goal -> readers of its arguments
-STANDARD_QUANTITIES = ("traction", "jump")  # quantities that every estimate has, in addition to goals
+STANDARD_QUANTITIES = ("traction", "flux", "jump")  # quantities that every estimate has, in addition to goals
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,10 @@ class Description:
             components, or a table of component -> number.
         tractions: name of a facet set -> components of the traction, or {"pressure": number}.
         body_force: components of the force per volume, or name of a region or seam -> components; None: no force.
+        fluxes: for a scalar field, name of a facet set -> flux into the body.
+        sources: what is released per volume and time, a number, or name of a region or seam -> number; None: nothing.
+        films: name of a facet set -> "h" and "T" of a `Film`.
+        initial: value of a scalar field before the first of `times`; None: not given.
         loads: for each concentrated load, the arguments of `PointLoad` or `LineLoad` by name.
         plane: "strain", "stress" or "axisymmetric", for plane meshes; None: plane strain.
         element: finite element of the displacements, "P2", "Q2" or "S2"; None: the default of `Structure`.
@@ -88,6 +95,10 @@ class Description:
     supports: Mapping[Place, Support] = field(default_factory=dict)
     tractions: Mapping[str, Traction] = field(default_factory=dict)
     body_force: Vector | Mapping[str, Vector] | None = None
+    fluxes: Mapping[str, float | TimeSeries] = field(default_factory=dict)
+    sources: float | Mapping[str, float] | None = None
+    films: Mapping[str, Arguments] = field(default_factory=dict)
+    initial: float | None = None
     loads: Sequence[Arguments] = ()
     plane: str | None = None
     element: str | None = None
@@ -114,7 +125,9 @@ class Description:
         description = cls(file_table, **file_table.entries(ENTRY_KEYS))
         motions = [v for u in description.supports.values() for v in (u.values() if isinstance(u, Mapping) else [u])]
         has_strain = any(entry.eigenstrain for entry in (*description.body.values(), *description.layer.values()))
-        if not (description.tractions or description.body_force or description.loads or any(motions) or has_strain):
+        forces = description.tractions or description.body_force or description.loads
+        flows = description.fluxes or description.sources or description.films
+        if not (forces or flows or any(motions) or has_strain):
             file_table.refuse("nothing loads the structure; give tractions, body_force, loads, or supports that move")
         description._require_times()
         if description.tolerance and None not in description.layer:
@@ -204,12 +217,18 @@ def _read_components(section: TomlTable, key: str) -> dict[str, float | TimeSeri
     return section.table(key, "components").entries(keys, kind="component")
 
 
-FACET_COMPONENTS, VERTEX_COMPONENTS = (Keys(dict.fromkeys(names, series_reader(NUMBER))) for names in ("xyzn", "xyz"))
+FACET_COMPONENTS, VERTEX_COMPONENTS = (Keys(dict.fromkeys(names, series_reader(NUMBER))) for names in ("xyznT", "xyzT"))
 COMPONENTS = Reader(_read_components, {**FACET_COMPONENTS.schema(), "minProperties": 1})
 SUPPORTS = names_reader(table_or_other_reader(COMPONENTS, NUMBER), "places with what they prescribe, such as LEFT = 0")
 PRESSURE_KEYS = Keys({"pressure": series_reader(NUMBER)}, {"pressure": "a stress, > 0 where it presses"})
 PRESSURE = Reader(lambda section, key: section.table(key, "pressure").entries(PRESSURE_KEYS), PRESSURE_KEYS.schema())
 TRACTION = series_reader(table_or_other_reader(PRESSURE, VECTOR))
+FLOW = series_reader(NUMBER)
+FILM_KEYS = Keys(
+    {"h": positive_reader("flux over difference of values"), "T": FLOW},
+    {"h": "the transfer coefficient, > 0", "T": "the value of the surroundings"},
+)
+FILM = Reader(lambda section, key: section.table(key, "h and T").entries(FILM_KEYS), FILM_KEYS.schema())
 LOAD_READERS = {"force": series_reader(VECTOR), "body": TEXT}
 LOAD_HINTS = {**dict.fromkeys(("place", "first", "second"), "where the load acts"), "force": "the vector of the force"}
 POINT_LOAD_KEYS, LINE_LOAD_KEYS = (
@@ -291,6 +310,10 @@ ENTRY_READERS: dict[str, Reader] = {
     "supports": Reader(_read_supports, SUPPORTS.schema),
     "tractions": names_reader(TRACTION, "names of facet sets with a vector, such as TOP = [0, -50]"),
     "body_force": table_or_other_reader(names_reader(VECTOR, "names of regions and seams"), VECTOR),
+    "fluxes": names_reader(FLOW, "names of facet sets with a flux, such as TOP = 0.05"),
+    "sources": table_or_other_reader(names_reader(NUMBER, "names of regions and seams"), NUMBER),
+    "films": names_reader(FILM, "names of facet sets, such as TOP = {h = 1e-5, T = 20}"),
+    "initial": NUMBER,
     "loads": Reader(_read_loads, LOADS),
     "plane": choice_reader("strain", "stress", "axisymmetric"),
     "element": choice_reader("P2", "Q2", "S2"),  # of degree 2, as interface laws of order 1 need it

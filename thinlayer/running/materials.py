@@ -12,6 +12,7 @@ import numpy as np
 import forms
 from forms.base import InputError
 from forms.elastic import LinearElastic
+from forms.flux import FluxLaw
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw, scalar_field_names
 from forms.series import Stack
@@ -106,7 +107,7 @@ def _reference_schema(kind: str) -> Schema:
 def laws_by_name() -> dict[str, type[BulkLaw]]:
     """Return name -> class of the laws of stress and strain that an input file may name."""
     classes = {name: law for name, law in sorted(vars(forms).items()) if isinstance(law, type)}
-    return {name: law for name, law in classes.items() if issubclass(law, BulkLaw) and law not in (BulkLaw, KernelLaw)}
+    return {name: law for name, law in classes.items() if issubclass(law, BulkLaw) and law not in (BulkLaw, FluxLaw, KernelLaw)}
 
 
 PARAMETER_SCHEMAS: dict[str, Schema] = {
