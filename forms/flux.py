@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import ufl
@@ -58,6 +58,11 @@ class FluxStep(Step):
         return scalar_value(self.rate)
 
 
+def _in_ufl(value: Any, power: float) -> Expr:
+    """Return a parameter's number or table in UFL, as a product of a number of numpy and UFL fails."""
+    return ufl.as_tensor(value) if np.ndim(value) else ufl.as_ufl(value)
+
+
 class FluxLaw(BulkLaw):
     """A law of a scalar field: temperature, electric potential, concentration over solubility, or pore pressure.
 
@@ -94,7 +99,7 @@ class FluxLaw(BulkLaw):
     def conductivity_across(self, n: Expr) -> Expr:
         """Return the flux along the unit vector `n` (d,) per gradient along n, UFL; the law must be linear."""
         n = three_dimensional(n)
-        law = self.mapped(lambda value, _: ufl.as_tensor(value) if np.ndim(value) else ufl.as_ufl(value))
+        law = self.mapped(_in_ufl)
         return ufl.dot(law.flux(FluxStep(scalar_strain(n), n)), n)
 
     def evolve(self, step: FluxStep) -> dict[str, Expr]:

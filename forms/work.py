@@ -221,9 +221,7 @@ class Term:
         return None if self.n is None else three_dimensional(self.n)
 
 
-def body(
-    law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics | None = None, degree: int | None = None
-) -> Term:
+def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics | None = None, degree: int | None = None) -> Term:
     """Return the term of a law in a body.
 
     Args:

@@ -25,8 +25,8 @@ from thinlayer import (
     Bond,
     Film,
     PointLoad,
-    Prestress,
     Pressure,
+    Prestress,
     RigidPlate,
     Springs,
     Structure,
@@ -120,7 +120,7 @@ def test_a_part_in_ufl_acts_on_a_scalar_field():
     """Radiation, proportional to T^4, takes a part of the flux."""
     radiation = UflPart(virtual_work=lambda u, v, m: 1e-9 * u[0] ** 4 * v[0] * m.ds(m.domain.values("TOP")))
     T = solve(plates(parts=[radiation]).interface(LAYER)).u.x.array.max()
-    assert T - 20.0 == pytest.approx((0.05 - 1e-9 * T**4) * (10 / K_BODY + EPS / 2e-4), rel=1e-8)
+    assert pytest.approx((0.05 - 1e-9 * T**4) * (10 / K_BODY + EPS / 2e-4), rel=1e-8) == T - 20.0
 
 
 # ---------------------------------------------------------------- stacks
@@ -149,7 +149,11 @@ def meshed_compliance(*sublayers):
         ((0.5, 0.5), lambda eps: (eps, 4 * eps), {1 / 8: 9.1e-6, 1 / 16: 1.3e-6}),
         ((0.3, 0.7), lambda eps: (0.2, 5.0), {1 / 8: 3.2e-5, 1 / 16: 5.5e-6}),
         ((0.5, 0.5), lambda eps: (1 / eps, eps), {1 / 8: 3.9e-6, 1 / 16: 1.4e-6}),  # a foil under glue
-        ((0.3, 0.2, 0.5), lambda eps: (eps, 1 / eps, 2 * eps), {1 / 8: 2.9e-4, 1 / 16: 2.8e-4}),  # between glues: no rate
+        (
+            (0.3, 0.2, 0.5),
+            lambda eps: (eps, 1 / eps, 2 * eps),
+            {1 / 8: 2.9e-4, 1 / 16: 2.8e-4},
+        ),  # between glues: no rate
     ],
     ids=["insulating", "fixed", "foil", "foil between"],
 )

@@ -295,7 +295,9 @@ def _mean_strain_conditions(r: Applicability) -> Iterator[Violation]:
     if r.layer.thin_layer and r.layer.thin_layer.order and not is_scalar:
         yield Violation("order 1", f"{r.layer} has order=1, whose strains along S have a mean part", "use order=0")
     if is_scalar and r.bodies == "extended" and len(r.layer.law.sublayers) > 1:
-        yield Violation("mean gradient", f"{r.layer} has sublayers, whose shares of a mean gradient differ", MESH_REMEDY)
+        yield Violation(
+            "mean gradient", f"{r.layer} has sublayers, whose shares of a mean gradient differ", MESH_REMEDY
+        )
 
 
 def _support_conditions(r: Applicability) -> Iterator[Violation]:

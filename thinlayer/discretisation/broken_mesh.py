@@ -162,7 +162,9 @@ class BrokenMesh:
         require(isinstance(layer, ThinLayer | TractionLaw), "layer", layer, allowed)
         thin = layer if isinstance(layer, ThinLayer) else None
         is_scalar = thin is not None and thin.law.unknown == ScalarField.unknown
-        kinematics = SCALAR_KINEMATICS_BY_NAME[self.kinematics.name].on_mesh(self.mesh) if is_scalar else self.kinematics
+        kinematics = (
+            SCALAR_KINEMATICS_BY_NAME[self.kinematics.name].on_mesh(self.mesh) if is_scalar else self.kinematics
+        )
         law = law_with_numbers(layer, kinematics)
         if law.traits.constrained:
             raise InputError(f"{type(law).__name__} needs a pressure of its own; use it in a Model")

@@ -396,7 +396,7 @@ class State(Configuration):
         unit_strains = [e for _, e in parts if e is not None]
         stresses = self._terms_with_stress([p for p, e in parts if e is not None])
         works = (ufl.inner(s, e) * p.weight * dx for e, (p, s, dx) in zip(unit_strains, stresses, strict=True))
-        values = unit_values(model.comm, sum(works), factors) / model.volume
+        values = np.asarray(unit_values(model.comm, sum(works), factors) / model.volume, float)
         return values if is_scalar else values[VOIGT_POSITIONS_OF_DIM[d]]
 
     def _form_energy(self, terms: Sequence[Term]) -> float:

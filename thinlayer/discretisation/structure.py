@@ -155,7 +155,9 @@ class Structure:
             self.tractions, self.body_force = self._loads_of_unknown(
                 self.loads, tractions=tractions, body_force=body_force, fluxes=fluxes, sources=sources
             )
-            self._check_unknown(strain=strain, stress=stress, eigenstrain=eigenstrain, gradient=gradient, initial=initial)
+            self._check_unknown(
+                strain=strain, stress=stress, eigenstrain=eigenstrain, gradient=gradient, initial=initial
+            )
             eigenstrains = values_by_body(eigenstrain, joint, "eigenstrain")
             self.eigenstrains = {name: value for name, value in eigenstrains.items() if value is not None}
             for law, C in zip(self.body_laws_at_extremes, self.extreme_body_tangents, strict=True):

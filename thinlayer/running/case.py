@@ -91,9 +91,11 @@ def _make_structure(description: Description, joint: Joint) -> Structure:
     loads = [(LineLoad if "first" in load else PointLoad)(**_replace_series(load)) for load in description.loads]
     strained_bodies = {name: entry for name, entry in description.body.items() if entry.eigenstrain is not None}
     eigenstrain = _map_all(strained_bodies, lambda entry: entry.eigenstrain) or None
-    load_arguments: Arguments = {"tractions": tractions or None, "body_force": description.body_force, "loads": loads}
-    fluxes = _replace_series(description.fluxes) or None
-    load_arguments |= {"fluxes": fluxes, "sources": description.sources, "initial": description.initial}
+    load_arguments: Arguments = {
+        **{"tractions": tractions or None, "body_force": description.body_force, "loads": loads},
+        **{"fluxes": _replace_series(description.fluxes) or None, "sources": description.sources},
+        "initial": description.initial,
+    }
     films = [Film(name, film["h"], _replace_series(film["T"])) for name, film in description.films.items()]
     body_args: Arguments = {"body": _map_all(description.body, lambda entry: entry.law), "eigenstrain": eigenstrain}
     plane, element = description.plane or "strain", description.element

@@ -107,7 +107,11 @@ def _reference_schema(kind: str) -> Schema:
 def laws_by_name() -> dict[str, type[BulkLaw]]:
     """Return name -> class of the laws of stress and strain that an input file may name."""
     classes = {name: law for name, law in sorted(vars(forms).items()) if isinstance(law, type)}
-    return {name: law for name, law in classes.items() if issubclass(law, BulkLaw) and law not in (BulkLaw, FluxLaw, KernelLaw)}
+    return {
+        name: law
+        for name, law in classes.items()
+        if issubclass(law, BulkLaw) and law not in (BulkLaw, FluxLaw, KernelLaw)
+    }
 
 
 PARAMETER_SCHEMAS: dict[str, Schema] = {
