@@ -132,7 +132,7 @@ def conducting_stations(stack: Stack) -> list[AnyStation]:
     """
     for law in (law for law in stack.laws if not law.traits.linear):
         raise InputError(
-            f"Stack: {type(law).__name__} is not linear, so its part of the jump is unknown; mesh the layer (structure.full)"
+            f"Stack: {type(law).__name__} is not linear, so its share of the jump is open; mesh the layer (structure.full)"
         )
 
     def station_at(i: int, z: float) -> AnyStation:

@@ -483,7 +483,9 @@ class Model(ABC):
         new.strain, new.stress = self._mean_strain(strain, new.coordinates), None
         new.bodies = new._with_mean_strain([replace(p, prescribed_strain=None) for p in self.bodies])
         new.layer_terms = new._with_mean_strain([replace(p, prescribed_strain=None) for p in self.layer_terms])
-        new.structure = self.structure.with_loads(**{name: {} for name in self.kinematics.quantities.arguments}, loads=())
+        new.structure = self.structure.with_loads(
+            **{name: {} for name in self.kinematics.quantities.arguments}, loads=()
+        )
         new.forces = new._make_forces()
         return new
 

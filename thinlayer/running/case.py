@@ -15,8 +15,15 @@ from thinlayer.discretisation.point_loads import LineLoad, PointLoad
 from thinlayer.discretisation.structure import Structure
 from thinlayer.discretisation.time_functions import piecewise
 from thinlayer.estimating.goals import (
-    Compliance, Displacement, Goal, Inflow, MeanFlux, MeanTraction, PointValue, Reaction,
-)  # fmt: skip
+    Compliance,
+    Displacement,
+    Goal,
+    Inflow,
+    MeanFlux,
+    MeanTraction,
+    PointValue,
+    Reaction,
+)
 from thinlayer.parts.film import Film
 from thinlayer.running.description import Arguments, Description
 from thinlayer.running.materials import MaterialEntry, Materials

@@ -131,6 +131,8 @@ def _find_thicknesses(record: Record, case: DescribedCase, instead: str) -> list
     for (quantity, tolerance), seam in product(description.tolerance.items(), seams):
         if instead == BOND and quantity == "jump":
             continue  # bonded bodies have no jump
+        if quantity == "traction":  # stands for the flux of a scalar field
+            quantity = case.structure.kinematics.quantities.traction
         seam_entry = {"seam": seam} if len(seams) > 1 else {}
         try:
             goal = goals_by_name.get(quantity, quantity)
