@@ -369,8 +369,7 @@ def numbers(name: str) -> list[float]:
     return [float(value) for value in CASES[name][0]()]
 
 
-ON_RANKS = [*(f"law {name}" for name in ("elastic", "Mohr-Coulomb", "pure phases")), "periodic_cells"]
-ON_RANKS += ["supports_and_loads", "contact_by_multigrid"]
+ON_RANKS = ["law Mohr-Coulomb", "law pure phases", "periodic_cells", "supports_and_loads", "contact_by_multigrid"]
 
 
 def on_several_ranks() -> dict[str, list[float]]:

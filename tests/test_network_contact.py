@@ -97,10 +97,9 @@ def test_a_wall_that_stands_on_a_rigid_floor():
 
 def walls(method=None):
     """The methods, and sums of displacements; some nodes slide, and some joints are stiffer than the cells beside them."""
-    space = {"bricks": 2, "courses": 3, "h": 0.25, "depth": 0.3}
-    cases = [("hexahedron", 0.35, 100.0), ("tetrahedron", 0.3, 5.0)]
-    models = [dry_wall(lambda x, t, p=p: p, cell=cell, stiffer=s, **space) for cell, p, s in cases]
-    states = [solve(model, method=method) for model in (*models, on_a_floor())]
+    space = {"bricks": 2, "courses": 3, "h": 0.25, "depth": 0.3, "cell": "hexahedron"}
+    models = dry_wall(lambda x, t: 0.35, stiffer=100.0, **space), on_a_floor()
+    states = [solve(model, method=method) for model in models]
     return [state.report.method for state in states], [square(state) for state in states]
 
 
@@ -108,7 +107,7 @@ def walls(method=None):
 def test_multigrid_solves_networks_on_several_ranks(there):
     """Ranks share bricks, and nodes in contact on both sides of S."""
     methods, squares = there
-    assert methods == ["multigrid"] * 3
+    assert methods == ["multigrid"] * 2
     wanted = pytest.approx(walls("condensed")[1], rel=ROUNDED)
     assert squares == wanted
     assert walls("multigrid")[1] == wanted
@@ -208,7 +207,7 @@ def test_forth_and_back():
     """The wall keeps a part of its slip; energies balance; both solvers go the same way."""
     push = piecewise({0.0: 0.0, 1.0: 0.2, 2.0: 0.3, 3.0: 0.1, 4.0: -0.2, 5.0: 0.0})
     times = [1.0, 2.0, 3.0, 4.0, 5.0]
-    walls = [dry_wall(push, kind=IncrementalCoulomb) for _ in range(2)]
+    walls = [dry_wall(push, h=0.25, kind=IncrementalCoulomb) for _ in range(2)]
     states, other = ([*march(wall, times, method=m)] for wall, m in zip(walls, ("condensed", "newton"), strict=True))
     stored = states[-1].audit.total
     for state, again in zip(states, other, strict=True):
