@@ -171,27 +171,18 @@ class ContactTangent:
             residual = r.array_r[self.pairs.dofs] - self._pair_product.array_r - self.pairs.nodal_forces(tractions)
             z.array[self.pairs.dofs] += self._local_factor.solve(residual)
 
-    def sweep(self, u: PETSc.Vec, residual: PETSc.Vec, corrections: Array) -> None:
+    def sweep(self, u: PETSc.Vec, residual: PETSc.Vec) -> None:
         """Improve the displacements `u` in place by Gauss-Seidel sweeps over this rank's nodes of S.
-
-        Pairs whose slip has just reversed are made to stick before the sweeps, and their nodes are not swept.
 
         Args:
             u: displacements of all nodes.
             residual: residual of the contact problem at `u`.
-            corrections: (n, d) changes of the jumps that make these pairs stick, see `sticking_corrections`. Zero for
-                all other of the n pairs.
         """
         pairs, w = self.pairs, self.nodes.separation(u)
         u_pairs = u.array_r[pairs.dofs].copy()
         g = self._local_K @ u_pairs + pairs.forces(w) - residual.array_r[pairs.dofs]
         gaps = w - (pairs.jump_matrix @ u_pairs).reshape(w.shape)
-        is_stuck, mobile = corrections.any(axis=1) & (pairs.pair_nodes[:, 0] >= 0), np.ones(len(pairs.nodes) + 1, bool)
-        mobile[pairs.pair_nodes[is_stuck]] = False
-        upper_u = u_pairs.reshape(-1, pairs.d)[pairs.pair_nodes[is_stuck, 0]]
-        upper_u += np.einsum("nji,nj->ni", pairs.frames[is_stuck], corrections[is_stuck])
-        u_pairs.reshape(-1, pairs.d)[pairs.pair_nodes[is_stuck, 0]] = upper_u
-        pairs.sweep(self._local_blocks, g, u_pairs, SWEEPS_PER_STEP, gaps, mobile[:-1])
+        pairs.sweep(self._local_blocks, g, u_pairs, SWEEPS_PER_STEP, gaps)
         u.array[pairs.dofs] = np.where(pairs.free.ravel(), u_pairs, u.array_r[pairs.dofs])
 
     def close(self) -> None:

@@ -9,7 +9,6 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from forms.base import Array, InputError
-from forms.contact import Status
 from thinlayer.discretisation.contact_nodes import NodePairs
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
@@ -25,8 +24,6 @@ from thinlayer.system.ranks import destroy
 
 Reason = PETSc.SNES.ConvergedReason
 Reductions = tuple[float, float]  # factors by which the first and the later linear solves reduce the residual
-# status of nodes (n,), and their tangential jumps minus slip (n, d - 1)
-StatusAndSlip = tuple[npt.NDArray[np.int8], Array]
 
 NEWTON_TOLERANCE = 1e-10  # residual of the law at which Newton's method stops, relative to the forces
 LOOSE_REDUCTIONS: Reductions = (0.5, 0.4)  # for a start whose status is wrong at many nodes
@@ -160,7 +157,7 @@ class _NewtonRun:
         self.residuals: list[float] = []
         self._target = reductions[0]
         self._is_repeated = False  # whether the next call of `_residual` repeats the last one
-        self._state: StatusAndSlip | None = None  # sliding state at the last tangents
+        self._status: npt.NDArray[np.int8] | None = None  # contact status (n,) at the last tangents
         self._chooses_rtol = "ksp_rtol" not in db_options()
 
     def run(self, u: PETSc.Vec, start_jumps: Array | None) -> int:
@@ -222,9 +219,8 @@ class _NewtonRun:
         """
         self._sweeps_now = False
         if step:
-            jumps = self.nodes.separation(snes.getSolution())
-            self._sticking = sticking_corrections(self.pairs, jumps, self._state)
-            changed = self._state is None or (self.pairs.status(jumps) != self._state[0]).any() or self._sticking.any()
+            status = self.pairs.status(self.nodes.separation(snes.getSolution()))
+            changed = self._status is None or (status != self._status).any()
             any_changed = self.solver.comm.allreduce(int(changed)) > 0
             self._sweeps_now = any_changed or self._relative_norm > MAX_UNSWEPT_RATIO * self._target
             self._linear_ratio = snes.getKSP().getResidualNorm() / snes.getFunctionNorm()
@@ -236,7 +232,7 @@ class _NewtonRun:
         """
         self._is_repeated = not self._sweeps_now
         if self._sweeps_now:
-            self.tangent.sweep(u, self._f, self._sticking)
+            self.tangent.sweep(u, self._f)
 
     def _linearise(self, snes: PETSc.SNES, u: PETSc.Vec, _: PETSc.Mat, __: PETSc.Mat) -> None:
         """Set up the linear system of a Newton step at displacements `u`; SNES calls this for a new Jacobian.
@@ -270,7 +266,7 @@ class _NewtonRun:
         else:
             tangents = pairs.tangents(start_jumps)
             tractions = pairs.tractions(start_jumps) + np.einsum("nij,nj->ni", tangents, jumps - start_jumps)
-            self._state = status_and_slip(pairs, start_jumps)
+            self._status = pairs.status(start_jumps)
         self.nodes.add_forces(tractions - pairs.tractions(jumps), f)
         f.array[self.bc_dofs] = 0.0
         return tangents
@@ -292,44 +288,5 @@ class _NewtonRun:
             self._target = min(self.reductions[1] * relative, predicted)
         self._target = max(self._target, LAST_TARGET_RATIO * NEWTON_TOLERANCE)
         jumps = self.nodes.separation(u)
-        self._state = status_and_slip(self.pairs, jumps)
+        self._status = self.pairs.status(jumps)
         return self.pairs.tangents(jumps)
-
-
-# ---------------------------------------------------------------- nodes whose slip has reversed
-def status_and_slip(pairs: ContactPairs, w: Array) -> StatusAndSlip:
-    """Return the contact status (n,) of n pairs, integers of `Status`, and their tangential jumps (n, d - 1).
-
-    The slip at the start of the time step is subtracted from these jumps.
-
-    Args:
-        pairs: n pairs of nodes in d dimensions.
-        w: (n, d) jumps of the pairs in the axes of S, initial gaps included.
-    """
-    return pairs.status(w), pairs.elastic_jumps(w)[:, :-1]
-
-
-def sticking_corrections(pairs: ContactPairs, w: Array, last: StatusAndSlip | None) -> Array:
-    """Return changes (n, d) to add to the jumps `w`, so that pairs whose slip direction has reversed stick.
-
-    The direction is compared with that at the last contact tangents. On the line between the jump at those tangents and
-    the present one, such a pair moves to where the tangential jump minus the slip is least. Changes of all other pairs
-    are zero.
-
-    A sliding node has no contact stiffness along its slip. If it should stick, Newton's method can move it back and
-    forth without end, and sweeps do not stop that.
-
-    Args:
-        pairs: n pairs of nodes in d dimensions.
-        w: (n, d) present jumps of the pairs in the axes of S, initial gaps included.
-        last: result of `status_and_slip` at the last contact tangents. None: it is unknown, so that all changes are zero.
-    """
-    out = np.zeros_like(w)
-    if last is None:
-        return out
-    (status, old_jumps), (new_status, jumps) = last, status_and_slip(pairs, w)
-    is_reversed = (status == Status.SLIDING) & (new_status == Status.SLIDING) & ((old_jumps * jumps).sum(axis=1) < 0)
-    change = old_jumps[is_reversed] - jumps[is_reversed]
-    fraction = -(jumps[is_reversed] * change).sum(axis=1) / (change**2).sum(axis=1)
-    out[is_reversed, :-1] = fraction[:, None] * change
-    return out

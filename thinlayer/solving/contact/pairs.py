@@ -202,9 +202,7 @@ class ContactPairs:
         """
         return self._gather_values(lambda law, w, slip: np.column_stack([w[:, :-1] - slip, w[:, -1]]), w)
 
-    def sweep(
-        self, K: bsr_matrix, g: Array, u: Array, sweeps: int, gaps: Array | None = None, mobile: BoolArray | None = None
-    ) -> int:
+    def sweep(self, K: bsr_matrix, g: Array, u: Array, sweeps: int, gaps: Array | None = None) -> int:
         """Improve the displacements `u` in place by Gauss-Seidel sweeps over the nodes.
 
         In a sweep one node after another moves until its forces balance, with all other nodes fixed. Constrained
@@ -216,7 +214,6 @@ class ContactPairs:
             u: (n d,) displacements; overwritten.
             sweeps: number of sweeps.
             gaps: (pairs, d) jumps in the axes `frames` that belong to u = 0. None: the initial gaps.
-            mobile: (n,) mask of the nodes that may move. None: all nodes.
 
         Returns:
             Number of times that the forces of a node could not be balanced. The node then keeps the best displacement
@@ -225,8 +222,8 @@ class ContactPairs:
         gaps = self.gaps if gaps is None else gaps
         law_parameters = self._gather_values(lambda law, w, _: np.tile(sweep_parameters(law), (len(w), 1)), gaps)
         pair_data = *self._pairs_by_node, self.frames, self.weights, law_parameters, self.elastic_jumps(gaps)
-        free, c = self.free if mobile is None else self.free & mobile[:, None], load_own_library(C_SOURCE)
-        arrays = c_pointers(c, K.indptr, K.indices, K.data, g, u, *pair_data, free)
+        c = load_own_library(C_SOURCE)
+        arrays = c_pointers(c, K.indptr, K.indices, K.data, g, u, *pair_data, self.free)
         return int(c.lib.sweep_pairs(len(self.nodes), self.d, *arrays, sweeps))
 
 
