@@ -131,9 +131,8 @@ def conducting_stations(stack: Stack) -> list[AnyStation]:
         InputError: a sublayer is not linear, so that its part of the jump is not known beforehand.
     """
     for law in (law for law in stack.laws if not law.traits.linear):
-        raise InputError(
-            f"Stack: {type(law).__name__} is not linear, so its share of the jump is open; mesh the layer (structure.full)"
-        )
+        reason = "is not linear, so its part of the jump is unknown; mesh the layer (structure.full)"
+        raise InputError(f"Stack: {type(law).__name__} {reason}")
 
     def station_at(i: int, z: float) -> AnyStation:
         height = sum(stack.fractions[:i]) + (z + 0.5) * stack.fractions[i] - 0.5

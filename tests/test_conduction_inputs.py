@@ -20,6 +20,7 @@ from forms import (
 )
 from forms.base import InputError
 from geometry import bond_cell, periodic, sandwich, wall
+from tests.mpirun import CLONE
 from tests.refused import refused
 from thinlayer import (
     Bond,
@@ -39,6 +40,8 @@ from thinlayer import (
     march,
     solve,
 )
+from thinlayer.running.case import DescribedCase
+from thinlayer.running.description import Description
 
 K_BODY, EPS = 0.05, 0.2
 GLUE, ELASTIC = Conduction(2e-4), LinearElastic(1.0, 1.0)
@@ -241,3 +244,32 @@ def test_a_bond_conducts_as_its_bricks():
     structure = cell(joint=bond_cell((2.0, 1.0), 0.5), gradient=(0, 0))
     bonded = structure.interface(dict.fromkeys(structure.joint.seams, Bond()))
     assert homogenised_conductivity(bonded) == pytest.approx(2.0 * np.eye(2), abs=1e-11)
+
+
+# ---------------------------------------------------------------- descriptions
+PAD = CLONE / "studies" / "data" / "pad.toml"
+
+
+def test_a_described_pad():
+    """The heat of its film leaves by the support; a flux and a source add theirs."""
+    case = DescribedCase.from_description(Description.read(PAD))
+    state = solve(case.make_model())
+    assert [goal.value(state, state.model) for goal in case.goals] == pytest.approx([0.1471, 34.71], rel=1e-3)
+    assert state.reaction("LEFT").flow == pytest.approx(-state.reaction("RIGHT").flow, rel=1e-9)
+    more = Description.read(PAD, ["fluxes={RIGHT=0.01}", "films={}", "sources={'UPPER PLATE'=1e-4}"])
+    state = solve(DescribedCase.from_description(more).make_model())
+    assert state.reaction("LEFT").flow == pytest.approx(-state.applied().flow, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("tractions={TOP=[0,1]}", "tractions= does not act on a scalar field"),
+        ("layer.eigenstrain=0.1", "it is of displacements"),
+        ("films={RIGHT={h=-1,T=20}}", "films.RIGHT.h: -1 is not > 0"),
+        ("fluxes={RIGHT=[1,2]}", "is not a finite number"),
+        ("body={law='FluxLaw'}", "unknown law of strains 'FluxLaw'"),
+    ],
+)
+def test_described_wrongly(setting, words):
+    refused(InputError, words, lambda: DescribedCase.from_description(Description.read(PAD, [setting])))

@@ -15,6 +15,7 @@ import ufl
 from forms import (
     Anisotropic,
     BulkLaw,
+    Conduction,
     HolonomicCoulomb,
     Incompressible,
     KelvinVoigt,
@@ -115,6 +116,16 @@ def solved(layer, **data):
     return solve(law_of(layer, **data))
 
 
+PAD = ThinLayer(Conduction(1.0), 0.05)
+FOIL = ThinLayer(Stack((0.3, Conduction(0.01)), (0.2, Conduction(100.0)), (0.5, Conduction(0.01))), 0.05)
+CELL = {"joint": lambda: periodic(quads(), ("BOTTOM", "TOP")), "supports": {}, "gradient": (0.0, 1.0)}
+
+
+def heated(joint=None, **data):
+    joint = joint() if joint else quads()
+    return Structure(joint, **{"body": Conduction(1.0), "supports": {"BOTTOM": 0.0}} | data)
+
+
 def open_seam(name, width=0.05):
     return {"BED": glue(), "HEAD": glue(), name: Gap(width)}
 
@@ -130,6 +141,9 @@ glue_state = cache(lambda: march(law_of(glue()), [1.0]).last)
 load = lambda **body: [PointLoad((0.0, 0.0), (0.0, 0.1), **body)]
 # key or words of a refusal, what is refused, what it advises
 CASES = [
+    ("unknown", lambda: law_of(ThinLayer(Conduction(1.0), 0.05)), lambda: heated().interface(PAD)),
+    ("foil", lambda: heated().interface(FOIL).applicability["S"].require("sublayers"), lambda: heated().full(FOIL)),
+    ("mean gradient", lambda: heated(**CELL).interface(FOIL, bodies="extended"), lambda: heated(**CELL).full(FOIL)),
     ("no layer", lambda: law_of(0.3), lambda: law_of(glue()), lambda: law_of(COULOMB)),
     ("element", lambda: law_of(COULOMB, element="S2"), lambda: law_of(COULOMB, element="Q2")),
     ("element", lambda: law_of(glue(**ONE), element="Q1"), lambda: law_of(glue(**ONE), element="Q2")),

@@ -147,7 +147,8 @@ class BrokenMesh:
     def layer(self, tag: int, layer: ThinLayer | TractionLaw) -> list[Term]:
         """Return the terms of a layer's law on the facets of S with a tag, for `work` or `StepProblem`.
 
-        An interface law of order 1 requires that these facets are flat, which is not checked.
+        An interface law of order 1 requires that these facets are flat, which is not checked. Laws of a scalar field
+        act on functions of a scalar space, `space(("Lagrange", 2))`.
 
         Args:
             tag: tag of the facets.

@@ -60,7 +60,7 @@ class Structure:
             side of S. On a rigid base one half acts directly on the base.
         fluxes: for bodies with laws of a scalar field, in place of tractions: name of a facet set -> flux into the
             body, a number or a function (x, t). Elsewhere on the boundary the flux is zero, if no support holds the
-            field.
+            field. A rigid base has the value 0 of the field: measure the field from that of the base.
         sources: for a scalar field, in place of body forces: what is released per volume and time. A number, a function
             (x, t), or name of a region or seam -> one of these.
         loads: list of `PointLoad` and `LineLoad`: forces at vertices and along edges.
