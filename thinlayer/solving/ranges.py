@@ -62,7 +62,7 @@ def warn_of_model(model: Model) -> None:
     if model.n_components == 1:
         warn_of_insulated_sides(model)
     for law, C in zip(setup.body_laws_at_extremes, setup.extreme_body_tangents, strict=True):
-        lmbda, mu = average_lame(C) if C is not None else (0.0, 1.0)
+        lmbda, mu = average_lame(C) if C is not None and model.n_components > 1 else (0.0, 1.0)
         nu = lmbda / (2 * (lmbda + mu))
         if model.n_components > 1 and setup.degree == 1 and nu > LOCKING_NU and model.volume_strain_degree(law) is None:
             needs_hexahedra = model.contact is not None and setup.joint.cell_type == "tetrahedron"
