@@ -484,7 +484,7 @@ class Model(ABC):
         new.bodies = new._with_mean_strain([replace(p, prescribed_strain=None) for p in self.bodies])
         new.layer_terms = new._with_mean_strain([replace(p, prescribed_strain=None) for p in self.layer_terms])
         new.structure = self.structure.with_loads(
-            **{name: {} for name in self.kinematics.quantities.arguments}, loads=()
+            **{name: {} for name in self.kinematics.quantities.load_arguments}, loads=()
         )
         new.forces = new._make_forces()
         return new
