@@ -36,17 +36,28 @@ class Conductivities(NamedTuple):
 
     @classmethod
     def of(cls, layer: SeamLayer) -> Conductivities | None:
-        """Return those of a layer with a thickness; None if its tangent at rest is unknown or not positive."""
+        """Return those of a layer with a thickness; None if its tangent at rest is unknown or not positive.
+
+        Where parameters vary in space, conductivities and capacity are those that make errors largest.
+        """
+        sampled = [cls._of_numbers(sample) for sample in (layer.samples if layer.thin_layer else ())]
+        if not sampled or None in sampled:
+            return None
+        along, across, capacity = np.transpose(sampled)
+        return cls(along.max(), across.min(), capacity.max())
+
+    @classmethod
+    def _of_numbers(cls, layer: SeamLayer) -> Conductivities | None:
         n, sums = layer.initial_tangents.n, np.zeros(3)
         n = np.pad(n, (0, 3 - len(n)))
-        for fraction, law, C in layer.initial_tangents.sublayers if layer.thin_layer else ():
+        projector = np.eye(3) - np.outer(n, n)
+        for fraction, law, C in layer.initial_tangents.sublayers:
             if C is None or np.linalg.eigvalsh((C[:3, :3] + C[:3, :3].T) / 2)[0] <= 0:
                 return None
-            K = C[:3, :3]
-            along = np.linalg.eigvalsh((np.eye(3) - np.outer(n, n)) @ (K + K.T) / 2 @ (np.eye(3) - np.outer(n, n)))[-1]
-            capacity = law.parameters().get("c")
+            K, capacity = (C[:3, :3] + C[:3, :3].T) / 2, law.parameters().get("c")
+            along = np.linalg.eigvalsh(projector @ K @ projector)[-1]
             sums += fraction * np.array([along, 1 / (n @ K @ n), capacity if is_number(capacity) else 0.0])
-        return cls(sums[0], 1 / sums[1], sums[2]) if sums[1] else None
+        return cls(sums[0], 1 / sums[1], sums[2])
 
 
 def warn_of_insulated_sides(model: Model) -> None:
