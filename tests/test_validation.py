@@ -35,6 +35,8 @@ CHECKS = {  # start of a row -> its checks, each with the column that has its nu
     "Thick cylinder": {"cylinder: largest relative error of stress": DEVIATION},
     "Mohr-Coulomb layer": {"lasting friction, normal stress held": VALUE},
     "Brick wall": {"heads with mortar: limit over that of a bed that slides": VALUE},
+    "Gap that conducts": {"s = -4.504: opening over that of rods": VALUE},
+    "Resin that cures": {"eps = 2.0: stress at the end over the closed form": VALUE},
     "Maxwell": {"largest error of the midpoint rule": DEVIATION},
     "Paper's Fig. 3": {"R1: relative error of the shear force on S, one load step": DEVIATION},
     "Paper's Fig. 4": {

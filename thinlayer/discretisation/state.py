@@ -422,7 +422,7 @@ def scalar_field_on(state: State, domain: Domain) -> Expr:
     model, joint = state.model, domain.joint
     if not model.kinematics.has_value_in_strain:
         raise InputError(f"{state!r} is a state of a {model.kinematics.unknown}; give one of a temperature")
-    if (joint.band.drawn_joint if joint.band else joint).points is not model.joint.points:
+    if not np.array_equal((joint.band.drawn_joint if joint.band else joint).points, model.joint.points):
         return state.u[0]
     is_taken = domain.original_cells < len(model.joint.cells)
     if joint.band and model.domain.joint.band and np.array_equal(joint.cells, model.domain.joint.cells):

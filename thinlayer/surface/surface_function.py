@@ -43,6 +43,8 @@ class SurfaceFunction:
         nodal = self._values[0] if self._table is None else self._table.values_at(t)
         if not np.isfinite(nodal).all():
             raise InputError(f"values on S are unknown at t = {t:g}; times are {self._times}")
+        if not np.size(x):  # on ranks without facets of S
+            return np.zeros(0)
         if self._located is None or not np.array_equal(self._located[0], x):
             located, at = self._surface.at(np.asarray(x).T)
             first = np.unique(located.point, return_index=True)[1]  # a place on an edge is on several facets
@@ -54,9 +56,8 @@ class SurfaceFunction:
         """Return the function as UFL on the mesh of a model, where it is zero at vertices that are not on S."""
         joint = at.domain.joint
         drawn = self._surface.model.joint
-        require(
-            (joint.band.drawn_joint if joint.band else joint).points is drawn.points, "joint", joint, "not that of S"
-        )
+        is_same = np.array_equal((joint.band.drawn_joint if joint.band else joint).points, drawn.points)
+        require(is_same, "joint of the model", joint, f"values on S are of {drawn!r}")
         at_vertices: Array = np.zeros((len(self._values), len(drawn.points)))
         at_vertices[:, self._surface.vertices] = self._values
         corners = joint.corners
