@@ -46,8 +46,8 @@ class JouleHeat(PartDefinition):
         ...     joint, body=Conduction(0.05), supports={"BOTTOM": 20}, parts=[JouleHeat(current)]
         ... )
         >>> state = solve(plates.interface(ThinLayer(Conduction(2e-4), eps=0.1)))
-        >>> state.reaction("BOTTOM"), current.load_work()
-        ''
+        >>> print(f"{0.1 * current.reaction('TOP').flow:.4f} W/mm", state.reaction("BOTTOM"))
+        0.3883 W/mm flow -0.38835
     """
 
     unknowns: ClassVar = (ScalarField.unknown,)

@@ -66,6 +66,7 @@ def coupled(
         SolveError: no agreement after `max_steps`; or the equilibrium is unstable, s > 1.
 
     Example:
+        >>> import numpy as np
         >>> from forms import Conductance, Conduction, LinearElastic
         >>> from geometry import sandwich
         >>> from thinlayer import Structure, Surface, ThermalExpansion, ThinLayer, coupled, solve
@@ -83,7 +84,7 @@ def coupled(
         ...     return solve(bars.interface(ThinLayer(LinearElastic(1.0, 1.0), eps=0.01)))
         >>> pair = coupled(heat, mechanics, lambda state: surface.jump(state)[1], begin=0)
         >>> f"{pair.first.reaction('TOP').flow:.3f} W/mm, {pair.steps} steps"
-        ''
+        '0.554 W/mm, 4 steps'
     """
     for name, function in (("first", first), ("second", second), ("exchange", exchange)):
         require(callable(function), f"coupled: {name}", function, "give a function")
