@@ -41,9 +41,10 @@ class Conductivities(NamedTuple):
         Where parameters vary in space, conductivities and capacity are those that make errors largest.
         """
         sampled = [cls._of_numbers(sample) for sample in (layer.samples if layer.thin_layer else ())]
-        if not sampled or None in sampled:
+        positive = [conductivities for conductivities in sampled if conductivities]
+        if not positive or len(positive) < len(sampled):
             return None
-        along, across, capacity = np.transpose(sampled)
+        along, across, capacity = np.transpose(positive)
         return cls(along.max(), across.min(), capacity.max())
 
     @classmethod
