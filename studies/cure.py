@@ -108,10 +108,10 @@ def mechanics(kind: str, eps: float, warm: History) -> History:
     """March the stress of the resin, which shrinks with its degree of cure in `warm` and cannot come closer."""
     surface = Surface(warm.model)
     X = surface.function(np.stack([surface.internal(state, "X") for state in warm]), warm.t)
-    held = {"BOTTOM": 0, "TOP": {"y": 0}, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
+    rollers = {"BOTTOM": 0, "TOP": {"y": 0}, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
     shrinking = ThermalExpansion(-SHRINKAGE, X, reference=0)
     layer = ThinLayer(Gelling(LMBDA, MU, GEL, X), eps, eigenstrain=shrinking)
-    return march(getattr(Structure(JOINT, body=PLATES, supports=held), kind)(layer), warm.t[1:])
+    return march(getattr(Structure(JOINT, body=PLATES, supports=rollers), kind)(layer), warm.t[1:])
 
 
 def run(record: Record) -> None:
