@@ -11,6 +11,7 @@ import ufl
 from forms import Conduction, LinearElastic
 from geometry import sandwich
 from thinlayer import Film, Structure, Surface, ThermalExpansion, ThinLayer, compare, estimate, plotting, solve
+from thinlayer.discretisation.supports import Place, Support
 from thinlayer.running.record import Record
 
 EPS, WIDTH = 0.05, 5.0  # mm
@@ -41,7 +42,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     for name, warm in {**states, "bond": bonded}.items():
         strains = {body: ThermalExpansion(a, warm, reference=BONDED_AT) for body, a in EXPANSIONS.items()}
         glue = ThinLayer(PAD, EPS, order=1, eigenstrain=ThermalExpansion(PAD_EXPANSION, warm, reference=BONDED_AT))
-        rollers = {"LEFT": {"x": 0}, (0, -2.0): {"y": 0}}
+        rollers: dict[Place, Support] = {"LEFT": {"x": 0}, (0, -2.0): {"y": 0}}
         chip = Structure(joint, body=ELASTIC, supports=rollers, eigenstrain=strains)
         model = chip.full(glue) if name == "full" else chip.interface(glue)
         cooled[name] = record.add_report(solve(model))

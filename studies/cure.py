@@ -21,6 +21,7 @@ from forms.law import ChangeParameter, Step
 from forms.tensors import Expr
 from geometry import sandwich
 from thinlayer import Film, Structure, Surface, Table, ThermalExpansion, ThinLayer, march, plotting
+from thinlayer.discretisation.supports import Support
 from thinlayer.running.record import Record
 from thinlayer.solving.history import History
 
@@ -48,7 +49,7 @@ class Curing(FluxLaw):
 
     def evolve(self, step: FluxStep) -> dict[str, Expr]:
         """Return the degree of cure at the end of the step."""
-        growth = step.dt * self.A * ufl.exp(-self.theta / step.T_end)
+        growth = step.dt * (self.A * ufl.exp(-self.theta / step.T_end))
         return {"X": (step.q["X"] + growth) / (1 + growth)}
 
 
@@ -64,7 +65,7 @@ class Gelling(BulkLaw):
     functions: ClassVar = ("X",)
     internal: ClassVar = {"sigma": (3, 3), "X_old": ()}
 
-    def parameters(self) -> dict[str, object]:  # type: ignore[override]
+    def parameters(self) -> dict[str, object]:
         """Return parameters by name, with NaN for the function X."""
         return super().parameters() | ({"X": np.nan} if callable(self.X) else {})
 
@@ -101,17 +102,17 @@ def cure(kind: str, eps: float, times: Array) -> History:
     """March the temperature of plates and resin, in an oven, on S or with a meshed layer."""
     films = [Film(name, FILM, OVEN) for name in ("BOTTOM", "TOP")]
     heated = Structure(JOINT, body=STEEL, supports={}, parts=films, initial=ROOM)
-    return march(getattr(heated, kind)(ThinLayer(RESIN, eps)), times)
+    return march(getattr(heated, kind)(ThinLayer(RESIN, eps)), [*map(float, times)])
 
 
 def mechanics(kind: str, eps: float, warm: History) -> History:
     """March the stress of the resin, which shrinks with its degree of cure in `warm` and cannot come closer."""
     surface = Surface(warm.model)
     X = surface.function(np.stack([surface.internal(state, "X") for state in warm]), warm.t)
-    rollers = {"BOTTOM": 0, "TOP": {"y": 0}, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
+    rollers: dict[str, Support] = {"BOTTOM": 0, "TOP": {"y": 0}, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
     shrinking = ThermalExpansion(-SHRINKAGE, X, reference=0)
     layer = ThinLayer(Gelling(LMBDA, MU, GEL, X), eps, eigenstrain=shrinking)
-    return march(getattr(Structure(JOINT, body=PLATES, supports=rollers), kind)(layer), warm.t[1:])
+    return march(getattr(Structure(JOINT, body=PLATES, supports=rollers), kind)(layer), [*map(float, warm.t[1:])])
 
 
 def run(record: Record) -> None:
@@ -120,7 +121,7 @@ def run(record: Record) -> None:
     Args:
         record: record of the run, with its folder, tables and checks.
     """
-    table, times = record.new_table("table.csv"), np.linspace(0, DURATION, 61)[1:]
+    table, times = record.new_table("table.csv"), np.arange(1.0, 61) * DURATION / 60
     for eps in THICKNESSES:
         for kind in ("full", "interface"):
             warm = record.add_report(cure(kind, eps, times))

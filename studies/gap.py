@@ -17,6 +17,7 @@ from geometry import sandwich
 from thinlayer import Structure, Surface, Table, ThermalExpansion, ThinLayer, coupled, plotting, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
+from thinlayer.discretisation.supports import Support
 from thinlayer.errors import SolveError
 from thinlayer.running.record import Record
 from thinlayer.solving.history import Solution
@@ -41,12 +42,13 @@ def conductance(opening: Array) -> Array:
 
 def heat(opening: Array) -> State:
     """Solve for the temperature of the bars, with a gap of given openings on S."""
-    return solve(HEATED.interface(Conductance(SURFACE.function(conductance(opening)))))
+    h = SURFACE.function(conductance(opening))
+    return solve(HEATED.interface(Conductance(h)))  # type: ignore[arg-type]
 
 
 def bars(lower: float, upper: float, temperature: Solution) -> InterfaceModel:
     """Make the model of bars with these coefficients of expansion, open to each other."""
-    rollers = {"BOTTOM": 0, "TOP": {"y": 0}, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
+    rollers: dict[str, Support] = {"BOTTOM": 0, "TOP": {"y": 0}, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
     expansions = {"LOWER": lower, "UPPER": upper}
     strains = {body: ThermalExpansion(alpha, temperature, reference=0) for body, alpha in expansions.items()}
     return Structure(JOINT, body=LinearElastic(0, 0.5), supports=rollers, eigenstrain=strains).interface(EMPTY)
