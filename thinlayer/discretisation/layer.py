@@ -56,7 +56,8 @@ class ThinLayer:
         profile: shape of a thickness that varies along S, a numpy function of coordinates x (d, n) that returns n
             numbers > 0. The thickness at the vertices of S is eps * profile(x), linear in between. The law's parameters
             do not vary with it.
-        eigenstrain: strain that the layer would have without stress, uniform through the thickness. It is a number
+        eigenstrain: strain that the layer would have without stress, uniform through the thickness unless it follows a
+            temperature of both sides. It is a number
             times the identity, a symmetric table, a function (x, t), `ThermalExpansion`, `Prestress`, or a list of
             these that add up. On S it is subtracted from the strain of the jump, the symmetric part of [u] (x) n/eps.
             In the tractions of a soft layer it is therefore a term of order eps, unless it is as large as [u]/eps.

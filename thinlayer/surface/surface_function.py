@@ -11,6 +11,7 @@ from forms.tensors import Expr
 from geometry.topology import IntArray
 from thinlayer.discretisation.mesh_functions import cellwise_function
 from thinlayer.discretisation.time_functions import FieldInTime, PiecewiseLinear
+from thinlayer.system.fingerprint import describe
 
 if TYPE_CHECKING:
     from thinlayer.discretisation.coefficient import Coordinates
@@ -51,6 +52,10 @@ class SurfaceFunction:
             self._located = np.array(x), self._surface.nodes[at.rows[first]], np.asarray(at.shapes[first, 0])
         _, nodes, shapes = self._located
         return np.asarray((nodal[nodes] * shapes).sum(axis=1))
+
+    def identity(self) -> dict[str, object]:
+        """Return the data that identify the function, as JSON."""
+        return {"values on S": describe([self._values, self._times]), "seam": self._surface.seam}
 
     def field_on(self, at: Coordinates) -> Expr:
         """Return the function as UFL on the mesh of a model, where it is zero at vertices that are not on S."""
