@@ -142,7 +142,7 @@ def run(record: Record) -> None:
 
 
 def closed_stress(eps: float, X: float) -> float:
-    """Return the stress of resin that has shrunk up to the cure X, and was held by the plates from the gel point on."""
+    """Return the stress of resin that has shrunk up to the cure X, and that plates kept in place from the gel point on."""
     s, a = (X - GEL) / (1 - GEL), (LMBDA + 2 * MU) / eps * 10 / (PLATES.lmbda + 2 * PLATES.mu)  # resin over plates
     return (3 * LMBDA + 2 * MU) * SHRINKAGE * (1 - GEL) * (s / a - np.log1p(a * s) / a**2)
 

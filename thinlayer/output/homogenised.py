@@ -80,7 +80,8 @@ def homogenised_conductivity(model: Model) -> Array:
         >>> from thinlayer import Structure, ThinLayer, homogenised_conductivity
         >>> joint = bond_cell((0.25, 0.125), h=1 / 32)  # m
         >>> cell = Structure(joint, body=Conduction(k=0.6), supports={}, gradient=(0, 0))
-        >>> print(homogenised_conductivity(cell.interface(ThinLayer(Conduction(k=0.2), eps=0.01))).round(3) + 0)
+        >>> mortar = ThinLayer(Conduction(k=0.2), eps=0.01)
+        >>> print(homogenised_conductivity(cell.interface(mortar)).round(3) + 0)
         [[0.557 0.   ]
          [0.    0.489]]
     """

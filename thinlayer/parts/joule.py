@@ -26,8 +26,7 @@ class JouleHeat(PartDefinition):
     """Heat of an electric current: a source of flux times gradient of the potential, in bodies and in layers.
 
     In a layer on S the source is at the heights at which its law is evaluated. Structure and layers of the current have
-    the joint of those of heat. Flows out of the
-    structure balance it, but `State.applied` does not contain it.
+    the joint of those of heat. Flows out of the structure balance it, but `State.applied` does not contain it.
 
     Attributes:
         current: state of the electric potential, whose laws have conductivities that are numbers.
@@ -40,14 +39,17 @@ class JouleHeat(PartDefinition):
         >>> from geometry import sandwich
         >>> from thinlayer import JouleHeat, Structure, ThinLayer, solve
         >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")  # mm
-        >>> wires = Structure(joint, body=Conduction(1e3), supports={"BOTTOM": 0, "TOP": 0.1})  # A/(V mm), V
+        >>> ends = {"BOTTOM": 0, "TOP": 0.1}  # V
+        >>> wires = Structure(joint, body=Conduction(1e3), supports=ends)  # A/(V mm)
         >>> current = solve(wires.interface(ThinLayer(Conduction(1.0), eps=0.1)))
+        >>> parts = [JouleHeat(current)]
         >>> plates = Structure(
-        ...     joint, body=Conduction(0.05), supports={"BOTTOM": 20}, parts=[JouleHeat(current)]
+        ...     joint, body=Conduction(0.05), supports={"BOTTOM": 20}, parts=parts
         ... )
         >>> state = solve(plates.interface(ThinLayer(Conduction(2e-4), eps=0.1)))
-        >>> print(f"{0.1 * current.reaction('TOP').flow:.4f} W/mm", state.reaction("BOTTOM"))
-        0.3883 W/mm flow -0.38835
+        >>> heat = 0.1 * current.reaction("TOP").flow, state.reaction("BOTTOM").flow
+        >>> print("{:.4f} {:.4f} W/mm".format(*heat))
+        0.3883 -0.3883 W/mm
     """
 
     unknowns: ClassVar = (ScalarField.unknown,)

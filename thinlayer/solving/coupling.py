@@ -69,9 +69,12 @@ def coupled(
         >>> import numpy as np
         >>> from forms import Conductance, Conduction, LinearElastic
         >>> from geometry import sandwich
-        >>> from thinlayer import Structure, Surface, ThermalExpansion, ThinLayer, coupled, solve
+        >>> from thinlayer import Structure, Surface, ThermalExpansion, ThinLayer
+        >>> from thinlayer import coupled, solve
         >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")  # mm
-        >>> plates = Structure(joint, body=Conduction(k=0.05), supports={"BOTTOM": 20, "TOP": 80})
+        >>> plates = Structure(
+        ...     joint, body=Conduction(k=0.05), supports={"BOTTOM": 20, "TOP": 80}
+        ... )
         >>> clamps = {"BOTTOM": 0, "TOP": 0}
         >>> surface = Surface(plates.bonded())
         >>> def heat(opening):  # gas of 0.03e-3 W/(mm K) in a gap
