@@ -10,7 +10,8 @@ import ufl
 from forms import Conduction, FluxLaw, Heat
 from geometry import sandwich
 from tests.orders import observed_orders
-from thinlayer import Structure, ThinLayer, march, solve
+from tests.refused import refused
+from thinlayer import InputError, Structure, Surface, ThinLayer, march, solve
 
 LOWER, UPPER, K_LOWER, K_UPPER = 0.4, 0.7, 2.0, 0.5  # heights and conductivities of two unlike blocks, 1 wide
 
@@ -118,3 +119,23 @@ def test_a_sudden_flux_in_time():
         assert abs(column[-1]) < 5e-5
     no_capacity = march(_heated(Conduction(eps), eps)[1], times, theta=0.5).last.u.x.array.max()
     assert abs(no_capacity - exact[0]) > 1e-3
+
+
+@pytest.mark.parametrize("kind", ["full", "interface"])
+def test_a_structure_that_nothing_holds_keeps_its_heat(kind):
+    """Its content grows by the flux times the time, with the layer's capacity on S in it."""
+    joint, eps, c = sandwich(1, 0.5, 0.5, h=1 / 8, h_S=1 / 2, cell="quadrilateral"), 1 / 16, 1.5
+    fluxes = {"TOP": lambda x, t: 3.0 + x[0]}
+    plates = Structure(joint, body=Heat(1.0, 2.0), supports={}, fluxes=fluxes, initial=5)
+    model = getattr(plates, kind)(ThinLayer(Heat(0.1, c), eps))
+    state = march(model, [0.1, 0.2, 0.4], theta=0.5).last
+    content = sum(2.0 * state.integral(state.u[0] * model.dx(model.domain.region_tags(name))) for name in joint.bodies)
+    if kind == "full":
+        (layer,) = {*model.domain.joint.regions} - {*joint.bodies}
+        content += c * state.integral(state.u[0] * model.dx(model.domain.region_tags(layer)))
+    else:
+        surface = Surface(model)
+        content += c * eps * surface.integral(surface.displacements(state).mean(axis=0)[0])
+    assert content == pytest.approx(5 * (2.0 + c * eps) + 0.4 * 3.5, rel=1e-10)
+    steady = Structure(joint, body=Conduction(1.0), supports={}, fluxes=fluxes)
+    refused(InputError, "nothing holds the field", steady.bonded)

@@ -41,7 +41,7 @@ GOALS = [goals.Compliance(), goals.PointValue((0.6, 0.6)), goals.Inflow("BOTTOM"
 
 
 def _plates(body=None, *, rate=False, **data):
-    """A film below, held on the right, a flux into the top, a source in the layer."""
+    """A film below, supports on the right, a flux into the top, a source in the layer."""
     d = DATA | data
     k = {name: d[f"k_{name.lower()}"] for name in JOINT.bodies}
     return Structure(
@@ -115,7 +115,7 @@ def test_pictures_show_values_on_undeformed_bodies():
 
 # ---------------------------------------------------------------- points
 def test_values_at_points_and_inside_a_layer_with_a_source():
-    """Of a column held at both ends: the source d leaves by both, and the layer's middle is d eps/(8 k) hotter."""
+    """Of a column supports at both ends: the source d leaves by both, and the layer's middle is d eps/(8 k) hotter."""
     Q, k, eps = 3.0, 0.1, 0.05
     state = _column(
         layer=ThinLayer(Conduction(k), eps), sources={"S": Q}, supports={"BOTTOM": 0, "TOP": 0}, fluxes=None
@@ -160,12 +160,12 @@ def test_derivatives_by_all_data():
     """Values are linear in all loads, and stay as they are if all conductivities and flows grow alike."""
     state = solve(_interface(order=0))
     change = sensitivity(state)
-    flows, held = {"flux TOP", "source S"}, {"film BOTTOM.T", "support RIGHT T"}
+    flows, supports = {"flux TOP", "source S"}, {"film BOTTOM.T", "support RIGHT T"}
     conductivities = {"LOWER.k", "UPPER.k", "S.k", "film BOTTOM.h"}
     for goal, degree in zip(GOALS[1:], (0, 1, 1), strict=True):
         by, value = change.of(goal), goal.value_in(state)
-        assert {*by} == {*flows, *held, *conductivities, "S.eps"}
-        assert sum(by[name] for name in flows | held) == pytest.approx(value)
+        assert {*by} == {*flows, *supports, *conductivities, "S.eps"}
+        assert sum(by[name] for name in flows | supports) == pytest.approx(value)
         assert sum(by[name] for name in flows | conductivities) == pytest.approx(degree * value, abs=1e-8)
         assert by["S.eps"] == pytest.approx(by["source S"] - by["S.k"])
     for name, key in (("film BOTTOM.h", "h"), ("UPPER.k", "k_upper")):

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 restore_warnings()  # users' warnings too
 
-TAGS_TEXT_OF_MEASURE = {"dx": "model.domain.cell_values(name)", "dS": "dS(k + 1) is the k-th of joint.seams"}
+TAGS_TEXT_OF_MEASURE = {"dx": "model.domain.region_tags(name)", "dS": "dS(k + 1) is the k-th of joint.seams"}
 
 
 def checked_user_form(form: ufl.Form, model: Model, what: str = "a form") -> ufl.Form:

@@ -122,7 +122,7 @@ class Model(ABC):
             `work(model.terms_at(t), u, v) - model.external_work(v, t) + term * model.dx`, without compiled or nodal
             laws. Compile it with `model.form`: DOLFINx 0.9 itself loses integrals over overlapping tags whose
             quadratures differ, as for a body and its weight on quadrilaterals. Regions and facets:
-            `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`. Only `model.form` accepts
+            `model.dx(model.domain.region_tags(name))`, `model.ds(model.domain.values(name))`. Only `model.form` accepts
             plain `ufl.dx` in the same form, `dolfinx.fem.form` does not.
         ds: the same of the outer facets.
         bodies, layer_terms: terms of the laws of the bodies and of the layers, with prescribed strains that may depend
@@ -200,11 +200,12 @@ class Model(ABC):
             self.issued_warnings.add((key, *subject))
 
     def require_supported(self) -> None:
-        """Raise InputError if the structure can move as a rigid body.
+        """Raise InputError if the structure can move as a rigid body, or a scalar field without capacity is not fixed.
 
         In a periodic joint translations that nothing prevents are first fixed at one vertex.
         """
-        if not (self.broken and any(name in self.layers for name in self.joint.base_seams)):
+        has_capacity = self.n_components == 1 and all(law.traits.rate for law in self.body_laws.values())
+        if not (has_capacity or (self.broken and any(name in self.layers for name in self.joint.base_seams))):
             resistances = [partial(part.rigid_stiffness, self) for part in self.parts if not part.has_constraint]
             if self.joint.periods:
                 self.supports.anchor_axes = free_axes(self, resistances)

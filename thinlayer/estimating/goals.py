@@ -510,7 +510,7 @@ class Functional(Goal):
     Attributes:
         name: name of the goal.
         of: function (u, model) of the displacements and the interface model that returns a form without test functions,
-            on the model's measures `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`,
+            on the model's measures `model.dx(model.domain.region_tags(name))`, `model.ds(model.domain.values(name))`,
             ... In axisymmetry the goal is the integral over the whole revolution, with the factor 2 pi r.
 
     Example:
