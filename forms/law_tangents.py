@@ -45,7 +45,7 @@ from ufl.corealg.traversal import traverse_unique_terminals, unique_post_travers
 
 from forms.base import Array, InputError
 from forms.kernel import KernelLaw
-from forms.law import BulkLaw, Step
+from forms.law import BulkLaw, Law, Step
 from forms.parameter_fields import ParameterValue
 from forms.tensors import Expr, average_lame, isotropic_tensor, mandel_tensor, mandel_vectors
 from forms.tensors import mandel_vector as in_mandel
@@ -350,10 +350,11 @@ def is_checked_at_rest(law: BulkLaw) -> bool:
     """Return whether a layer's law has a tangent for small strains that can be computed and must not be negative.
 
     The tangent may be negative for a law that declares `softens`. It is not computed for a law with internal variables
-    and a rate. Nor is it computed for a non-linear law of jumps, for which no jump is known to be small.
+    and a rate. Nor is it computed for a non-linear law of jumps, for which no jump is known to be small, or of a scalar
+    field, which need not be near zero.
     """
-    nonlinear_jumps = law.traits.of_jumps and not law.traits.linear
-    return not (law.traits.softens or (law.traits.rate and law.internal) or nonlinear_jumps)
+    has_no_rest = not law.traits.linear and (law.traits.of_jumps or law.unknown != Law.unknown)
+    return not (law.traits.softens or (law.traits.rate and law.internal) or has_no_rest)
 
 
 def acoustic_tensor(C: Array, n: Array) -> Array:

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import ufl
 
-from forms import Breaking, HolonomicCoulomb, KelvinVoigt, LinearElastic, Maxwell
+from forms import Breaking, Conduction, HolonomicCoulomb, KelvinVoigt, LinearElastic, Maxwell
 from geometry import fibre, periodic, ring, sandwich, wall
 from geometry.joint import Joint
 from geometry.seam import Seam
 from tests.meshes import blocks_of, write
-from tests.own_laws import AgeingSpring, Cubic, Damaging, Mises, Skew
+from tests.own_laws import AgeingSpring, Cubic, Damaging, Mises, Radiating, Skew
 from tests.own_scripts.inertia import Inertia
 from thinlayer import Bond, Gap, Prestress, RigidPlate, Springs, Structure, ThinLayer, UflPart, march, solve
 from thinlayer.discretisation.state import State
@@ -50,6 +50,7 @@ class Column:
     seam, supported, loaded, roller, at = "S", "BOTTOM", "TOP", "RIGHT/UPPER", (0.0, 0.9)
     times, past, length, stress, unseen, statuses = (), False, 1.0, 1.0, None, {"elastic"}
     turn: Any = np.eye(3)
+    scalar, traction, stresses, values, load_name = False, "traction", "stress", "displacement", "load"
 
     def __init__(self, **attributes: Any) -> None:
         vars(self).update(attributes)
@@ -62,6 +63,14 @@ class Column:
 
     def turned(self, v: Any) -> Any:
         return self.turn[: len(self.at), : len(self.at)] @ v[: len(self.at)]
+
+    def along(self, axis: Any) -> Any:
+        """The direction of a goal."""
+        return self.turned(axis)
+
+    def vector(self, u: Any) -> Any:
+        """Displacements, to which Gauss' theorem applies."""
+        return u
 
     def whole(self, *powers: int) -> float:
         """A sum over the structure, over that of the part that is asked; powers: of length and stress."""
@@ -112,7 +121,7 @@ class Column:
         write(folder / "column.msh", joint.points, *blocks_of(joint), names)
         supports = f'{self.supported} = 0, "{self.roller}" = {{x = 0}}' if self.roller else f"{self.supported} = 0"
         keys = {
-            "mesh": MESH, "supports": f"{{{supports}}}", "tractions": f"{{{self.loaded} = {[*self.load(None, 1.0)]}}}",
+            "mesh": MESH, "supports": f"{{{supports}}}", "tractions": f"{{{self.loaded} = {np.atleast_1d(self.load(None, 1.0)).tolist()}}}",
             "body": f"{{E = {E * self.stress}, nu = {NU}}}",
             "layer": f"{{lmbda = {LMBDA * self.stress}, mu = {MU * self.stress}, eps = {EPS * self.length}}}",
         } | self.toml  # fmt: skip
@@ -156,6 +165,40 @@ class Twin(Column):
 
     def whole(self, *powers: int) -> float:
         return 1 + self.length ** -powers[0] * self.stress ** -powers[1]
+
+
+class Conducting(Column):
+    """A structure of a scalar field: heat that enters on top, and leaves at a side of the lower body with the value 1.
+
+    Attributes:
+        body: law of the bodies.
+    """
+
+    layers, body = glue(Conduction(0.4)), Conduction(2.5)
+    scalar, traction, stresses, values, load_name = True, "flux", "flux", "value", "flux"
+    supported = "RIGHT/LOWER"
+    toml = {
+        "body": '{law = "Conduction", k = 2.5}', "layer": f'{{law = "Conduction", k = 0.4, eps = {EPS}}}',
+        "supports": '{"RIGHT/LOWER" = 1}', "fluxes": "{TOP = 0.3}", "tractions": "{}",
+    }  # fmt: skip
+
+    @property
+    def load(self) -> Callable[..., Any]:
+        return lambda x, t: 0.3 * t
+
+    def turned(self, v: Any) -> Any:
+        return v
+
+    def along(self, axis: Any) -> None:
+        return None
+
+    def vector(self, u: Any) -> Any:
+        return ufl.as_vector([u[0] - 1 if k == 1 else 0 for k in range(len(self.at))])
+
+    @cached_property
+    def structure(self) -> Structure:
+        data = {"supports": {self.supported: 1.0}, "fluxes": {self.loaded: self.load}}
+        return Structure(self.joint(), body=self.body, **(data | self.data))
 
 
 def on_top(state: State, regions: tuple[str, ...]) -> Any:
@@ -226,7 +269,7 @@ COLUMNS: dict[str, Callable[[], Column]] = {
         "strain": lambda x, t: ((0.01 * t, 0.004 * t), (0.004 * t, -0.02 * t))}),
     "revolution": lambda: Column(data={"plane": "axisymmetric"}, toml={"plane": '"axisymmetric"'}),
     "curved": lambda: Column(joint=partial(ring, 1.0, 1.5, 2.0, 0.5, angle=1.2, cell="quadrilateral"), **RING,
-        bodies="extended", toml={"bodies": '"extended"', "mesh": MESH.replace("UPPER", "OUTER")}),
+        bodies="extended", toml=Conducting.toml | {"bodies": '"extended"', "mesh": MESH.replace("UPPER", "OUTER")}),
     "tapered": lambda: Column(layers=glue(profile=lambda x: 1 + 0.3 * x[0]), bodies="extended",
         toml=law("LinearElastic", ", profile = [1, 2]")),
     "3D": lambda: Column(joint=partial(sandwich, 2.0, 0.6, 0.9, 0.5, depth=1.0, cell="hexahedron"), at=(0.0, 0.9, 1.0)),
@@ -234,6 +277,20 @@ COLUMNS: dict[str, Callable[[], Column]] = {
     "units": lambda: Column(joint=lambda: replace(joint := Column.joint(), points=1e3 * joint.points),
         layers=glue(eps=1e3 * EPS, stress=1e-3), at=(0.0, 900.0), length=1e3, stress=1e-3),
     "twin": Twin,
+    "heat": Conducting,
+    "heat fields": lambda: Conducting(layers=glue(Conduction(lambda x: 0.4 * (1 + 0.3 * x[0]))),
+        toml=Conducting.toml | {"layer": f'{{law = "Conduction", k = "0.4 + 0.12 x", eps = {EPS}}}'}),
+    "heat in UFL": lambda: Conducting(layers=glue(Radiating(0.4)), toml=Conducting.toml | law("Radiating")),
+    "heat networks": lambda: Conducting(**WALL, supported="BOTTOM", toml=Conducting.toml | SEAMS | {"supports": "{BOTTOM = 1}"}),
+    "heat revolution": lambda: Conducting(data={"plane": "axisymmetric"}, toml=Conducting.toml | {"plane": '"axisymmetric"'}),
+    "heat curved": lambda: Conducting(joint=partial(ring, 1.0, 1.5, 2.0, 0.5, angle=1.2, cell="quadrilateral"),
+        supported="START/INNER", loaded="OUTSIDE", at=(2.0, 0.0),
+        bodies="extended", toml=Conducting.toml | {"bodies": '"extended"', "mesh": MESH.replace("UPPER", "OUTER"),
+            "supports": '{"START/INNER" = 1}', "fluxes": "{OUTSIDE = 0.3}"}),
+    "heat tapered": lambda: Conducting(layers=glue(Conduction(0.4), profile=lambda x: 1 + 0.3 * x[0]), bodies="extended",
+        toml=Conducting.toml | {"layer": f'{{law = "Conduction", k = 0.4, eps = {EPS}, profile = [1, 2]}}'}),
+    "heat 3D": lambda: Conducting(at=(0.0, 0.9, 1.0),
+        joint=partial(sandwich, 2.0, 0.6, 0.9, 0.5, depth=1.0, cell="hexahedron")),
     "march": lambda: Column(times=TIMES, toml=MARCHED),
 }  # fmt: skip
 

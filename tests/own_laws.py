@@ -9,6 +9,7 @@ import numpy as np
 import ufl
 
 from forms.elastic import lame_stress
+from forms.flux import FluxLaw
 from forms.law import BulkLaw, Law
 from forms.plastic import VonMises
 from forms.traction import TractionLaw
@@ -19,6 +20,18 @@ from thinlayer.discretisation.layer import Layer, SurfaceLaw, ThinLayer
 def layer_of(law: Law, eps: float) -> Layer:
     """A layer of a law: laws on S are layers by themselves, others have a thickness."""
     return law if isinstance(law, SurfaceLaw) else ThinLayer(law, eps, at=1.0)
+
+
+@dataclass(frozen=True)
+class Radiating(FluxLaw):
+    """A conductivity that grows with the cube of the value."""
+
+    a: float
+    powers: ClassVar = {"a": 1}
+    symmetric = False
+
+    def flux(self, step):
+        return self.a * step.T**3 * step.g
 
 
 @dataclass(frozen=True)

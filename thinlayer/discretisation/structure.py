@@ -7,9 +7,10 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Any, Self
 
+import numpy as np
 from mpi4py import MPI
 
-from forms.base import Array, InputError, require
+from forms.base import Array, InputError, is_number, require
 from forms.kernel import KernelLaw
 from forms.kinematics import KINEMATICS_BY_NAME, SCALAR_KINEMATICS_BY_NAME, Kinematics, ScalarField
 from forms.law import BulkLaw, Law, explained_errors
@@ -298,6 +299,8 @@ class Structure:
         new, force = copy_without_caches(self), self.body_force
         new.joint = replace(self.joint, seams={name: s for name, s in self.joint.seams.items() if name in names})
         new.comm, new.parts, new.loads, new.body_laws, new.eigenstrains = MPI.COMM_SELF, (), (), {}, {}
+        if self.initial is None and self.kinematics.unknown == ScalarField.unknown:
+            new.initial = self.mean_support  # as the layers by themselves have no such supports
         new.tractions = {k: v for k, v in (self.tractions or {}).items() if FacetName.parse(k).part_name == LAYER}
         new.body_force = {k: v for k, v in force.items() if k in (*names, S)} if isinstance(force, Mapping) else None
         return new
@@ -305,6 +308,12 @@ class Structure:
     # ---------------------------------------------------------------- data
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.joint!r}, {self.element}, {self.plane}, supports {[*self.supports]})"
+
+    @property
+    def mean_support(self) -> float:
+        """Mean of the numbers that supports prescribe; 0 if there are none."""
+        supports = [u.values() if isinstance(u, Mapping) else [u] for u in self.supports.values()]
+        return float(np.mean([v for values in supports for v in values if is_number(v)] or [0.0]))
 
     @cached_property
     def sheet(self) -> Sheet:

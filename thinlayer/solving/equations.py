@@ -196,9 +196,7 @@ class Equations(PartSum):
         model, report = self.model, Report("rest", 0, 0.0, 0.0)
         dissipated, u = dict.fromkeys(model.sums_by_seam_and_bodies({}), 0.0), model.unknown_at_rest(t)
         if model.n_components == 1 and model.structure.initial is None and not model.linear:
-            values = self._bc_dofs_and_values(t)[1]
-            total, count = model.comm.allreduce(np.array([values.sum(), len(values)]))
-            u.x.array[:] = total / max(count, 1.0)
+            u.x.array[:] = model.structure.mean_support
         memory, stresses = self.memory_at_rest, self.stresses_at_rest
         return State(u, t, memory, stresses=stresses, at_rest=True, model=model, report=report, dissipated=dissipated)
 
