@@ -41,12 +41,14 @@ from thinlayer.output.surface import Surface as Surface
 from thinlayer.output.sweep import sweep as sweep
 from thinlayer.output.zooming import Zoom as Zoom
 from thinlayer.parts.film import Film as Film
+from thinlayer.parts.inertia import Inertia as Inertia
 from thinlayer.parts.joule import JouleHeat as JouleHeat
 from thinlayer.parts.plates import RigidPlate as RigidPlate
 from thinlayer.parts.springs import Springs as Springs
 from thinlayer.parts.ufl_part import UflPart as UflPart
 from thinlayer.pointwise.drive import drive as drive
 from thinlayer.solving.coupling import coupled as coupled
+from thinlayer.solving.initial_state import initial_state as initial_state
 from thinlayer.solving.solve import solve as solve
 from thinlayer.solving.step_problem import StepProblem as StepProblem
 from thinlayer.system.table import Table as Table

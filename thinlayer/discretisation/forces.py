@@ -45,6 +45,7 @@ class LoadRegion:
         by_part: name of the facet set on which a part, such as a film, exerts the load as its reaction; "": it is applied.
         base_argument: function from a displacement of the bodies, in UFL, to what the rigid base adds to this mean if
             it moves with them. None: there is no rigid base.
+        jump: for a layer without cells, function from a displacement, in UFL, to its jump; None: other regions.
     """
 
     measure: ufl.Measure
@@ -53,6 +54,7 @@ class LoadRegion:
     work_argument: Callable[[Expr], Expr] = lambda v: v
     base_argument: Callable[[Expr], Expr] | None = None
     by_part: str = ""
+    jump: Callable[[Expr], Expr] | None = None
 
 
 class Forces:

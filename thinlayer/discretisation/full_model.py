@@ -124,7 +124,8 @@ class FullModel(Model):
                 terms.append(replace(term, key=seam_layer.key, prescribed_strain=self.layer_strains[name]))
         return terms
 
-    def _load_region(self, layer: SeamLayer, source: SurfaceSource | None) -> LoadRegion:
+    def load_region(self, layer: SeamLayer, source: SurfaceSource | None = None) -> LoadRegion:
+        """Return the cells of a layer, also those with its law where meshed layers meet."""
         if source and (source.height or layer.described_profile):
             raise InputError(
                 f"a SurfaceSource at {source.height:g} of a meshed layer: allowed: 0, in a uniform thickness"

@@ -222,10 +222,11 @@ class InterfaceModel(Model):
         names = [name for name, applicability in self.applicability.items() if applicability.weights]
         return super()._description() | ({"free ends": names} if names else {})
 
-    def _load_region(self, layer: SeamLayer, source: SurfaceSource | None) -> LoadRegion:
-        """Return the region on S where the loads of a layer act.
+    def load_region(self, layer: SeamLayer, source: SurfaceSource | None = None) -> LoadRegion:
+        """Return the region on S where the loads and the mass of a layer act.
 
-        Each side of S carries half of a load, of a source its share. On a rigid base, the base carries the lower part.
+        Its weight contains the thickness, if the layer has one. Each side of S carries half of a load, of a source its
+        share. On a rigid base, the base carries the lower part.
         """
         sides, share = self.sides_of(layer.name), 0.5 + (source.height if source else 0.0)  # of the upper side
 
@@ -233,12 +234,13 @@ class InterfaceModel(Model):
             return sides.upper(v + ufl.dot(ufl.grad(v), 2 * self._middle.offset) if self._middle else v) * (1 - share)
 
         base_argument = base_displacement if layer.name in self.joint.base_seams else None
-        weight = sides.factor if source else self._thickness(layer, sides) * sides.factor
+        has_thickness = layer.thin_layer is not None and source is None
+        weight = (self._thickness(layer, sides) if has_thickness else 1) * sides.factor
 
         def work_argument(v: Expr) -> Expr:
             return share * sides.upper(v) + (1 - share) * sides.lower(v)
 
-        return LoadRegion(sides.measure, weight, sides.upper, work_argument, base_argument)
+        return LoadRegion(sides.measure, weight, sides.upper, work_argument, base_argument, jump=sides.jump)
 
 
 def _law_on_surface(domain: Domain, joint: Joint, name: str, upper: InterfaceSide, law: BulkLaw) -> BulkLaw:

@@ -284,7 +284,7 @@ class Model(ABC):
         forces = Forces(self.domain, self.kinematics, self.joint, at, self.structure)
         for name, load in loads_of_layers(self).items():
             source = load if isinstance(load, SurfaceSource) else None
-            region = self._load_region(self.layers[name], source)
+            region = self.load_region(self.layers[name], source)
             forces.add_layer_load(name, source.power if source else load, region, self._coordinates_on(at))
         return forces
 
@@ -293,8 +293,8 @@ class Model(ABC):
         return at
 
     @abstractmethod
-    def _load_region(self, layer: SeamLayer, source: SurfaceSource | None) -> LoadRegion:
-        """Return the region over which a force per volume of the layer acts, or the source per area `source`."""
+    def load_region(self, layer: SeamLayer, source: SurfaceSource | None = None) -> LoadRegion:
+        """Return the region over which a force per volume of the layer, or its mass, or a `source` per area, acts."""
 
     def require(self, use: str, what: str = "") -> None:
         """Raise InputError if a layer of the model violates a condition for a use of layers.

@@ -57,6 +57,8 @@ class PartTraits:
     Attributes:
         rate: the forces depend on velocities or strain rates. The solver `march` then begins at rest, and `solve`
             refuses the part.
+        inert: the part has mass. The solver `march` then begins with accelerations that balance the loads, and `solve`
+            leaves mass out, as steps without duration have no inertia but that of given accelerations.
         remembers: the forces depend on the history before the step.
         nonlinear: the forces are not proportional to the displacements.
         bounded: stresses are bounded, so that loads may have a limit.
@@ -72,6 +74,7 @@ class PartTraits:
     """
 
     rate: bool = False
+    inert: bool = False
     remembers: bool = False
     nonlinear: bool = False
     bounded: bool = False

@@ -306,8 +306,10 @@ class Equations(PartSum):
         self._mid_u.x.scatter_forward()
         part_norms = self.forces(self.u, self._mid_u, self._forces)
         common_norms = np.zeros(self.n_blocks)
-        # a mean strain or stress acts on all blocks alike
-        common_norms[: None if self.model.strain or self.model.stress else 1] = max(part_norms, default=0.0)
+        # a mean strain or stress acts on all blocks alike, and so does inertia: waves pass from block to block
+        common_norms[: None if self.model.strain or self.model.stress or self.traits.inert else 1] = max(
+            part_norms, default=0.0
+        )
         self.scale.update_stresses(np.maximum(self.body_norms, common_norms))
         self._forces.axpy(-1.0, self.loads)
         forces = np.full(self.n_displacements, np.nan) if self.failed else self._forces.array_r

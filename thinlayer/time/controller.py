@@ -15,6 +15,7 @@ from forms.base import InputError
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.solving.history import TIME_TOLERANCE, History
+from thinlayer.solving.initial_state import balanced_start
 from thinlayer.solving.solve import Solver
 from thinlayer.system.fingerprint import Resume
 from thinlayer.system.progress import logger, report
@@ -142,6 +143,9 @@ class Controller(ABC):
                 if self.last.t > end + self.time_slack:
                     march_text = f"the march in {self.journal.out} is at t = {self.last.t:g}"
                     raise InputError(f"{march_text}, and is to end before, at t = {end:g}")
+            elif self.solver.equations.traits.inert:
+                rest, dt = self.solver.rest_state(self.start), self.targets[0] - self.start
+                self.journal.begin([balanced_start(self.solver.equations, initial[-1] if initial else rest, dt)])
             elif initial:
                 self.journal.begin(initial)
             else:

@@ -31,7 +31,7 @@ from thinlayer.system.progress import report
 from thinlayer.system.ranks import errors_on_all, require_same
 from thinlayer.time.controller import Controller
 from thinlayer.time.journal import OBSERVER_HINT, Journal, Observers
-from thinlayer.time.plan import Plan, PlannedTimes, Times, require_theta_suits
+from thinlayer.time.plan import Plan, PlannedTimes, Times, default_theta, require_theta_suits
 from thinlayer.time.stepping import COMPARED_QUANTITIES, ErrorEstimate
 
 WARN_STEP_ERROR = 0.02  # least error of the steps that leads to a warning
@@ -44,7 +44,7 @@ def march(
     times: Times,
     *,
     start: float | None = None,
-    theta: float = 1.0,
+    theta: float | None = None,
     observe: Observers | None = None,
     keep: str = "all",
     out: str | Path | None = None,
@@ -55,9 +55,11 @@ def march(
 
     The loads may begin suddenly at `start`. If every law responds to them at once (elastic, Maxwell), the first
     accepted state is this response, at `start`. Other laws and parts depend on rates: Kelvin-Voigt, Norton, a stack
-    with one of them, user-defined parts such as inertia. With them the first state is at rest, and the response to
-    sudden loads is in the first step. A step that fails is halved. If a law or a part has a memory, depends on rates or
-    softens, steps also end at the break times of `piecewise` data, where slopes change.
+    with one of them, parts such as inertia. With them the first state is at rest, and the response to sudden loads is
+    in the first step. A structure with mass begins with accelerations that balance the loads at the start, also from a
+    given state, such as a static one under other loads, which then is released. A step that fails is halved. If a law
+    or a part has a memory, depends on rates or softens, steps also end at the break times of `piecewise` data, where
+    slopes change.
 
     A layer softens if its stress falls as jumps grow (trait `softens`). A model with such a layer follows its
     equilibrium path, as long as time increases along it. Steps are as short as the path needs. In this way, prescribed
@@ -83,10 +85,12 @@ def march(
         start: time of the first state (default: 0). It must not be set if `begin` is a state or a history, which has
             its own time.
         theta: fraction of each step after which forces balance. 1 is backward Euler, of first order in the length of
-            the steps; 1/2 is the midpoint rule, of second order. With theta below 1, the first step from rest consists
-            of two steps of backward Euler, which damp the oscillation after a sudden load. Values below 1 are allowed
-            for linear laws. They are also allowed for laws that creep or relax, if any response of these laws to sudden
-            strains is linear. Parameters that vary in time are taken at the time of balance.
+            the steps; 1/2 is the midpoint rule, of second order. None: 1/2 for models with mass (`Inertia`) and without
+            contact, else 1. With theta below 1 and without mass, the first step from rest consists of two steps of
+            backward Euler, which damp the oscillation after a sudden load. Values below 1 are allowed with mass, where
+            laws bound stresses at the times of balance alone. Without mass they are allowed for linear laws. They are
+            also allowed for laws that creep or relax, if any response of these laws to sudden strains is linear.
+            Parameters that vary in time are taken at the time of balance.
         observe: name of a column to be added to the history's table -> function of a state that returns a number, the
             same on all ranks. It is evaluated at every accepted state.
         keep: "all": keep all states; "last": keep only the last one.
@@ -138,7 +142,7 @@ def march(
         if initial_states and (start is not None or out is not None):
             raise InputError("a march goes on from a state at its time, and without files: omit start= and out=")
         start = initial_states[-1].t if initial_states else _to_float("start", start or 0.0)
-        theta = _to_float("theta", theta)
+        theta = default_theta(model) if theta is None else _to_float("theta", theta)
         _check(model, theta, keep, out, resume, observe)
         plan = times if isinstance(times, Plan) else PlannedTimes(times)
         plan.targets(start)

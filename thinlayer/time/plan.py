@@ -11,6 +11,8 @@ import numpy as np
 
 from forms.base import InputError, is_finite, is_integer, is_number, require
 from forms.temperature import real_values
+from thinlayer.discretisation.model import Model
+from thinlayer.parts.inertia import Inertia
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.history import TIME_TOLERANCE
@@ -29,6 +31,7 @@ NO_PATH_REASONS = {
     "bounded": "{} bounds stresses: on a path loads stay at their limit",
     "switches": "{} has pure phases: its equilibria do not form one curve",
     "rate": "{} depends on rates, and t is not a time on a path",
+    "inert": "{} has mass, and t is not a time on a path",
 }  # reasons, see `PartSum.refuse_traits`
 
 
@@ -331,12 +334,18 @@ def _merge_breaks(times: Sequence[float], start: float, breaks: Iterable[float])
 
 
 # ---------------------------------------------------------------- what models allow
+def default_theta(model: Model) -> float:
+    """Return the fraction of steps after which forces balance by default: 1/2 with mass and without contact, else 1."""
+    return 0.5 if any(isinstance(part, Inertia) for part in model.parts) and not model.contact else 1.0
+
+
 def require_theta_suits(equations: Equations, theta: float, ends: list[float]) -> None:
     """Check that a model can be marched in time with a value of theta. Collective.
 
-    With theta = 1 all models can. With theta < 1, contact laws and laws that bound stresses or switch phases are
-    refused. Laws that creep or relax may be non-linear. All further laws must declare that they are linear, and
-    parameters of compiled laws must not change in time.
+    With theta = 1 all models can. With theta < 1, contact laws and laws that switch phases are refused. Models with
+    mass have no further conditions. In others, laws that bound stresses are refused. Laws that creep or relax may be
+    non-linear. All further laws must declare that they are linear, and parameters of compiled laws must not change in
+    time.
 
     Args:
         equations: the equations of the model.
@@ -350,7 +359,10 @@ def require_theta_suits(equations: Equations, theta: float, ends: list[float]) -
         return
     ends_text = f"theta is {theta}; {{}} holds at the ends of steps: {THETA_HINT}"
     bounds_text = f"theta is {theta}; {{}} bounds stresses, which at the end of a step may exceed it: {THETA_HINT}"
-    equations.refuse_traits({"releases": ends_text, "switches": ends_text, "bounded": bounds_text})
+    equations.refuse_traits({"releases": ends_text, "switches": ends_text})
+    if equations.traits.inert:  # mass keeps states at the ends of steps from oscillating as those of statics would
+        return
+    equations.refuse_traits({"bounded": bounds_text})
     for part in equations.parts:
         if name_and_flag := part.instantaneous_nonlinear_law(ends):
             name, varies = name_and_flag
