@@ -90,6 +90,10 @@ class KelvinVoigt(ParallelDashpot):
     def _viscous_stress(self, step: Step) -> Expr:
         return lame_stress(self.lmbda * self.theta_lmbda, self.mu * self.theta_mu, step.rate)
 
+    def complex_moduli(self, omega: float) -> tuple[complex, complex]:
+        """Return the complex moduli lmbda and mu of vibrations exp(i omega t); their imaginary parts dissipate."""
+        return self.lmbda * (1 + 1j * omega * self.theta_lmbda), self.mu * (1 + 1j * omega * self.theta_mu)
+
 
 class SeriesDashpot(IsotropicLaw):
     """Base of laws with an elastic spring and dashpots in series; subclasses define the relaxation rates in a step."""
@@ -191,6 +195,11 @@ class Maxwell(SeriesDashpot):
         min_t2 = 3 * nu * self.t1 / (1 + nu)
         in_range = self.t2 is not None and min_t2 <= self.t2 < math.inf and self.t2 > 0
         self.require(in_range, "t2", f"> 0 and >= 3 nu t1/(1 + nu) = {min_t2:g}")
+
+    def complex_moduli(self, omega: float) -> tuple[complex, complex]:
+        """Return the complex moduli lmbda and mu of vibrations exp(i omega t); their imaginary parts dissipate."""
+        mu = self.mu * 1j * omega / (1j * omega + 1 / self.t1)
+        return self._bulk_modulus * 1j * omega / (1j * omega + self._mean_relaxation_rate) - 2 * mu / 3, mu
 
     @property
     def _mean_relaxation_rate(self) -> Expr:

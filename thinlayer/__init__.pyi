@@ -48,7 +48,9 @@ from thinlayer.parts.springs import Springs as Springs
 from thinlayer.parts.ufl_part import UflPart as UflPart
 from thinlayer.pointwise.drive import drive as drive
 from thinlayer.solving.coupling import coupled as coupled
+from thinlayer.solving.harmonic import harmonic as harmonic
 from thinlayer.solving.initial_state import initial_state as initial_state
+from thinlayer.solving.modes import modes as modes
 from thinlayer.solving.solve import solve as solve
 from thinlayer.solving.step_problem import StepProblem as StepProblem
 from thinlayer.system.table import Table as Table

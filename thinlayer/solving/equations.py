@@ -331,6 +331,11 @@ class Equations(PartSum):
         self._reduced_tangent.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         return self._reduced_tangent
 
+    def on_unknowns(self, A: PETSc.Mat) -> PETSc.Mat:
+        """Return a new matrix of the unknowns for a matrix `A` of nodal displacements, without Dirichlet conditions."""
+        full = TangentMatrix(self.comm, self._layout.sizes).fill([Block(A, kept=True)])
+        return full if self._T is None else full.ptap(self._T)
+
     @contextmanager
     def constrained_tangent(
         self, x: PETSc.Vec | None = None, b: PETSc.Vec | None = None, *, in_place: bool = False

@@ -105,7 +105,7 @@ def balanced_start(equations: Equations, state: State, dt: float) -> State:
             residual = equations.create_vector()
             equations.residual(x, residual)
             if not is_balanced:
-                prescribed_a = np.asarray(values[0] - 2 * values[1] + values[2]) / (SLOPE_STEP_RATIO * dt) ** 2
+                prescribed_a = np.asarray((values[0] - 2 * values[1] + values[2]) / (SLOPE_STEP_RATIO * dt) ** 2, float)
                 _set_values(memory["a"], _accelerations(equations, part.M, residual.array_r[:n], prescribed_a))
         start = equations.accept(x, Report("start", 0, 0.0, 0.0))
     except SolveError as error:
