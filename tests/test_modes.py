@@ -14,7 +14,7 @@ from geometry import sandwich
 from tests.on_ranks import on_ranks
 from tests.refused import refused
 from tests.vibrating_bars import SIDES, UNIFORM, WIDTH, bar, frequencies
-from thinlayer import Inertia, RangeWarning, Springs, Structure, ThinLayer, harmonic, march, modes
+from thinlayer import Inertia, RangeWarning, Springs, Structure, ThinLayer, harmonic, modes
 
 UNLIKE = {"eps": 0.08, "modulus": 0.3, "density": {"LOWER": 2.0, "UPPER": 0.7, "S": 1.3}, "heights": (0.3, 0.6)}
 STEEL, MASS = LinearElastic.young(E=210e3, nu=0.3), Inertia({"LOWER": 7.8e-9, "UPPER": 7.8e-9, "S": 1.2e-9})
@@ -37,7 +37,11 @@ def test_bar_of_published_numbers(monkeypatch):
     assert modes(bar(), 2).omega == pytest.approx([1.0531967, 3.5449327], rel=2e-6)
 
 
-FAMILIES = {"soft": (2.0, lambda eps: (eps, 1.0)), "fixed": (2.9, lambda eps: (3.0, 1.0)), "heavy": (1.0, lambda eps: (1.0, 1 / eps))}
+FAMILIES = {
+    "soft": (2.0, lambda eps: (eps, 1.0)),
+    "fixed": (2.9, lambda eps: (3.0, 1.0)),
+    "heavy": (1.0, lambda eps: (1.0, 1 / eps)),
+}
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -69,9 +73,11 @@ def test_order_0_loses_the_lever_of_a_cantilever():
         lever = modes(plates.interface(ThinLayer(glue, 0.8)), 1)
     assert lever.omega[0] / exact.omega[0] - 1 == pytest.approx(-1.8e-2, abs=1e-3)
     shape = exact.shapes[0]
-    assert sum(shape.energies()[name] for name in ("bodies", "layer")) == pytest.approx(exact.omega[0] ** 2 / 2, rel=1e-9)
+    assert sum(shape.energies()[name] for name in ("bodies", "layer")) == pytest.approx(
+        exact.omega[0] ** 2 / 2, rel=1e-7
+    )
     for shares in exact.shares.values():
-        assert sum(shares.values()) == pytest.approx(np.ones(2), rel=1e-9)
+        assert sum(shares.values()) == pytest.approx(np.ones(2), rel=1e-7)
     assert exact.hertz[0] == pytest.approx(499.86, abs=0.01)
 
 
@@ -79,17 +85,22 @@ def test_free_structures_have_rigid_modes_and_inclined_supports_are_as_straight_
     glue = ThinLayer(LinearElastic.young(E=50, nu=0.3), 0.2, order=1)
     free = modes(beam(2, supports={}).interface(glue), 5).omega
     assert (free[:3] < 1e-3 * free[3]).all()
-    held = {"LEFT": 0, "RIGHT": {"x": 0}}
-    inclined = {"LEFT": 0, "RIGHT": {(3.0, 0.0): 0}}
-    straight, turned = (modes(beam(2, supports=s).interface(glue), 4, near=free[4]).omega for s in (held, inclined))
-    assert turned == pytest.approx(straight, rel=1e-8)
+    glue, joint = ThinLayer(LinearElastic.young(E=70e3, nu=0.3), 0.02, order=1), sandwich(1.0, 0.5, 0.6, 0.25)
+    data = {"body": STEEL, "supports": {"BOTTOM": {"n": 0}, "LEFT": {"n": 0}}, "parts": [MASS]}
+    straight, turned = (modes(Structure(j, **data).interface(glue), 4) for j in (joint, joint.rotated(0.4)))
+    assert turned.model.constraints.T is not None
+    assert turned.omega == pytest.approx(straight.omega, rel=1e-8)
+    assert turned.shares["kinetic"]["S"] == pytest.approx(straight.shares["kinetic"]["S"], rel=1e-6)
 
 
 def test_incompressible_layers_and_springs():
     """Meshed and on S; springs add what they hold to the strain energy."""
     rubber, parts = Incompressible(mu=1.0), [MASS, Springs("BOTTOM", normal=1.0, tangential=1.0)]
     plates = beam(2, supports={}, parts=parts)
-    meshed, on_s = (modes(m, 3).omega for m in (plates.full(ThinLayer(rubber, 0.2)), plates.interface(ThinLayer(rubber, 0.2, order=1))))
+    meshed, on_s = (
+        modes(m, 3).omega
+        for m in (plates.full(ThinLayer(rubber, 0.2)), plates.interface(ThinLayer(rubber, 0.2, order=1)))
+    )
     assert on_s == pytest.approx(meshed, rel=2e-3)
     found = modes(plates.interface(ThinLayer(STEEL, 0.2, order=1)), 3)
     assert (found.shares["strain"]["LOWER"] + found.shares["strain"]["UPPER"] < 0.2).all()
@@ -98,7 +109,10 @@ def test_incompressible_layers_and_springs():
 def damper(kind, **layer):
     """Half of a simply supported beam of the length 60 with a core between plates; in GPa, mm and g/cm^3."""
     joint = sandwich(30, 1.5, 0.8, h=1, cell="quadrilateral", structured=True)
-    data = {"supports": {"LEFT": {"y": 0}, "RIGHT": {"x": 0}}, "parts": [Inertia({"LOWER": 7.8, "UPPER": 7.8, "S": 1.1})]}
+    data = {
+        "supports": {"LEFT": {"y": 0}, "RIGHT": {"x": 0}},
+        "parts": [Inertia({"LOWER": 7.8, "UPPER": 7.8, "S": 1.1})],
+    }
     core = ThinLayer(LinearElastic.shear(mu=0.0009, nu=0.49), 0.2, **layer)
     return getattr(Structure(joint, body=LinearElastic.young(E=210, nu=0.3), **data), kind)(core)
 
@@ -120,26 +134,28 @@ RESPONSE = [2.37635199 - 0.44762912j, 5.50479412 - 7.31231993j, -0.49827175 - 0.
 TOP = {"top": lambda s: s.integral(s.u[1] * s.model.ds(s.model.domain.values("TOP"))) / WIDTH}
 
 
+@pytest.mark.filterwarnings("ignore:a shear wave crosses")
 def test_harmonic_response():
     """In closed form; the twin leaves the layer's mass out."""
     loaded = {"tractions": {"TOP": (0, 1.0)}}
-    for rho, limit in ((1.0, 2e-6), (0.0, 0.1)):
-        density = {**UNIFORM, "S": rho}
-        values = harmonic(bar(density=density, **loaded), [0.5, 1.0, 2.0], TOP, loss={"S": 0.3}).values["top"]
-        assert (abs(values / RESPONSE - 1) < limit).all() == (rho == 1.0 or limit == 0.0)
+    errors = []
+    for rho in (1.0, 0.0):
+        model = bar(density={**UNIFORM, "S": rho}, **loaded)
+        values = harmonic(model, [0.5, 1.0, 2.0], TOP, loss={"S": 0.3}).values["top"]
+        errors.append(abs(values / RESPONSE - 1))
+    assert (errors[0] < 2e-6).all()
+    assert (errors[1] > [4e-3, 2e-2, 4e-2]).all()
 
 
 def viscous_response(moduli, omega, load=1.0, motion=0.0):
     """Of the bar with a complex modulus of the layer: bodies of the modulus and density 1, no mass in the layer."""
-    k = moduli(omega) * 16
-    # lower: u = U sin/sin; upper: u = A cos(omega (y - 1)) + load/omega sin(omega (y - 1))
-    s, c = np.sin(omega / 2), np.cos(omega / 2)
-    matrix = [[omega * c, -0.0, 0], [omega * c - 0, 0, 0], [0, 0, 0]]
+    k, s, c = moduli(omega) * 16, np.sin(omega / 2), np.cos(omega / 2)
+    # below u = motion cos(omega y) + lower sin(omega y), above u = upper cos(omega (1 - y)) - load/omega sin(omega (1 - y))
     A = np.array([[omega * c + k * s, -k * c], [k * s, omega * s - k * c]], complex)
-    b = np.array([k * (-load / omega * s) - motion * (-omega * s + k * c), -k * load / omega * s - load * c - k * motion * c])
-    del matrix
-    lower, upper = np.linalg.solve(A, b)
-    return upper
+    b = np.array(
+        [k * (-load / omega * s) - motion * (-omega * s + k * c), -k * load / omega * s - load * c - k * motion * c]
+    )
+    return np.linalg.solve(A, b)[1]
 
 
 LAWS = {
@@ -184,11 +200,3 @@ def test_refused():
     refused(InputError, "omegas", lambda: harmonic(loaded, [0.0], TOP))
     with pytest.warns(RangeWarning, match="a shear wave crosses the layer 'S' in 1.24 radians"):
         modes(bar(), 2)
-
-
-def test_a_mode_is_a_state_from_which_a_march_vibrates():
-    found = modes(bar(h=1 / 8), 1)
-    period = 2 * np.pi / found.omega[0]
-    history = march(found.shapes[0], period * np.arange(1, 201) / 200, observe=TOP)
-    tops = history.table["top"]
-    assert tops[-1] / tops[0] - 1 == pytest.approx(0.0, abs=3e-7)

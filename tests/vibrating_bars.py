@@ -14,7 +14,17 @@ UNIFORM = {"LOWER": 1.0, "UPPER": 1.0, "S": 1.0}
 SIDES = {"LEFT": {"x": 0}, "RIGHT": {"x": 0}}
 
 
-def bar(eps=1 / 16, modulus=1 / 16, density=UNIFORM, heights=(0.5, 0.5), h=1 / 16, law=None, order=1, kind="interface", **data):
+def bar(
+    eps=1 / 16,
+    modulus=1 / 16,
+    density=UNIFORM,
+    heights=(0.5, 0.5),
+    h=1 / 16,
+    law=None,
+    order=1,
+    kind="interface",
+    **data,
+):
     """The model; bodies have the modulus 1 along the bar, the layer has `modulus`."""
     joint = sandwich(WIDTH, *heights, h, cell="quadrilateral", structured=True)
     data = {"supports": {"BOTTOM": {"y": 0}, **SIDES}, "parts": [Inertia(density)]} | data

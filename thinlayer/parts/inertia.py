@@ -161,6 +161,7 @@ class InertiaPart(Part):
     def __init__(self, definition: Inertia, model: HostModel) -> None:
         self.key, self.V, self.keeps_motion = definition.key, model.V, False
         self.M = definition.mass_matrix(model)
+        self._forces, self._moved, self._momentum = (self.M.createVecLeft() for _ in range(3))
         self._initial_velocity = definition.initial_velocity(model)
 
     def rest(self) -> dict[str, fem.Function]:
@@ -178,8 +179,8 @@ class InertiaPart(Part):
             v.array[:] = (u.x.array - step.old.u.x.array) / (theta * step.dt) - (1 / theta - 1) * v0
             balanced_a.x.array[:] = (v.array - v0) / step.dt
             self._motion["a"].x.array[:] = (balanced_a.x.array - (1 - theta) * a0) / theta
-        self._moved = u.x.petsc_vec - step.old.u.x.petsc_vec
-        self._forces = self.M * balanced_a.x.petsc_vec
+        self._moved.waxpy(-1.0, step.old.u.x.petsc_vec, u.x.petsc_vec)
+        self.M.mult(balanced_a.x.petsc_vec, self._forces)
 
     def add_forces(self, out: PETSc.Vec) -> float:
         out.axpy(1.0, self._forces)
@@ -191,13 +192,12 @@ class InertiaPart(Part):
 
     def commit(self) -> StepOutcome:
         before, after = (self._energy(v) for v in (self.interval.old.memory[self.key]["v"], self._motion["v"]))
-        return StepOutcome(before, after, remainder=self._work() - (after - before), memory=self._motion)
-
-    def _work(self) -> float:
-        return float(self._forces.dot(self._moved))
+        work = float(self._forces.dot(self._moved))
+        return StepOutcome(before, after, remainder=work - (after - before), memory=self._motion)
 
     def _energy(self, v: fem.Function) -> float:
-        return float(v.x.petsc_vec.dot(self.M * v.x.petsc_vec)) / 2
+        self.M.mult(v.x.petsc_vec, self._momentum)
+        return float(v.x.petsc_vec.dot(self._momentum)) / 2
 
     def destroy(self) -> None:
-        destroy(self.M)
+        destroy(self.M, self._forces, self._moved, self._momentum)

@@ -142,7 +142,7 @@ def march(
         if initial_states and (start is not None or out is not None):
             raise InputError("a march goes on from a state at its time, and without files: omit start= and out=")
         start = initial_states[-1].t if initial_states else _to_float("start", start or 0.0)
-        theta = default_theta(model) if theta is None else _to_float("theta", theta)
+        theta = default_theta(model, times) if theta is None else _to_float("theta", theta)
         _check(model, theta, keep, out, resume, observe)
         plan = times if isinstance(times, Plan) else PlannedTimes(times)
         plan.targets(start)
