@@ -13,10 +13,11 @@ from dolfinx import fem
 from forms import KelvinVoigt, LinearElastic, VonMises
 from forms.base import InputError
 from geometry import sandwich
+from tests.capabilities import COLUMNS
 from tests.on_ranks import alone, on_ranks
 from tests.refused import refused
 from tests.vibrating_bars import SIDES, UNIFORM, WIDTH, bar
-from thinlayer import ArcLength, Inertia, Structure, Surface, ThinLayer, initial_state, march, modes, solve
+from thinlayer import ArcLength, Gap, Inertia, Structure, Surface, ThinLayer, initial_state, march, modes, solve
 from thinlayer.errors import LooseBody
 
 
@@ -172,3 +173,24 @@ def test_refused():
     model = bar(law=LAWS["yield"], order=0)
     refused(InputError, "has a memory or a pressure", lambda: initial_state(model, u=fem.Function(model.V)))
     refused(InputError, "give a function in model.V", lambda: initial_state(model, velocity=1.0))
+
+
+NO_ENERGY = {"not symmetric"}  # of which forces have none
+NO_MASS = {"cell": "periodic cell under a mean strain", "softening": "has mass", "breaking": "has mass"}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", sorted(COLUMNS.keys() - {"inertia", "twin", "march"} - NO_ENERGY))
+def test_mass_in_every_column(name):
+    """Each kind of structure of the table of capabilities also moves, and its energy balances."""
+    column = COLUMNS[name]()
+    joint = column.joint()
+    density = dict.fromkeys(joint.bodies, 2.0) | {seam: 1.0 for seam in joint.seams if not column.bonded}
+    if isinstance(column.layers, dict):
+        density = {k: rho for k, rho in density.items() if not isinstance(column.layers.get(k), Gap)}
+    column.data = {**column.data, "parts": [*column.data.get("parts", []), Inertia(density)]}
+    if name in NO_MASS:
+        refused(InputError, NO_MASS[name], lambda: march(column.model, [0.2, 0.5]))
+        return
+    imbalances = np.array(march(column.model, [0.2, 0.5]).table["imbalance"], float)
+    assert np.abs(imbalances[np.isfinite(imbalances)]).max(initial=0.0) < 1e-8

@@ -77,7 +77,10 @@ def harmonic(
         ...     joint, body=steel, supports={"LEFT": 0}, tractions={"TOP": (0, -0.01)}, parts=[mass]
         ... )
         >>> model = beam.interface(ThinLayer(glue, eps=0.2, order=1))
-        >>> tip = Probe(model, [(60, 4)])
+        >>> tip = lambda state: Probe(state).displacement((60, 0), side="lower")[1]
+        >>> response = harmonic(model, [1e3, 3.33e3], {"tip": tip}, loss={"S": 0.5})
+        >>> print(abs(response.values["tip"]).round(3))
+        [0.048 0.598]
     """
     omega = np.array(omegas, float)
     require(omega.ndim == 1 and (np.isfinite(omega) & (omega > 0)).all(), "omegas", omegas, "allowed: numbers > 0")

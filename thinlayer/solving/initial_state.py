@@ -42,7 +42,16 @@ def initial_state(
 
     Example:
         >>> from forms import LinearElastic
-        >>> from geometry import block
+        >>> from geometry import sandwich
+        >>> from thinlayer import Inertia, Structure, ThinLayer, initial_state, march, modes
+        >>> joint = sandwich(60, 2, 2, h=2, cell="quadrilateral")
+        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=5, nu=0.3)
+        >>> mass = Inertia({"LOWER": 7.8e-9, "UPPER": 7.8e-9, "S": 1.2e-9})  # t/mm^3
+        >>> beam = Structure(joint, body=steel, supports={"LEFT": 0}, parts=[mass])
+        >>> model = beam.interface(ThinLayer(glue, eps=0.2, order=1))
+        >>> start = initial_state(model, velocity=modes(model, 1).shapes[0].u)
+        >>> march(start, [1e-5, 2e-5]).last
+        State(InterfaceModel(Q2, 732 unknowns), t = 2e-05, linear, 1 iterations)
     """
     equations = Equations(model)
     part, state = inertia_part(equations), equations.rest_state(t)

@@ -336,8 +336,8 @@ def _merge_breaks(times: Sequence[float], start: float, breaks: Iterable[float])
 # ---------------------------------------------------------------- what models allow
 def default_theta(model: Model, times: Times) -> float:
     """Return the fraction of steps after which forces balance by default: 1/2 with mass and without contact, else 1."""
-    is_path, has_mass = isinstance(times, Plan) and times.is_path, any(isinstance(p, Inertia) for p in model.parts)
-    return 0.5 if has_mass and not (model.contact or is_path) else 1.0
+    on_path = (isinstance(times, Plan) and times.is_path) or any(p.law.traits.softens for p in model.terms)
+    return 0.5 if any(isinstance(p, Inertia) for p in model.parts) and not (model.contact or on_path) else 1.0
 
 
 def require_theta_suits(equations: Equations, theta: float, ends: list[float]) -> None:
