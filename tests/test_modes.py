@@ -102,8 +102,8 @@ def test_incompressible_layers_and_springs():
         for m in (plates.full(ThinLayer(rubber, 0.2)), plates.interface(ThinLayer(rubber, 0.2, order=1)))
     )
     assert on_s == pytest.approx(meshed, rel=2e-3)
-    found = modes(plates.interface(ThinLayer(STEEL, 0.2, order=1)), 3)
-    assert (found.shares["strain"]["LOWER"] + found.shares["strain"]["UPPER"] < 0.2).all()
+    lowest = modes(plates.interface(ThinLayer(STEEL, 0.2, order=1)), 3)
+    assert (lowest.shares["strain"]["LOWER"] + lowest.shares["strain"]["UPPER"] < 0.2).all()
 
 
 def damper(kind, **layer):
@@ -122,10 +122,10 @@ def test_loss_of_a_damper():
     """Against Fourier series; the twins are order 0, and strain energies of the modes without loss."""
     exact = 5.666080024e-3, 0.022515528
     for kind, order in (("full", 0), ("interface", 1)):
-        found = modes(damper(kind, order=order), 1)
-        omega, loss = (values[0] for values in found.loss(S=0.6))
+        lowest = modes(damper(kind, order=order), 1)
+        omega, loss = (values[0] for values in lowest.loss(S=0.6))
         assert (omega, loss) == (pytest.approx(exact[0], rel=2e-5), pytest.approx(exact[1], rel=3e-5))
-    assert found.shares["strain"]["S"][0] * 0.6 == pytest.approx(1.00106 * loss, rel=1e-4)
+    assert lowest.shares["strain"]["S"][0] * 0.6 == pytest.approx(1.00106 * loss, rel=1e-4)
     _, loss = modes(damper("interface"), 1).loss(S=0.6)
     assert loss[0] == pytest.approx(0.016520488, rel=3e-5)
 

@@ -36,9 +36,9 @@ MODE_TOLERANCE = 1e-9  # relative residual of shapes; the error of omega^2 is ab
 MAX_BLOCKS = 60  # number of blocks of vectors after which the search for modes ends
 EXTRA_VECTORS = 4  # vectors in a block besides the modes that are wanted
 DEPENDENT_RATIO = 1e-24  # squared norm of a vector, over the largest of its block, below which it is rounding
-SHIFT_RATIO = (
-    1e-10  # shift of omega^2 below zero, over its largest value on the mesh, so that free bodies have a factor
-)
+# shift of omega^2 below zero, over its largest value on the mesh, so that free bodies have a factor
+SHIFT_RATIO = 1e-10
+MAX_SPREAD = 1e3  # largest ratio of the distances of two modes from the shift; above it rounding hides the farther
 WARN_PHASE, MAX_PHASE = 0.5, math.pi / 2  # omega times the time in which a shear wave crosses a layer
 MIN_FREQUENCY = 1e-3  # frequency, over the largest, below which a mode may be a rigid motion
 MAX_LEVER = 0.02  # size of eps d<u_N>/ds, over that of [u], that order 0 may neglect
@@ -299,6 +299,11 @@ def _nearest_pairs(model: Model, K: PETSc.Mat, M: PETSc.Mat, n: int, shift: floa
             scale = np.sqrt(_products(model, V, _multiply(M, V)).diagonal())
             destroy(A, ksp)
             return shift + 1 / inverses, V / scale
+        values = shift + 1 / inverses
+        elastic = values[values > MAX_SPREAD * abs(shift)]
+        if shift < 0 and len(elastic) and abs(inverses[0]) > MAX_SPREAD * abs(inverses[-1]):
+            destroy(A, ksp)  # rigid motions are too near: the other frequencies give a better shift
+            return _nearest_pairs(model, K, M, n, -float(elastic.min()) / 10)
         block = image
     if Q.shape[1] < n:
         raise InputError(f"n is {n}; the model has {Q.shape[1]} modes")
