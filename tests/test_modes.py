@@ -84,7 +84,8 @@ def test_order_0_loses_the_lever_of_a_cantilever():
 def test_free_structures_have_rigid_modes_and_inclined_supports_are_as_straight_ones():
     glue = ThinLayer(LinearElastic.young(E=50, nu=0.3), 0.2, order=1)
     free = modes(beam(2, supports={}).interface(glue), 5).omega
-    assert (free[:3] < 1e-3 * free[3]).all()
+    assert (free[:3] == 0).all()
+    assert free[3] > 0
     glue, joint = ThinLayer(LinearElastic.young(E=70e3, nu=0.3), 0.02, order=1), sandwich(1.0, 0.5, 0.6, 0.25)
     data = {"body": STEEL, "supports": {"BOTTOM": {"n": 0}, "LEFT": {"n": 0}}, "parts": [MASS]}
     straight, turned = (modes(Structure(j, **data).interface(glue), 4) for j in (joint, joint.rotated(0.4)))

@@ -28,6 +28,7 @@ from thinlayer.parts.part import Block, TimeStep
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.initial_state import inertia_part
 from thinlayer.solving.part_sum import TangentMatrix
+from thinlayer.solving.ranges import warn_of_model
 from thinlayer.system.ranks import destroy
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -40,7 +41,7 @@ DEPENDENT_RATIO = 1e-24  # squared norm of a vector, over the largest of its blo
 SHIFT_RATIO = 1e-10
 MAX_SPREAD = 1e3  # largest ratio of the distances of two modes from the shift; above it rounding hides the farther
 WARN_PHASE, MAX_PHASE = 0.5, math.pi / 2  # omega times the time in which a shear wave crosses a layer
-MIN_FREQUENCY = 1e-3  # frequency, over the largest, below which a mode may be a rigid motion
+RIGID_RATIO = 1e-12  # omega^2, over its largest value on the mesh, that is rounding: of rigid motions
 MAX_LEVER = 0.02  # size of eps d<u_N>/ds, over that of [u], that order 0 may neglect
 
 
@@ -71,6 +72,7 @@ class Pencil:
                 raise InputError(f"{text}; take LinearElastic with its moduli for small vibrations, and loss factors")
         if not (model.linear and model.symmetric):
             raise InputError("vibrations: contact, or a part that is not linear and symmetric; leave it out")
+        warn_of_model(model)
         equations = self.equations
         equations.begin(TimeStep(equations.rest_state(0.0), 0.0, 0.0, 1.0))
         self._x, self._r = equations.create_vector(), equations.create_vector()
@@ -132,7 +134,7 @@ class Modes:
 
     Attributes:
         model: the model.
-        omega: (n,) angular frequencies, rad per time; 0 for rigid motions, up to rounding.
+        omega: (n,) angular frequencies, rad per time; 0 for rigid motions.
         shapes: the n states of largest displacement, for pictures and probes. Shapes v are of any sign, with v.Mv = 1
             for the mass matrix M, so that their energies are omega^2/2. Their reactions are not known.
         phases: name of a seam -> (n,) omega times the time in which a shear wave crosses the layer. An interface law
@@ -191,9 +193,10 @@ class Modes:
             (eta, pencil.without_supports(pencil.stiffness_of(name))) for name, eta in checked_factors(factors).items()
         ]
         K, M = pencil.without_supports(pencil.K), pencil.without_supports(pencil.M)
-        values = [self._complex_value(v, K, M, lossy) for v in self._vectors.T]
+        pairs = zip(self.omega, self._vectors.T, strict=True)
+        values = [self._complex_value(v, K, M, lossy) if w else 0j for w, v in pairs]
         real = np.array([value.real for value in values])
-        return np.sqrt(np.abs(real)), np.array([value.imag for value in values]) / real
+        return np.sqrt(np.abs(real)), np.array([value.imag for value in values]) / np.where(real, real, 1.0)
 
     def _complex_value(self, v: Array, K: PETSc.Mat, M: PETSc.Mat, lossy: Sequence[tuple[float, PETSc.Mat]]) -> complex:
         """Return the complex omega^2 of the mode that continues the mode `v` (n,) without loss.
@@ -222,7 +225,7 @@ def modes(model: Model, n: int = 6, near: float = 0.0) -> Modes:
     """Return the n natural modes of a model with mass whose frequencies are nearest to a given one. Collective.
 
     Loads, eigenstrains and the values that supports prescribe have no influence. A structure without supports has modes
-    of rigid motions with omega = 0, up to rounding.
+    of rigid motions with omega = 0.
 
     Args:
         model: a model of linear elastic laws, with `Inertia` among its parts.
@@ -230,7 +233,8 @@ def modes(model: Model, n: int = 6, near: float = 0.0) -> Modes:
         near: angular frequency, >= 0; 0: the lowest modes.
 
     Warns:
-        RangeWarning: the phase of a layer on S (`Modes.phases`) exceeds 1/2; plates bend about a layer of order 0.
+        RangeWarning: as `solve` for the model; the phase of a layer on S (`Modes.phases`) exceeds 1/2; plates bend about
+            a layer of order 0.
 
     Raises:
         InputError: the model has no mass; a law or part is not linear; fewer than n modes; the phase of a layer on S
@@ -258,7 +262,8 @@ def modes(model: Model, n: int = 6, near: float = 0.0) -> Modes:
     largest = model.comm.allreduce(float(ratios.max(initial=0.0)), max)
     values, vectors = _nearest_pairs(model, K, M, n, near**2 - SHIFT_RATIO * largest)
     order = np.argsort(values)
-    omega, vectors = np.sqrt(np.maximum(values[order], 0.0)), vectors[:, order]
+    values, vectors = values[order], vectors[:, order]
+    omega = np.sqrt(np.where(values < RIGID_RATIO * largest, 0.0, values))
     shapes = [pencil.state(v, w) for v, w in zip(vectors.T, omega, strict=True)]
     phases = {name: omega * crossing_time(pencil.inertia, layer) for name, layer in layers_on_s(model).items()}
     check_phases(model, phases)
@@ -415,7 +420,7 @@ def check_levers(shapes: Sequence[State], omega: Array) -> None:
             continue
         sides, largest = model.sides_of(name), 0.0
         along = ufl.Identity(len(sides.n)) - ufl.outer(sides.n, sides.n)
-        for state in (state for state, w in zip(shapes, omega, strict=True) if w > MIN_FREQUENCY * omega.max()):
+        for state in (state for state, w in zip(shapes, omega, strict=True) if w):
             gradient = (sides.upper(ufl.grad(state.u)) + sides.lower(ufl.grad(state.u))) / 2
             vectors = layer.eps * ufl.dot(ufl.dot(sides.n, gradient), along), sides.jump(state.u)
             lever, jump = (state.integral(ufl.inner(v, v) * sides.factor * sides.measure) for v in vectors)

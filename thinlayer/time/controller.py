@@ -145,6 +145,7 @@ class Controller(ABC):
                     raise InputError(f"{march_text}, and is to end before, at t = {end:g}")
             elif self.solver.equations.traits.inert:
                 rest, dt = self.solver.rest_state(self.start), self.targets[0] - self.start
+                dt = min(dt, self.journal.pace.step or dt)
                 self.journal.begin([balanced_start(self.solver.equations, initial[-1] if initial else rest, dt)])
             elif initial:
                 self.journal.begin(initial)
