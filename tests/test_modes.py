@@ -6,6 +6,8 @@ import warnings
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
+from scipy.optimize import brentq
 
 import thinlayer.parts.inertia
 from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, VonMises
@@ -35,6 +37,41 @@ def test_bar_of_published_numbers(monkeypatch):
     assert modes(bar(density={**UNIFORM, "S": 0.0}), 2).omega == pytest.approx([1.0768740, 3.6435975], rel=2e-6)
     monkeypatch.setattr(thinlayer.parts.inertia, "JUMP_SHARE", 0.0)
     assert modes(bar(), 2).omega == pytest.approx([1.0531967, 3.5449327], rel=2e-6)
+
+
+def lowest_wave(eps: float, nu: float, k: float = np.pi) -> float:
+    """The lowest frequency of waves exp(ikx) in plane strain in two bodies and a layer, by matrix exponentials."""
+
+    def determinant(omega):
+        product = np.eye(4)
+        for height, mu in ((0.5, 1.0), (eps, eps), (0.5, 1.0)):
+            lmbda, inertia = 2 * nu / (1 - 2 * nu) * mu, omega**2
+            M = lmbda + 2 * mu
+            matrix = np.array(
+                [[0, -k, 1 / mu, 0], [lmbda * k / M, 0, 0, 1 / M], [0, 0, 0, -k * lmbda / M], [0, -inertia, k, 0]]
+            )
+            matrix[2, 0] = k**2 * (M - lmbda**2 / M) - inertia
+            product = expm(height * matrix) @ product
+        return np.linalg.det(product[2:, 2:])
+
+    grid = np.linspace(0.5, 4.0, 200)
+    first = np.flatnonzero(np.diff(np.sign([determinant(omega) for omega in grid])))[0]
+    return float(brentq(determinant, grid[first], grid[first + 1]))
+
+
+@pytest.mark.filterwarnings("ignore:a shear wave crosses")
+def test_waves_along_the_layer():
+    """In plane strain, meshed and on S; the twin has no mass in the layer."""
+    eps, nu = 1 / 16, 0.37
+    exact, errors = lowest_wave(eps, nu), []
+    for kind, rho in (("full", 1.0), ("interface", 1.0), ("interface", 0.0)):
+        joint = sandwich(0.5, 0.5, 0.5, 1 / 16, cell="quadrilateral", structured=True)
+        supports = {"BOTTOM": 0, "LEFT": {"y": 0}, "RIGHT": {"x": 0}}
+        parts = [Inertia({**UNIFORM, "S": rho})]
+        structure = Structure(joint, body=LinearElastic.shear(1.0, nu), supports=supports, parts=parts)
+        model = getattr(structure, kind)(ThinLayer(LinearElastic.shear(eps, nu), eps, order=1))
+        errors.append(modes(model, 1).omega[0] / exact - 1)
+    assert errors == [pytest.approx(0.0, abs=2e-5), pytest.approx(0.0, abs=2e-3), pytest.approx(0.024, abs=0.01)]
 
 
 FAMILIES = {

@@ -64,6 +64,8 @@ def test_a_mode_vibrates():
     assert (np.diff(forces[1]) > 0).all() == (forces[1][0] < 0)  # they would alternate without balanced accelerations
     damped = march(shape, steps(period / 2, 20), theta=1.0, observe=observe, keep="last").table
     assert damped["E"][-1] < 0.7 * damped["E"][0]
+    same = march(initial_state(shapes.model, u=shape.u), steps(period / 2, 10), observe=observe, keep="last").table
+    assert same["R"] == pytest.approx(forces[0], rel=1e-9)
     velocity = shape.u.copy()
     velocity.x.array[:] *= omega
     quarter = march(initial_state(shapes.model, velocity=velocity), steps(period / 4, 10), observe=OBSERVE, keep="last")
@@ -125,7 +127,11 @@ KINDS = [("full", {}), ("interface", {"order": 1}), ("interface", {"order": 0})]
 
 
 @pytest.mark.parametrize(("kind", "layer"), KINDS)
-@pytest.mark.parametrize("data", [{}, {"plane": "axisymmetric"}, {"depth": 0.5}], ids=["plane", "axis", "3D"])
+@pytest.mark.parametrize(
+    "data",
+    [{}, {"plane": "axisymmetric"}, pytest.param({"depth": 0.5}, marks=pytest.mark.long)],
+    ids=["plane", "axis", "3D"],
+)
 def test_free_bodies_fall(kind, layer, data):
     """Without supports mass holds them; they fall freely, and the kinetic energy is that of bodies and layer."""
     joint = sandwich(1.0, 0.5, 0.5, 0.5, **{k: v for k, v in data.items() if k == "depth"})
