@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import dolfinx.fem.petsc
@@ -50,11 +50,15 @@ class LoadRegion:
 
     measure: ufl.Measure
     weight: Expr
-    value_in_region: Callable[[Expr], Expr] = lambda f: f
-    work_argument: Callable[[Expr], Expr] = lambda v: v
+    value_in_region: Callable[[Expr], Expr] = field(default_factory=lambda: _unchanged)
+    work_argument: Callable[[Expr], Expr] = field(default_factory=lambda: _unchanged)
     base_argument: Callable[[Expr], Expr] | None = None
     by_part: str = ""
     jump: Callable[[Expr], Expr] | None = None
+
+
+def _unchanged(f: Expr) -> Expr:
+    return f
 
 
 class Forces:

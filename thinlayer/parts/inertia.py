@@ -53,10 +53,10 @@ class Inertia(PartDefinition):
         >>> steel = LinearElastic.young(E=210e3, nu=0.3)
         >>> glue = LinearElastic.young(E=2e3, nu=0.4)
         >>> mass = Inertia({"LOWER": 7.8e-9, "UPPER": 7.8e-9, "S": 1.2e-9})
-        >>> plates = Structure(
-        ...     joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}, parts=[mass]
-        ... )
-        >>> history = march(plates.interface(ThinLayer(glue, eps=0.05)), [1e-7 * k for k in range(1, 21)])
+        >>> data = {"supports": {"BOTTOM": 0}, "tractions": {"TOP": (3, -10)}}
+        >>> plates = Structure(joint, body=steel, parts=[mass], **data)
+        >>> times = [1e-7 * k for k in range(1, 21)]
+        >>> history = march(plates.interface(ThinLayer(glue, eps=0.05)), times)
         >>> f"{history.last.energies()['inertia']:.3g}"
         '0.00441'
     """
@@ -131,7 +131,7 @@ class Inertia(PartDefinition):
         destroy(M, *products)
         return gram
 
-    def part(self, model: HostModel) -> InertiaPart:
+    def part(self, model: HostModel) -> Part:
         return InertiaPart(self, model)
 
     def initial_velocity(self, model: HostModel) -> fem.Function:

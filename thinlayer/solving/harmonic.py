@@ -71,11 +71,11 @@ def harmonic(
         >>> from geometry import sandwich
         >>> from thinlayer import Inertia, Probe, Structure, ThinLayer, harmonic
         >>> joint = sandwich(60, 2, 2, h=2, cell="quadrilateral")
-        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=5, nu=0.3)
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=5, nu=0.3)
         >>> mass = Inertia({"LOWER": 7.8e-9, "UPPER": 7.8e-9, "S": 1.2e-9})  # t/mm^3
-        >>> beam = Structure(
-        ...     joint, body=steel, supports={"LEFT": 0}, tractions={"TOP": (0, -0.01)}, parts=[mass]
-        ... )
+        >>> data = {"supports": {"LEFT": 0}, "tractions": {"TOP": (0, -0.01)}}
+        >>> beam = Structure(joint, body=steel, parts=[mass], **data)
         >>> model = beam.interface(ThinLayer(glue, eps=0.2, order=1))
         >>> tip = lambda state: Probe(state).displacement((60, 0), side="lower")[1]
         >>> response = harmonic(model, [1e3, 3.33e3], {"tip": tip}, loss={"S": 0.5})
