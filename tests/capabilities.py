@@ -121,7 +121,8 @@ class Column:
         write(folder / "column.msh", joint.points, *blocks_of(joint), names)
         supports = f'{self.supported} = 0, "{self.roller}" = {{x = 0}}' if self.roller else f"{self.supported} = 0"
         keys = {
-            "mesh": MESH, "supports": f"{{{supports}}}", "tractions": f"{{{self.loaded} = {np.atleast_1d(self.load(None, 1.0)).tolist()}}}",
+            "mesh": MESH, "supports": f"{{{supports}}}",
+            "tractions": f"{{{self.loaded} = {np.atleast_1d(self.load(None, 1.0)).tolist()}}}",
             "body": f"{{E = {E * self.stress}, nu = {NU}}}",
             "layer": f"{{lmbda = {LMBDA * self.stress}, mu = {MU * self.stress}, eps = {EPS * self.length}}}",
         } | self.toml  # fmt: skip
@@ -281,8 +282,10 @@ COLUMNS: dict[str, Callable[[], Column]] = {
     "heat fields": lambda: Conducting(layers=glue(Conduction(lambda x: 0.4 * (1 + 0.3 * x[0]))),
         toml=Conducting.toml | {"layer": f'{{law = "Conduction", k = "0.4 + 0.12 x", eps = {EPS}}}'}),
     "heat in UFL": lambda: Conducting(layers=glue(Radiating(0.4)), toml=Conducting.toml | law("Radiating")),
-    "heat networks": lambda: Conducting(**WALL, supported="BOTTOM", toml=Conducting.toml | SEAMS | {"supports": "{BOTTOM = 1}"}),
-    "heat revolution": lambda: Conducting(data={"plane": "axisymmetric"}, toml=Conducting.toml | {"plane": '"axisymmetric"'}),
+    "heat networks": lambda: Conducting(**WALL, supported="BOTTOM",
+        toml=Conducting.toml | SEAMS | {"supports": "{BOTTOM = 1}"}),
+    "heat revolution": lambda: Conducting(data={"plane": "axisymmetric"},
+        toml=Conducting.toml | {"plane": '"axisymmetric"'}),
     "heat curved": lambda: Conducting(joint=partial(ring, 1.0, 1.5, 2.0, 0.5, angle=1.2, cell="quadrilateral"),
         supported="START/INNER", loaded="OUTSIDE", at=(2.0, 0.0),
         bodies="extended", toml=Conducting.toml | {"bodies": '"extended"', "mesh": MESH.replace("UPPER", "OUTER"),
