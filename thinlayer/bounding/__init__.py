@@ -1,0 +1,1 @@
+"""Bounds of goals against the continuum, from stresses in exact equilibrium."""

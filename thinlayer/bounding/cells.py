@@ -1,0 +1,143 @@
+"""Straight triangles or tetrahedra as arrays, with their facets, nodes and stiffnesses."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import basix
+import numpy as np
+
+from forms.base import Array
+from forms.tensors import MANDEL_BASIS, MANDEL_PAIRS
+from geometry.topology import (
+    FACET_TYPES,
+    BoolArray,
+    FacetTable,
+    FloatArray,
+    IntArray,
+    lagrange,
+    local_facets,
+    sum_by_number,
+)
+
+
+def mass_matrix(cell_type: str, degree: int) -> FloatArray:
+    """Return the integrals (n, n) of products of a Lagrange element's n shape functions, for a cell of volume 1."""
+    x, w = basix.make_quadrature(basix.CellType[cell_type], 2 * degree)
+    values = lagrange(cell_type, degree).tabulate(0, x)[0, :, :, 0]
+    return np.asarray(values.T @ ((w / w.sum())[:, None] * values))
+
+
+def area_vectors(d: int) -> FloatArray:
+    """Return the outward normals (d + 1, d) of the facets of the reference simplex, each as long as the facet's area."""
+    return np.vstack([np.ones(d), -np.eye(d)]) / (d - 1)
+
+
+class StraightCells:
+    """Straight simplices of bodies and layers with shape functions of a degree, and the facets between them.
+
+    A cell has n nodes, d + 1 facets and nv components of stress (Mandel's order, in d dimensions); a facet has m nodes.
+    A moment is the integral of a traction times the shape function of a node. It is stored once for each facet, as a
+    load on the first of its cells; the second cell sees it with the opposite sign.
+
+    Attributes:
+        d, degree, cell_type: dimension; degree 1 or 2 of displacements; "triangle" or "tetrahedron".
+        basis: (nv, d, d) symmetric tensors of norm 1, to which the components of stress belong.
+        corners: (nc, d + 1) numbers of the vertices of nc cells.
+        A, A_inverse: (nc, d, d) Jacobians of the cells and their inverses.
+        J, volume: (nc,) sizes of the Jacobians' determinants, and volumes of the cells.
+        C, compliance: (nc, nv, nv) stiffness of each cell, stress, and its inverse.
+        nodes: (nc, n) numbers of the nodes of each cell; node_vertices (nn, 2) the vertices that each node lies amid.
+        facets, facet_cells: (nf, d) vertices, and (nf, 2) cells of each facet; -1: no second cell.
+        cell_facets, sign: (nc, d + 1) numbers of a cell's facets, and 1 or -1 for its first or second cell.
+        area_vectors: (nc, d + 1, d) outward normals of a cell's facets, as long as their area.
+        facet_nodes: (nf, m) numbers of the nodes of each facet.
+        moment_rows: (nc, d + 1, m) row of each facet's node, in the order of the cell, among all nf m moments.
+
+    Args:
+        points: (n_points, d) coordinates, lengths.
+        corners: (nc, d + 1) numbers of the vertices of each cell.
+        degree: polynomial degree of displacements.
+        C: (nc, nv, nv) stiffness of each cell in Mandel's order, stress.
+    """
+
+    def __init__(self, points: FloatArray, corners: IntArray, degree: int, C: Array) -> None:
+        self.points, self.corners, self.degree, self.d = points, corners, degree, points.shape[1]
+        self.cell_type = {2: "triangle", 3: "tetrahedron"}[self.d]
+        self.element, self.facet_element = (lagrange(kind, degree) for kind in (self.cell_type, self.facet_type))
+        self.basis = MANDEL_BASIS[[j < self.d for _, j in MANDEL_PAIRS]][:, : self.d, : self.d]
+        self.C, self.compliance = C, np.linalg.inv(C)
+        self.A = np.swapaxes(points[corners[:, 1:]] - points[corners[:, :1]], 1, 2)
+        self.A_inverse, self.J = np.linalg.inv(self.A), np.abs(np.linalg.det(self.A))
+        self.volume = self.J / (2 if self.d == 2 else 6)
+        self.area_vectors = self.J[:, None, None] * (area_vectors(self.d) @ self.A_inverse)
+        table = FacetTable.of(corners, self.cell_type)
+        self.facets, self.facet_cells = table.vertices, table.cells
+        self.cell_facets = table.index(corners[:, local_facets(self.cell_type)].reshape(-1, self.d))
+        self.cell_facets = self.cell_facets.reshape(len(corners), -1)
+        self.sign = np.where(self.facet_cells[self.cell_facets, 0] == np.arange(len(corners))[:, None], 1.0, -1.0)
+        self._number_nodes()
+
+    @property
+    def facet_type(self) -> str:
+        """Type of the facets: "interval" or "triangle"."""
+        return FACET_TYPES[self.cell_type]
+
+    def _number_nodes(self) -> None:
+        corners, nodes = self.corners, [self.corners]
+        vertices = np.unique(corners)
+        self.node_vertices = np.column_stack([np.arange(vertices[-1] + 1)] * 2)
+        if self.degree == 2:
+            edges = np.array(basix.topology(basix.CellType[self.cell_type])[1])
+            pairs = np.sort(corners[:, edges], axis=2)
+            unique_pairs, numbers = np.unique(pairs.reshape(-1, 2), axis=0, return_inverse=True)
+            nodes.append(numbers.reshape(len(corners), -1) + len(self.node_vertices))
+            self.node_vertices = np.vstack([self.node_vertices, unique_pairs])
+        self.nodes = np.hstack(nodes)
+        self.closure = np.array(self.element.entity_closure_dofs[-2])  # (d + 1, m) positions of facets' nodes
+        nodes_of_facets = self.nodes[:, self.closure]
+        rank = nodes_of_facets.argsort(axis=2).argsort(axis=2)
+        self.moment_rows = self.cell_facets[:, :, None] * self.closure.shape[1] + rank
+        self.facet_nodes = np.empty((len(self.facets), self.closure.shape[1]), np.int64)
+        self.facet_nodes.ravel()[self.moment_rows] = nodes_of_facets
+
+    @cached_property
+    def areas(self) -> FloatArray:
+        """(nf,) areas of the facets; lengths in 2D."""
+        out = np.empty(len(self.facets))
+        out[self.cell_facets] = np.linalg.norm(self.area_vectors, axis=2)
+        return out
+
+    @property
+    def is_outer(self) -> BoolArray:
+        """(nf,) mask of the facets that belong to a single cell."""
+        return np.asarray(self.facet_cells[:, 1] < 0)
+
+    def stress(self, U: Array, x: FloatArray) -> Array:
+        """Return the stresses (nc, k, nv) of displacements `U` (nc, n, d) at k points `x` (k, d) of the reference cell."""
+        gradients = np.moveaxis(self.element.tabulate(1, x)[1:, :, :, 0], 0, 2)
+        grad_u = np.einsum("qnk,cni->cqik", gradients, U) @ self.A_inverse[:, None]
+        return np.asarray(np.einsum("cqij,rij,crs->cqs", grad_u, self.basis, self.C, optimize=True))
+
+    def nodal_forces(self, U: Array) -> Array:
+        """Return the forces (nc, n, d) on each cell's nodes that hold its displacements `U` (nc, n, d) in place."""
+        x, w = basix.make_quadrature(basix.CellType[self.cell_type], max(2 * self.degree - 2, 1))
+        gradients = np.moveaxis(self.element.tabulate(1, x)[1:, :, :, 0], 0, 2)
+        stress = np.einsum("cqr,rij->cqij", self.stress(U, x), self.basis) @ np.swapaxes(self.A_inverse, 1, 2)[:, None]
+        return np.asarray(np.einsum("cqik,qnk,q,c->cni", stress, gradients, w, self.J, optimize=True))
+
+    def nodal_loads(self, f: Array) -> Array:
+        """Return the loads (nc, n, d) on each cell's nodes of a force per volume with values `f` (nc, n, d) there."""
+        return np.asarray(self.volume[:, None, None] * (mass_matrix(self.cell_type, self.degree) @ f))
+
+    def facet_points(self, facet: int, degree: int | None = None) -> FloatArray:
+        """Return the nodes of a facet of the reference cell, of an element of a degree, in the facet's order."""
+        x, v = lagrange(self.facet_type, degree or self.degree).points, lagrange(self.cell_type, 1).points
+        v = v[local_facets(self.cell_type)[facet]]
+        return np.asarray(v[0] + x @ (v[1:] - v[0]))
+
+    def moment_sums(self, cell_moments: Array) -> Array:
+        """Return the sums (nf m, ...) of values (nc, d + 1, m, ...) of cells over the cells at each facet."""
+        return sum_by_number(self.moment_rows, cell_moments, self.facet_nodes.size)
+
+

@@ -1,0 +1,187 @@
+"""Changes of tractions that leave every cell in balance, and conjugate gradients that lower the energy with them."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import scipy.sparse
+
+from forms.base import Array
+from forms.kinematics import UNIT_ROTATIONS
+from geometry.topology import BoolArray, FloatArray, IntArray, facet_ridge_keys
+from thinlayer.bounding.cells import StraightCells
+from thinlayer.bounding.stresses import Stresses
+from thinlayer.bounding.tractions import CellLoads
+from thinlayer.solving.linear_solvers import SubmatrixFactor
+
+DEPENDENCE_SHIFT = 1e-11  # relative increase of the diagonal of changes that may depend on each other
+GAIN_TOLERANCE = 1e-14  # gain of a step, over the energy, at which steps end
+
+
+class _Columns:
+    """Columns of a sparse matrix, collected group by group."""
+
+    def __init__(self) -> None:
+        self.rows, self.numbers, self.values, self.count = list[Array](), list[Array](), list[Array](), 0
+
+    def add(self, rows: IntArray, numbers: IntArray, values: FloatArray) -> None:
+        """Add entries (n,); the columns of one call are numbered from 0 in this call."""
+        self.rows.append(rows.ravel())
+        self.numbers.append(numbers.ravel() + self.count)
+        self.values.append(np.broadcast_to(values, rows.shape).ravel())
+
+    def end_group(self, n: int) -> None:
+        """Begin a new group of columns, after one of `n` columns."""
+        self.count += n
+
+    def matrix(self, n_rows: int) -> scipy.sparse.csr_matrix:
+        """Return the matrix (n_rows, columns) without empty columns."""
+        rows, numbers, values = map(np.concatenate, (self.rows, self.numbers, self.values))
+        used, columns = np.unique(numbers, return_inverse=True)
+        return scipy.sparse.csr_matrix((values, (rows, columns)), (n_rows, len(used)))
+
+
+def balanced_changes(cells: StraightCells, is_free: BoolArray) -> scipy.sparse.csr_matrix:
+    """Return changes of the facets' moments, as columns (nf m d, k), under which each cell stays in balance.
+
+    A ridge is a vertex in 2D, an edge in 3D. Around a ridge, moments of one node on it, or couples, may run through all
+    cells; the last kind of change are tractions on a single facet without force and couple.
+
+    Args:
+        cells: the cells.
+        is_free: (nf, d) mask of the components of tractions that may change.
+    """
+    d, n_facets, m = cells.d, len(cells.facets), cells.facet_nodes.shape[1]
+    columns, facet_dofs = _Columns(), np.arange(n_facets * m * d).reshape(n_facets, m, d)
+    keys, ridge_of = np.unique(facet_ridge_keys(cells.facets, d - 1), return_inverse=True)
+    ridge_of = ridge_of.reshape(n_facets, -1)
+    cell_ridges = np.searchsorted(keys, facet_ridge_keys(cells.corners, d - 1))
+    n_at_ridge, n_cells_at = np.bincount(ridge_of.ravel()), np.bincount(cell_ridges.ravel(), minlength=len(keys))
+    is_fan = (n_at_ridge == n_cells_at) | (n_at_ridge == n_cells_at + 1)
+    senses = _senses(cells)
+
+    def closed(mask: BoolArray) -> BoolArray:
+        """Return at which ridges (n,) all facets are in `mask` (nf,)."""
+        counts = np.bincount(ridge_of[mask].ravel(), minlength=len(keys))
+        return np.asarray(is_fan & (counts == n_at_ridge))
+
+    node_vertices, n_nodes = cells.node_vertices[cells.facet_nodes], len(cells.node_vertices)
+    for component in range(d):
+        is_closed = closed(is_free[:, component])
+        for k, vertices in enumerate(combinations(range(d), d - 1)):
+            on_ridge = (node_vertices[..., None] == cells.facets[:, None, None, list(vertices)]).any(axis=3).all(axis=2)
+            facets, nodes = np.nonzero(on_ridge & is_closed[ridge_of[:, k], None])
+            loops = ridge_of[facets, k] * n_nodes + cells.facet_nodes[facets, nodes]
+            columns.add(facet_dofs[facets, nodes, component], loops, senses[facets, k])
+        columns.end_group(len(keys) * n_nodes)
+    motions, size = _facet_motions(cells)
+    is_closed, unit_moments = closed(is_free.all(axis=1)), np.linalg.pinv(np.swapaxes(motions, 1, 2))
+    for couple in range(d, motions.shape[2]):
+        for k in range(d):
+            facets = np.flatnonzero(is_closed[ridge_of[:, k]])
+            values = unit_moments[facets, :, couple] * (senses[facets, k] / size[facets])[:, None]
+            loops = np.repeat(ridge_of[facets, k, None], m * d, axis=1)
+            columns.add(facet_dofs[facets].reshape(len(facets), -1), loops, values)
+        columns.end_group(len(keys))
+    for pattern in np.unique(is_free[is_free.any(axis=1)], axis=0):
+        facets, mask = np.flatnonzero((is_free == pattern).all(axis=1)), np.tile(pattern, m)
+        left, singular, _ = np.linalg.svd(motions[facets][:, mask])
+        ranks = (singular > 1e-9 * singular[:, :1]).sum(axis=1)
+        for rank in np.unique(ranks):
+            some = facets[ranks == rank]
+            null_space = left[ranks == rank][:, :, rank:]
+            rows = np.broadcast_to(facet_dofs[some].reshape(len(some), -1)[:, mask][:, :, None], null_space.shape)
+            numbers = some[:, None, None] * m * d + np.arange(null_space.shape[2])
+            columns.add(rows, np.broadcast_to(numbers, null_space.shape), null_space)
+    return columns.matrix(n_facets * m * d)
+
+
+def _senses(cells: StraightCells) -> FloatArray:
+    """Return (nf, d) whether the normal of a facet's first cell runs around each of its ridges forwards, 1, or -1."""
+    d, x = cells.d, cells.points[cells.facets]
+    first = cells.facet_cells[:, 0]
+    local = (cells.cell_facets[first] == np.arange(len(first))[:, None]).argmax(axis=1)
+    normals, senses = cells.area_vectors[first, local], np.empty((len(first), d))
+    for k, vertices in enumerate(combinations(range(d), d - 1)):
+        arm = x[:, d - 1 - k] - x[:, vertices[0]]  # from the ridge to the vertex of the facet that is not on it
+        frame = [arm, normals] if d == 2 else [x[:, vertices[1]] - x[:, vertices[0]], arm, normals]
+        senses[:, k] = np.sign(np.linalg.det(np.stack(frame, axis=1)))
+    return senses
+
+
+def _facet_motions(cells: StraightCells) -> tuple[FloatArray, FloatArray]:
+    """Return values (nf, m d, k) of k rigid motions at the nodes of facets; rotations are divided by sizes (nf,)."""
+    x = cells.points[cells.node_vertices].mean(axis=1)[cells.facet_nodes]
+    arms = x - cells.points[cells.facets].mean(axis=1, keepdims=True)
+    size = np.linalg.norm(arms, axis=2).max(axis=1)
+    rotations = np.einsum("kij,fnj->fnik", UNIT_ROTATIONS[cells.d], arms / size[:, None, None])
+    translations = np.broadcast_to(np.eye(cells.d), (*arms.shape, cells.d))
+    return np.concatenate([translations, rotations], axis=3).reshape(len(x), arms[0].size, -1), size
+
+
+class TractionImprovement:
+    """Lowers the complementary energy of stresses in equilibrium by a few conjugate-gradient steps on tractions.
+
+    The preconditioner is a factor of the changes that touch the layers' cells, and the diagonal for all others: thin
+    cells couple the tractions along a layer strongly. Any number of steps leaves each cell in balance.
+
+    Args:
+        stresses: stresses of the cells.
+        is_free: (nf, d) mask of the components of tractions that may change.
+        in_layer: (nc,) mask of the layers' cells.
+    """
+
+    def __init__(self, stresses: Stresses, is_free: BoolArray, in_layer: BoolArray) -> None:
+        self._stresses, cells = stresses, stresses.cells
+        self._T = balanced_changes(cells, is_free)
+        n, sign = self._T.shape[0], np.repeat(cells.sign, cells.closure.shape[1] * cells.d, axis=1)
+        H = stresses.flexibilities() * sign[:, :, None] * sign[:, None]
+        dofs = (cells.moment_rows[..., None] * cells.d + np.arange(cells.d)).reshape(len(H), -1)
+        rows, columns = np.repeat(dofs, dofs.shape[1], axis=1).ravel(), np.tile(dofs, (1, dofs.shape[1])).ravel()
+        self._H = scipy.sparse.csr_matrix((H.ravel(), (rows, columns)), (n, n))
+        HT = self._H @ self._T
+        self._diagonal = np.maximum(np.asarray(self._T.multiply(HT).sum(axis=0)).ravel(), 1e-300)
+        at_layer = np.zeros(n)
+        at_layer[dofs[in_layer]] = 1.0
+        self._in_block = np.asarray(abs(self._T).T @ at_layer).ravel() > 0
+        block = (self._T[:, self._in_block].T @ HT[:, self._in_block]).tocsr()
+        diagonal = block.diagonal()
+        self._factor = SubmatrixFactor(block + scipy.sparse.diags(DEPENDENCE_SHIFT * diagonal), symmetric=True)
+
+    def _precondition(self, r: Array) -> Array:
+        z = r / self._diagonal
+        if self._in_block.any():
+            block = np.zeros(int(self._in_block.sum()))
+            self._factor.solve(r[self._in_block], block)
+            z[self._in_block] = block
+        return z
+
+    def improved(self, loads: CellLoads, moments: Array, seed: Array, steps: int) -> Array:
+        """Return the stress in equilibrium with better tractions.
+
+        Args:
+            loads: the loads.
+            moments: (nf m, d) moments of the tractions to start from.
+            seed: stress from which the distance in complementary energy is lowered.
+            steps: number of conjugate-gradient steps.
+        """
+        stresses, cells = self._stresses, self._stresses.cells
+        stress = stresses.in_equilibrium(moments, loads.body_force, seed)
+        if not (steps and self._T.shape[1]):
+            return stress
+        energy = float(stresses.product(stress - seed, stress - seed).sum())
+        gradient = cells.moment_sums(stresses.moment_gradient(stress - seed) * cells.sign[:, :, None, None])
+        x, r = np.zeros(self._T.shape[1]), -(self._T.T @ gradient.ravel())
+        p = z = self._precondition(r)
+        rz = float(r @ z)
+        for _ in range(steps):
+            Ap = self._T.T @ (self._H @ (self._T @ p))
+            if not rz > GAIN_TOLERANCE * energy:
+                break
+            alpha = rz / float(p @ Ap)
+            x, r = x + alpha * p, r - alpha * Ap
+            z = self._precondition(r)
+            rz, old_rz = float(r @ z), rz
+            p = z + rz / old_rz * p
+        return stresses.in_equilibrium(moments + (self._T @ x).reshape(moments.shape), loads.body_force, seed)
