@@ -198,14 +198,16 @@ class Forces:
             warn("other bodies", f"{text}. Load {part.set_name!r}, or '{layer_side}' as well", self.domain.comm)
         return sum(bool(mask.all()) for mask in loaded_masks) / len(loaded_masks)
 
-    def work(self, v: Expr, *, layers_only: bool = False, applied_only: bool = False) -> Expr:
+    def work(
+        self, v: Expr, *, layers_only: bool = False, bodies_only: bool = False, applied_only: bool = False
+    ) -> Expr:
         """Return the virtual work of the loads in displacements v, a UFL form linear in v.
 
-        It takes its time from the model's clock. With `layers_only` it has only the loads on layers, with
-        `applied_only` those that are no reactions of parts.
+        It takes its time from the model's clock. With `layers_only` it has only the loads on layers, with `bodies_only`
+        those on bodies, with `applied_only` those that are no reactions of parts.
         """
         form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self._n_components)), v) * self._whole_dx
-        loads = [entry for entry in self._loads if entry[3] or not layers_only]
+        loads = [entry for entry in self._loads if not (bodies_only if entry[3] else layers_only)]
         loads = [entry for entry in loads if not (applied_only and entry[2].by_part)]
         return sum((ufl.inner(load, region.work_argument(v)) * region.measure for _, load, region, _ in loads), form)
 

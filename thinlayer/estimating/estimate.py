@@ -144,7 +144,8 @@ def estimate(
             name, goal_values[name], goal.scale(first_state, model), goal_bounds, has_bounds
         )
     traction, jump = relative_errors(sum(squares.values(), np.zeros(4)))
-    seconds, data = time.perf_counter() - start, (subproblem, first_state, old_state, adjoints, named_goals, options)
+    seconds = time.perf_counter() - start
+    data = (subproblem, first_state, old_state, iterate, adjoints, named_goals, options)
     return Estimate(solution, last_state, errors, goal_errors, traction, jump, seconds, layer_state, energy, *data)
 
 

@@ -553,19 +553,20 @@ class Functional(Goal):
 
     def scale(self, state: State, model: InterfaceModel) -> float:
         u = displacements_of(state, model)
-        weights = nodal_forces(model.V, self._derivative(u, model))
+        weights = nodal_forces(model.V, self.derivative(u, model))
         return float(model.comm.allreduce(float(np.abs(weights.x.petsc_vec.array_r * u.x.petsc_vec.array_r).sum())))
 
     def is_linear(self, model: InterfaceModel) -> bool:
         u = fem.Function(model.V)
-        hessian = ufl.derivative(self._derivative(u, model), u, ufl.TrialFunction(model.V))
+        hessian = ufl.derivative(self.derivative(u, model), u, ufl.TrialFunction(model.V))
         return bool(expand_derivatives(hessian).empty())
 
-    def _derivative(self, u: fem.Function, model: InterfaceModel) -> Expr:
+    def derivative(self, u: fem.Function, model: InterfaceModel) -> Expr:
+        """Return the derivative at displacements `u`, a UFL form with one test function."""
         v = ufl.TestFunction(model.V)
         derivative = expand_derivatives(ufl.derivative(self._form(u, model), u, v))
         zero_form = ufl.inner(fem.Constant(model.domain.mesh, np.zeros(model.n_components)), v) * model.dx
         return zero_form if derivative.empty() else derivative
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
-        return adjoint.form_weights(self._derivative(adjoint.state.u, adjoint.model)), adjoint.zero_vector()
+        return adjoint.form_weights(self.derivative(adjoint.state.u, adjoint.model)), adjoint.zero_vector()

@@ -9,13 +9,21 @@ from functools import cached_property
 from html import escape
 from typing import NamedTuple
 
-from forms.base import Array
+from forms.base import Array, require
 from geometry.refusals import require_known
 from thinlayer.discretisation.full_model import LayerModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
+from thinlayer.estimating.continuum import (
+    DEFAULT_STEPS,
+    Continuum,
+    ContinuumBounds,
+    continuum_bounds,
+    percent,
+    relative_errors_between,
+)
 from thinlayer.estimating.global_local import DEFAULT_WIDTH, BodyEquilibrium, GlobalLocal, GoalBounds
 from thinlayer.estimating.goals import Goal
 from thinlayer.estimating.surface_errors import change_density
@@ -60,9 +68,7 @@ class GoalError(NamedTuple):
 
         The error is |Q - Q_0|/|Q|, for a value Q within the bounds and the value Q_0 with the interface law.
         """
-        errors = [abs(q - self.value) / abs(q) if q else math.inf for q in (self.lower, self.upper)]
-        least = 0.0 if self.lower <= self.value <= self.upper else min(errors)
-        return least, math.inf if self.lower < 0 < self.upper else max(errors)
+        return relative_errors_between(self.value, self.lower, self.upper)
 
     @property
     def change(self) -> float:
@@ -139,6 +145,7 @@ class Estimate:
     _subproblem: LayerSubproblem
     _initial: State  # state from which steps led to `better`
     _previous: State | None  # previous state of `state`, or of the state solved in place of bonds; None: rest
+    _iterate: BodyEquilibrium  # the last iterate
     _adjoint_solutions: Mapping[str, BodyEquilibrium]  # adjoint solutions of the goals
     _goals: Mapping[str, Goal]
     _options: Options | None
@@ -231,6 +238,41 @@ class Estimate:
             goal_values.append(load_z @ w - w_z @ (subproblem.K @ w - subproblem.load))
         return float(self.goals[goal].better + goal_values[1] - goal_values[0])
 
+    def continuum(self, *, steps: int = DEFAULT_STEPS) -> dict[str, ContinuumBounds]:
+        """Return bounds of the goals of the continuum, which hold for any mesh: errors of the laws and of all cells.
+
+        The structure must be of straight triangles or tetrahedra, with linear laws and goals that are integrals of
+        displacements. The whole structure is not solved again.
+
+        Args:
+            steps: number of steps that improve tractions between cells; more steps give narrower bounds.
+
+        Returns:
+            Name of a goal -> its bounds; their text says which cells cause the width of the interval.
+
+        Raises:
+            InputError: a structure or goal without such bounds, with a key and a remedy.
+
+        Example:
+            >>> from forms import LinearElastic
+            >>> from geometry import sandwich
+            >>> from thinlayer import Structure, ThinLayer, estimate, solve
+            >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+            >>> glue = LinearElastic.young(E=2e3, nu=0.4)
+            >>> plates = Structure(
+            ...     sandwich(4, 1, 2, h=0.5), body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}
+            ... )
+            >>> result = estimate(solve(plates.interface(ThinLayer(glue, eps=0.05))))
+            >>> print(result.continuum()["compliance"])
+            between
+        """
+        require(isinstance(steps, int) and steps >= 0, "continuum: steps", steps, "allowed: whole numbers >= 0")
+        model = self.better.model
+        assert isinstance(model, InterfaceModel)
+        continuum = Continuum(model, self._subproblem, self.state.t, steps)
+        values = {name: error.value for name, error in self.goals.items()}
+        return continuum_bounds(continuum, self._initial, values, self._goals, self._iterate, self._adjoint_solutions)
+
     # ---------------------------------------------------------------- words
     @property
     def table(self) -> Table:
@@ -285,7 +327,7 @@ class Estimate:
 
     def _fields_text(self, errors: Estimate | LayerError) -> list[str]:
         named_errors = ((self._traction_name, errors.traction), ("jump", errors.jump))
-        return [f"{_percent(error)} in {name}" for name, error in named_errors if math.isfinite(error)]
+        return [f"{percent(error)} in {name}" for name, error in named_errors if math.isfinite(error)]
 
     def __str__(self) -> str:
         return "; ".join(self.sentences)
@@ -302,9 +344,5 @@ def _goal_text(name: str, goal: GoalError) -> str:
     if goal.zero or goal.fixed:
         return f"{name} is zero" if goal.zero else f"no change in {name}"
     if goal.bounded and goal.upper - goal.lower > DEFAULT_WIDTH * abs(goal.change):
-        return f"between {' and '.join(map(_percent, goal.between))} in {name}"
-    return f"{_percent(goal.relative)} in {name}"
-
-
-def _percent(x: float) -> str:
-    return f"{100 * x:.2g} %" if x < 0.995 else f"{100 * x:.0f} %"
+        return f"between {' and '.join(map(percent, goal.between))} in {name}"
+    return f"{percent(goal.relative)} in {name}"

@@ -364,6 +364,16 @@ class LayerSubproblem(DirichletLayers):
         work_error = abs(work - float(w @ (self.K @ w)))
         return np.where(self.on_face, w, 0.0), work if work_error <= MAX_WORK_DIFFERENCE * work else math.inf
 
+    def neumann_displacements(self, r: Array) -> Array:
+        """Return the unknowns (n,) of the linearised layers, at rest, under face forces `r` (n,) without a resultant.
+
+        A second solve removes most of the rounding errors of the first.
+        """
+        w, correction = np.zeros(len(r)), np.zeros(len(r))
+        self._neumann_factor.solve(r, w)
+        self._neumann_factor.solve(r - self.K @ w, correction)
+        return w + correction
+
     def equilibrate_neumann(self, w: Array, F: Array) -> Array:
         """Return the unknowns (n,) of the layers in equilibrium under face forces, by Newton's method.
 

@@ -1,0 +1,327 @@
+"""Cells, supports and loads of a structure with meshed layers, from its interface model and its layers alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import ufl
+from ufl.algorithms import expand_derivatives
+from ufl.algorithms.analysis import extract_constants
+from ufl.corealg.traversal import traverse_unique_terminals, unique_pre_traversal
+from ufl.differentiation import Derivative
+
+from forms.base import Array
+from forms.law import BulkLaw
+from forms.law_tangents import depends_on_normal, evaluate, is_isotropic, tangent_at_rest
+from forms.tensors import Expr, average_lame
+from geometry.domain import Domain
+from geometry.topology import Indices, IntArray, lagrange
+from thinlayer.bounding.cells import StraightCells, mass_matrix
+from thinlayer.bounding.tractions import CellLoads
+from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.discretisation.layer import law_with_numbers
+from thinlayer.discretisation.mesh_functions import band_of
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.supports import NORMAL_COMPONENT
+from thinlayer.errors import InputError, Violation
+from thinlayer.solving.layer_subproblem import LayerSubproblem
+from thinlayer.system.compat import ufl_replace
+
+SHAPE_TOLERANCE = 1e-9  # difference of shapes of cells, normals or loads, over their size, that counts as rounding
+MAX_POISSON_RATIO = 0.499
+CELL_PROBES = {2: np.array([[0.23, 0.31]]), 3: np.array([[0.23, 0.31, 0.17]])}  # places where degrees are checked
+FACET_PROBES = {2: np.array([[0.23]]), 3: np.array([[0.23, 0.31]])}
+
+
+def refusal(key: str, reason: str, remedy: str) -> InputError:
+    """Return the error of a structure or goal without bounds against the continuum, for the caller to raise."""
+    return Violation(key, reason, remedy).error("estimate, continuum: ")
+
+
+class StructureCells:
+    """Bodies and meshed layers of an estimate as straight cells, those of the bodies first.
+
+    Attributes:
+        cells: the cells, in the order of the joint with meshed layers.
+        is_layer: (nc,) mask of the layers' cells.
+        is_free: (nf, d) mask of the components of tractions that are not known: on inner facets, and at supports.
+
+    Args:
+        model: the interface model.
+        layers: its layers, meshed by themselves.
+        t: time of loads and supports.
+
+    Raises:
+        InputError: a structure without such bounds, with a key.
+    """
+
+    def __init__(self, model: InterfaceModel, layers: LayerSubproblem, t: float) -> None:
+        self._model, self._layer_model, self._t = model, layers.model, t
+        _check_structure(model, layers)
+        joint = layers.model.inflated_joint
+        n_bodies, d = len(model.joint.cells), joint.dim
+        self.is_layer = np.arange(len(joint.cells)) >= n_bodies
+        degree = model.structure.degree
+        self.cells = StraightCells(joint.points, joint.corners, degree, self._stiffnesses())
+        body_points = model.domain.joint.cell_points
+        difference = np.abs(self.cells.A[:n_bodies] - np.swapaxes(body_points[:, 1:] - body_points[:, :1], 1, 2)).max()
+        if difference > SHAPE_TOLERANCE * joint.size:
+            reason = "making room for the layer changes the shape of the bodies' cells"
+            raise refusal("shape", reason, "use bodies='extended'")
+        self._body_nodes = np.asarray(model.V.dofmap.list)[model.domain.local_cells]
+        self._layer_nodes = np.asarray(layers.model.V.dofmap.list)[layers.model.domain.local_cells]
+        self.is_free = np.repeat(~self.cells.is_outer[:, None], d, axis=1)
+        for part, first_cell in ((model, 0), (layers.model, n_bodies)):
+            self._add_supports(part, first_cell)
+        self._loads: CellLoads | None = None
+
+    def displacements(self, u: Array, w: Array) -> Array:
+        """Return displacements (nc, n, d) of the cells' nodes, from those of the bodies `u` and of the layers `w`."""
+        d = self.cells.d
+        n = self._layer_model.V.dofmap.index_map.size_local * d
+        return np.concatenate([u.reshape(-1, d)[self._body_nodes], w[:n].reshape(-1, d)[self._layer_nodes]])
+
+    def corner_points(self, numbers: IntArray) -> Array:
+        """Return the corners (k, d + 1, d) of k cells at the places that loads refer to: bodies' as in their model."""
+        x, n_bodies = self.cells.points[self.cells.corners[numbers]], len(self._model.joint.cells)
+        of_bodies = numbers < n_bodies
+        x[of_bodies] = self._model.domain.joint.cell_points[numbers[of_bodies]]
+        return np.asarray(x)
+
+    # ---------------------------------------------------------------- laws
+    def _stiffnesses(self) -> Array:
+        """Return the stiffness (nc, nv, nv) of each cell, stress.
+
+        Raises:
+            InputError: a law with memory, or with functions of the place; an almost incompressible one.
+        """
+        model, joint, band = self._model, self._layer_model.inflated_joint, band_of(self._layer_model.inflated_joint)
+        laws = {name: model.kinematics.law(law) for name, law in model.body_laws.items()}
+        for name, seam_layer in self._layer_model.layers.items():
+            sublayers = law_with_numbers(seam_layer.layer, model.structure.kinematics).sublayers
+            laws |= {r: law for (_, law), r in zip(sublayers, band.regions_of_seam[name], strict=True)}
+            laws |= {r: sublayers[0][1] for r, seam in band.junctions.items() if seam == name}
+        normals = np.zeros((len(joint.cells), joint.dim))
+        normals[:, -1] = 1.0
+        normals[self.is_layer] = band.director.mean(axis=1)
+        if np.abs(band.director - band.director[:, :1]).max(initial=0.0) > SHAPE_TOLERANCE:
+            curved = [name for name, law in laws.items() if name in band.regions and depends_on_normal(law)]
+            if curved:
+                raise refusal("moduli", f"the law of {curved[0]} turns with the normal of S", "use an isotropic law")
+        nv = 3 * (joint.dim - 1)
+        C = np.empty((len(joint.cells), nv, nv))
+        for number, region in enumerate(joint.regions):
+            in_region = np.flatnonzero(joint.region == number)
+            directions, which = np.unique(np.round(normals[in_region], 12), axis=0, return_inverse=True)
+            if not depends_on_normal(laws[region]):
+                directions, which = directions[:1], np.zeros_like(which)
+            tangents = [_tangent(laws[region], region, n, model) for n in directions]
+            C[in_region] = np.stack(tangents)[which.ravel()]
+        return C
+
+    # ---------------------------------------------------------------- supports and loads
+    def _facets(self, domain: Domain, entities: Indices, first_cell: int) -> IntArray:
+        """Return the numbers of the cells' facets of local facets `entities` of a model's domain."""
+        table = domain.joint.table
+        rows = domain.numbers(domain.joint.dim - 1, entities)
+        return np.asarray(self.cells.cell_facets[table.cells[rows, 0] + first_cell, table.local[rows, 0]])
+
+    def _add_supports(self, model: Model, first_cell: int) -> None:
+        supports = model.supports
+        for entry, (place, components) in enumerate(supports.entries):
+            if not isinstance(place, str):
+                raise refusal("point support", f"a support acts at the point {place}", "support a facet set")
+            facets = self._facets(model.domain, model.domain.facets(place, layer_sides=True), first_cell)
+            if not self.cells.is_outer[facets].all():
+                raise refusal("inner support", f"the support on {place!r} is inside", "support outer facets")
+            for axis in components:
+                coefficient = supports.values.get((entry, axis))
+                if coefficient is not None and coefficient.varies:
+                    raise refusal("moving support", f"the support on {place!r} moves by a function", "give a number")
+                component = self._component_along(facets, place) if axis == NORMAL_COMPONENT else "xyz".index(axis)
+                self.is_free[facets, component] = True
+
+    def _component_along(self, facets: IntArray, place: str) -> int:
+        """Return the index of the axis along which the normals of all `facets` are."""
+        x = self.cells.points[self.cells.facets[facets]]
+        spans = np.ptp(x, axis=1) / np.ptp(x, axis=1).max(axis=1, keepdims=True, initial=1e-300)
+        flat = np.flatnonzero((spans < SHAPE_TOLERANCE).all(axis=0))
+        if len(flat) != 1:
+            raise refusal("inclined", f"the support on {place!r} is along no axis", "name components x, y, z")
+        return int(flat[0])
+
+    @property
+    def loads(self) -> CellLoads:
+        """The loads of the structure."""
+        if self._loads is None:
+            n_bodies, self._loads = len(self._model.joint.cells), self.no_loads
+            for model, first_cell in ((self._model, 0), (self._layer_model, n_bodies)):
+                v = ufl.TestFunction(model.V)
+                with model.forces.at.clock.at(self._t):
+                    self.add_densities(self._loads, model.forces.work(v, bodies_only=not first_cell), model, first_cell)
+        return self._loads
+
+    @property
+    def no_loads(self) -> CellLoads:
+        """Loads that are zero."""
+        cells = self.cells
+        return CellLoads(np.zeros((*cells.nodes.shape, cells.d)), np.zeros((cells.facet_nodes.size, cells.d)), self.is_free)
+
+    def add_densities(self, loads: CellLoads, form: ufl.Form, model: Model, first_cell: int = 0) -> None:
+        """Add the densities of a linear form, of a load or a goal, to loads.
+
+        Args:
+            loads: the loads, which are changed.
+            form: the form, with one argument.
+            model: the model on whose mesh it is integrated.
+            first_cell: number of the first of the model's cells among all.
+
+        Raises:
+            InputError: a density that is no polynomial of a low degree, or a form of derivatives.
+        """
+        domain, cells, d = model.domain, self.cells, self.cells.d
+        for integral in form.integrals():
+            kind, tags = integral.integral_type(), integral.subdomain_id()
+            if kind not in ("cell", "exterior_facet"):
+                raise refusal("density", f"a load or goal is an integral of the kind {kind}", "use dx and ds")
+            density = _Density(integral.integrand(), form.arguments()[0])
+            is_all = tags in ("everywhere", "otherwise")
+            if kind == "cell":
+                mesh_cells = np.flatnonzero(np.isin(domain.cell_tags.values, tags) | is_all)
+                numbers = domain.original_cells[domain.cell_tags.indices[mesh_cells]]
+                loads.body_force[numbers + first_cell] += density.at_cells(self, numbers + first_cell)
+                continue
+            if is_all:
+                raise refusal("density", "a load or goal is an integral over all facets", "name a facet set")
+            facets = self._facets(domain, domain.facet_tags.indices[np.isin(domain.facet_tags.values, tags)], first_cell)
+            facets = facets[cells.is_outer[facets]]
+            moments = density.moments(self, facets)
+            loads.moments.reshape(len(cells.facets), -1, d)[facets] += moments
+
+
+class _Density:
+    """Density of a linear form per volume or area, a function of the place and of the outward normal.
+
+    Args:
+        integrand: the integrand, UFL, linear in `argument`.
+        argument: the form's test function.
+
+    Raises:
+        InputError: the form contains derivatives of its argument.
+    """
+
+    def __init__(self, integrand: Expr, argument: Expr) -> None:
+        expanded = expand_derivatives(integrand)
+        derivatives = (node for node in unique_pre_traversal(expanded) if isinstance(node, Derivative))
+        if any(argument in traverse_unique_terminals(node) for node in derivatives):
+            raise refusal("density", "a goal depends on strains", "give means of displacements on facets or cells")
+        self._components = []
+        for e in np.eye(argument.ufl_shape[0]).tolist():
+            self._components.append(expand_derivatives(ufl_replace(expanded, {argument: ufl.as_vector(e)})))
+        symbols = {node for c in self._components for node in traverse_unique_terminals(c)}
+        self._constants = {c: np.asarray(c.value) for part in self._components for c in extract_constants(part)}
+        self._places = [node for node in symbols if isinstance(node, ufl.SpatialCoordinate)]
+        self._normals = [node for node in symbols if isinstance(node, ufl.FacetNormal)]
+
+    def _values(self, x: Array, n: Array) -> Array:
+        """Return the values (..., d) at places `x` (..., d) with normals `n` (..., d)."""
+        out = np.empty(x.shape)
+        varies = bool(self._places or self._normals)
+        for index in np.ndindex(*x.shape[:-1]) if varies else [(0,) * (x.ndim - 1)][: x.size]:
+            values = self._constants | dict.fromkeys(self._places, x[index]) | dict.fromkeys(self._normals, n[index])
+            try:
+                out[index] = [float(evaluate(component, values)) for component in self._components]
+            except Exception as error:
+                reason = f"the values of a load or goal are not known ({error})"
+                raise refusal("density", reason, "give numbers, or polynomials of x") from error
+        if not varies and x.size:
+            out[:] = out[(0,) * (x.ndim - 1)]
+        return out
+
+    def at_cells(self, structure: StructureCells, numbers: IntArray) -> Array:
+        """Return the values (k, n, d) at the nodes of k cells.
+
+        Raises:
+            InputError: they are no polynomials of a degree below that of displacements.
+        """
+        cells, corners = structure.cells, structure.corner_points(numbers)
+        x, probes = cells.element.points, CELL_PROBES[cells.d]
+        vertex = lagrange(cells.cell_type, 1).tabulate(0, np.vstack([x, probes]))[0, :, :, 0]
+        values = self._values(vertex @ corners, np.zeros((len(corners), len(vertex), cells.d)))
+        low = vertex @ values[:, : cells.d + 1] if cells.degree == 2 else values.mean(axis=1, keepdims=True)
+        _require_degree(values, low, cells.degree - 1, "volume")
+        return values[:, : len(x)]
+
+    def moments(self, structure: StructureCells, facets: IntArray) -> Array:
+        """Return the moments (k, m, d) on k facets, in the order of `facet_nodes`.
+
+        Raises:
+            InputError: the values are no polynomials of the degree of displacements.
+        """
+        cells = structure.cells
+        first, m = cells.facet_cells[facets, 0], cells.facet_nodes.shape[1]
+        local = (cells.cell_facets[first] == facets[:, None]).argmax(axis=1)
+        corners = structure.corner_points(first)
+        out = np.empty((len(facets), m, cells.d))
+        mass = mass_matrix(cells.facet_type, cells.degree)
+        probes = np.vstack([cells.facet_element.points, FACET_PROBES[cells.d]])
+        for facet in range(cells.d + 1):
+            some = np.flatnonzero(local == facet)
+            v = lagrange(cells.cell_type, 1).points[lagrange(cells.cell_type, 1).entity_closure_dofs[-2][facet]]
+            vertex = lagrange(cells.cell_type, 1).tabulate(0, v[0] + probes @ (v[1:] - v[0]))[0, :, :, 0]
+            areas = cells.areas[facets[some]]
+            normals = cells.area_vectors[first[some], facet] / areas[:, None]
+            x = vertex @ corners[some]
+            values = self._values(x, np.broadcast_to(normals[:, None], x.shape))
+            fitted = cells.facet_element.tabulate(0, probes)[0, :, :, 0] @ values[:, :m]
+            _require_degree(values, fitted, cells.degree, "area")
+            rank = cells.moment_rows[first[some], facet] - facets[some, None] * m
+            out[some[:, None], rank] = areas[:, None, None] * (mass @ values[:, :m])
+        return out
+
+
+def _require_degree(values: Array, polynomial: Array, degree: int, where: str) -> None:
+    if np.abs(values - polynomial).max(initial=0.0) > SHAPE_TOLERANCE * np.abs(values).max(initial=0.0):
+        reason = f"a load or goal per {where} is no polynomial of degree {degree} in each cell"
+        raise refusal("density", reason, "give one that is, or constants")
+
+
+def _tangent(law: BulkLaw, region: str, n: Array, model: Model) -> Array:
+    """Return the stiffness (nv, nv) of a law, stress; `n` (d,) is the normal of the layer."""
+    traits = law.traits
+    if law.fields or traits.varies:
+        raise refusal("moduli", f"moduli of {region} are functions of the place", "give numbers, or more regions")
+    if traits.remembers or traits.rate:
+        raise refusal("memory", f"the law of {region} has a memory or a rate", "use LinearElastic")
+    if traits.constrained or (C := tangent_at_rest(law, n)) is None:
+        raise refusal("incompressible", f"the stiffness of {region} is not known", "use LinearElastic")
+    if is_isotropic(C):
+        lmbda, mu = average_lame(C)
+        if lmbda > 2 * MAX_POISSON_RATIO * (lmbda + mu):
+            reason = f"{region} has a Poisson ratio above {MAX_POISSON_RATIO}: bounds would be wide"
+            raise refusal("incompressible", reason, "use a smaller one")
+    indices = [*model.structure.kinematics.strain_indices(model.joint.dim)]
+    return np.asarray(C[np.ix_(indices, indices)])
+
+
+def _check_structure(model: InterfaceModel, layers: LayerSubproblem) -> None:
+    """Raise InputError unless all of the structure can be described by straight cells."""
+    joint, structure = model.joint, model.structure
+    if model.domain.comm.size > 1:
+        raise refusal("ranks", "cells are gathered on one rank only", "run on one rank")
+    if structure.plane == "axisymmetric" or model.n_components != joint.dim:
+        raise refusal("kinematics", "bounds are of plane and 3D elasticity", "take with_finer_ends and finer cells")
+    if joint.cell_type not in ("triangle", "tetrahedron") or model.element not in ("P1", "P2"):
+        reason = f"cells are of the type {joint.cell_type}, elements {model.element}"
+        raise refusal("cells", reason, "use triangles or tetrahedra with P1 or P2")
+    if joint.degree > 1:
+        raise refusal("curved", "cells are curved", "make a joint with straight ones (degree 1)")
+    if joint.periods or structure.strain is not None or structure.stress is not None:
+        raise refusal("periodic", "the joint is a periodic cell", "take a structure with supports")
+    if structure.parts or structure.loads:
+        reason = "springs, plates or other parts, or forces at points or lines, act on the structure"
+        raise refusal("parts", reason, "use supports and tractions on facet sets")
+    strains = [*model.body_strains.values(), *model.layer_strains.values()]
+    if any(strain is not None for strain in strains):
+        raise refusal("eigenstrain", "the structure has eigenstrains", "leave them out")
+    if model.bonds or {*joint.seams} != {*layers.seams}:
+        raise refusal("seams", "not all seams have a layer in the estimate", "estimate all layers, with seam='S'")

@@ -1,0 +1,232 @@
+"""Bounds of goals against the continuum: the errors of interface laws and of all cells in a single interval.
+
+Let U be displacements of bodies and layers that are continuous and fit the supports, and s a stress in equilibrium
+with the loads. With d = s - C e(U), the energy norm g of d, and the same of a goal's adjoint problem (Z, d_z, g_z),
+the goal of the continuum is within (Prager and Synge 1947)
+
+    Q(U) + f . Z - a(U, Z) + <d, d_z>/2 -+ g g_z/2.
+
+Here f are the loads, a(U, Z) is the work of the stresses of U in the strains of Z, and <d, d_z> is the integral of
+d : C^-1 : d_z. U is an iterate of `GlobalLocal` in the bodies, and in the layers what its face displacements cause. The
+stress s is made from the bodies' stress, and from that of the layers under the iterate's face forces; both are in
+equilibrium at all nodes. Tractions that balance each cell follow from them, and then a stress in equilibrium in each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+from dolfinx import fem
+
+from forms.base import Array
+from thinlayer.bounding.loops import TractionImprovement
+from thinlayer.bounding.stresses import Stresses
+from thinlayer.bounding.structure_cells import StructureCells, refusal
+from thinlayer.bounding.tractions import CellLoads, balanced_moments
+from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.discretisation.state import State
+from thinlayer.estimating.global_local import BodyEquilibrium
+from thinlayer.estimating.goals import Compliance, Functional, Goal, Reaction
+from thinlayer.solving.layer_subproblem import LayerSubproblem
+
+MAX_IMBALANCE = 1e-7  # largest unbalanced force on a node of a cell, over the largest force on a node
+IMBALANCE_FACTOR = 10  # by this times the imbalance, over the energies' size, bounds are widened
+DEFAULT_STEPS = 8  # number of conjugate-gradient steps on tractions
+
+
+def relative_errors_between(value: float, lower: float, upper: float) -> tuple[float, float]:
+    """Return the smallest and the largest relative error |Q - value|/|Q| for Q between two bounds."""
+    errors = [abs(q - value) / abs(q) if q else math.inf for q in (lower, upper)]
+    least = 0.0 if lower <= value <= upper else min(errors)
+    return least, math.inf if lower < 0 < upper else max(errors)
+
+
+def percent(x: float) -> str:
+    """Return a fraction as text in per cent, with two digits."""
+    return f"{100 * x:.2g} %" if x < 0.995 else f"{100 * x:.0f} %"
+
+
+@dataclass(frozen=True, repr=False)
+class ContinuumBounds:
+    """Bounds of a goal of the continuum, with layers of their real thickness, whatever the cells are.
+
+    The continuum has the shape of the straight cells.
+
+    Attributes:
+        value: the goal with the interface laws, in the state passed to `estimate`.
+        lower, upper: bounds of the goal of the continuum.
+        bodies, layer, law: parts of the interval that the cells of the bodies, those of the layers, and the steps from
+            the interface laws to meshed layers cause; their sum is 1.
+        by_cell: (nc,) parts of `upper - lower` that the nc cells cause, in the order of the cells of
+            `estimate.inside.model.inflated_joint`: refine where they are large.
+        imbalance: largest unbalanced force on a node of a cell, over the largest force on a node: rounding.
+    """
+
+    value: float
+    lower: float
+    upper: float
+    bodies: float
+    layer: float
+    law: float
+    by_cell: Array = field(compare=False)
+    imbalance: float
+
+    @property
+    def between(self) -> tuple[float, float]:
+        """Smallest and largest relative error of the goal with the interface laws that the bounds allow."""
+        return relative_errors_between(self.value, self.lower, self.upper)
+
+    def __str__(self) -> str:
+        bodies, layer, law = (f"{100 * share:.0f} %" for share in (self.bodies, self.layer, self.law))
+        shares = f"{bodies} of the interval from the bodies' cells, {layer} from the layer's, {law} from the law"
+        return f"between {' and '.join(map(percent, self.between))} for any mesh; {shares}"
+
+    def __repr__(self) -> str:
+        return f"ContinuumBounds({self.lower:.6g} to {self.upper:.6g}; {self})"
+
+
+class _Field(NamedTuple):
+    """Displacements and loads of a problem, the difference of stresses, and its squared norms.
+
+    Attributes:
+        U: (nc, n, d) displacements of the cells' nodes.
+        loads: the loads.
+        difference: stress in equilibrium minus stress of the displacements.
+        squares: (nc,) squared energy norms of the difference in each cell.
+        law_square: squared norm of the difference between layers under the face forces and face displacements.
+        imbalance: see `ContinuumBounds`.
+    """
+
+    U: Array
+    loads: CellLoads
+    difference: Array
+    squares: Array
+    law_square: float
+    imbalance: float
+
+
+class Continuum:
+    """Bounds of goals against the continuum, from the iterates and adjoint solutions of an estimate.
+
+    Args:
+        model: the interface model.
+        layers: its layers, meshed by themselves and linearised.
+        t: time of loads and supports.
+        steps: number of conjugate-gradient steps that improve tractions; more steps give narrower bounds.
+
+    Raises:
+        InputError: a structure without such bounds, with a key.
+    """
+
+    def __init__(self, model: InterfaceModel, layers: LayerSubproblem, t: float, steps: int = DEFAULT_STEPS) -> None:
+        if not (model.linear and model.symmetric):
+            raise refusal("not linear", "laws are not linear, or not symmetric", "use the energy of the estimate")
+        self._model, self._layers, self._steps = model, layers, steps
+        self.structure = StructureCells(model, layers, t)
+        self._stresses = Stresses(self.structure.cells)
+
+    @cached_property
+    def _improvement(self) -> TractionImprovement:
+        return TractionImprovement(self._stresses, self.structure.is_free, self.structure.is_layer)
+
+    def field(self, iterate: BodyEquilibrium, loads: CellLoads) -> _Field:
+        """Return displacements that fit the supports, and a stress in equilibrium with the loads.
+
+        Args:
+            iterate: an iterate, or the adjoint solution of a goal.
+            loads: the loads, or the goal's weights.
+
+        Raises:
+            InputError: the iterate is not in equilibrium at all nodes.
+        """
+        layers, stresses = self._layers, self._stresses
+        w = layers.dirichlet_displacements(iterate.face_u, iterate.load, iterate.side_u)
+        r = iterate.F - layers.dirichlet_reactions(iterate.face_u, iterate.load, iterate.side_u)
+        U = self.structure.displacements(iterate.u, w)
+        seed_U = self.structure.displacements(iterate.u, w + layers.neumann_displacements(layers.free_face_values(r)))
+        moments, imbalance = balanced_moments(stresses.cells, seed_U, loads)
+        if not imbalance <= MAX_IMBALANCE:
+            reason = f"forces on nodes of cells are not in balance: {imbalance:.1g} of them is left"
+            raise refusal("balance", f"{reason}, allowed: {MAX_IMBALANCE:g}", "use a thicker layer, or less contrast")
+        seed, of_U = stresses.of(seed_U), stresses.of(U)
+        difference = self._improvement.improved(loads, moments, seed, self._steps) - of_U
+        law_square = float(stresses.product(seed - of_U, seed - of_U).sum())
+        return _Field(U, loads, difference, stresses.product(difference, difference), law_square, imbalance)
+
+    def loads_of(self, goal: Goal) -> CellLoads:
+        """Return the weights of a goal as loads.
+
+        Raises:
+            InputError: a goal that has no finite weights in the continuum, or one that depends on the mesh.
+        """
+        structure = self.structure
+        if isinstance(goal, Compliance):
+            return structure.loads
+        loads = structure.no_loads
+        if isinstance(goal, Functional) and goal.is_linear(self._model):
+            form = goal.derivative(fem.Function(self._model.V), self._model)
+            structure.add_densities(loads, form, self._model)
+        elif not isinstance(goal, Reaction):
+            remedy = "take goals.Functional, the mean over a facet set or region"
+            raise refusal("goal", f"{goal.name} has no bounds in the continuum, which has no single points", remedy)
+        return loads
+
+    def bounds(self, value: float, at_rest: float, a: _Field, z: _Field) -> ContinuumBounds:
+        """Return the bounds of a goal.
+
+        Args:
+            value: the goal with the interface laws.
+            at_rest: the goal at zero displacements.
+            a: field of the loads.
+            z: field of the goal's weights.
+        """
+        stresses, cells = self._stresses, self._stresses.cells
+        g, g_z = (math.sqrt(part.squares.sum()) for part in (a, z))
+        energies = [float((cells.nodal_forces(U) * V).sum()) for U, V in ((a.U, z.U), (a.U, a.U), (z.U, z.U))]
+        middle = at_rest + z.loads.work(cells, a.U) + a.loads.work(cells, z.U) - energies[0]
+        middle += float(stresses.product(a.difference, z.difference).sum()) / 2
+        imbalance = max(a.imbalance, z.imbalance)
+        half = g * g_z / 2 + IMBALANCE_FACTOR * imbalance * math.sqrt(energies[1] * energies[2])
+        by_cell = (a.squares * _ratio(g_z, g) + z.squares * _ratio(g, g_z)) / 2
+        total = max(float(by_cell.sum()), 1e-300)
+        law = min((a.law_square * _ratio(g_z, g) + z.law_square * _ratio(g, g_z)) / 2 / total, 1.0)
+        bodies = float(by_cell[~self.structure.is_layer].sum()) / total
+        layer = max(1 - bodies - law, 0.0)
+        return ContinuumBounds(value, middle - half, middle + half, bodies, layer, 1 - bodies - layer, by_cell, imbalance)
+
+
+def _ratio(a: float, b: float) -> float:
+    return a / b if b else 0.0
+
+
+def continuum_bounds(
+    continuum: Continuum,
+    state: State,
+    values: Mapping[str, float],
+    goals: Mapping[str, Goal],
+    iterate: BodyEquilibrium,
+    adjoint_solutions: Mapping[str, BodyEquilibrium],
+) -> dict[str, ContinuumBounds]:
+    """Return the bounds of goals of the continuum by the goals' names.
+
+    Args:
+        continuum: the cells of the structure.
+        state: a state of the interface model, which has the time.
+        values: name of a goal -> its value with the interface laws.
+        goals: name -> goal.
+        iterate: iterate of `GlobalLocal`.
+        adjoint_solutions: name of a goal -> its adjoint solution.
+    """
+    weights = {name: continuum.loads_of(goal) for name, goal in goals.items()}
+    primal, bounds = continuum.field(iterate, continuum.structure.loads), {}
+    for name, goal in goals.items():
+        z = adjoint_solutions[name]
+        is_primal = isinstance(goal, Compliance) and iterate.is_near(z)
+        dual = primal if is_primal else continuum.field(z, weights[name])
+        assert isinstance(state.model, InterfaceModel)
+        bounds[name] = continuum.bounds(values[name], goal.at_rest(state, state.model), primal, dual)
+    return bounds
