@@ -14,7 +14,7 @@ from geometry.topology import lagrange
 from thinlayer.bounding.cells import StraightCells, mass_matrix
 from thinlayer.bounding.loops import TractionImprovement
 from thinlayer.bounding.stresses import Stresses
-from thinlayer.bounding.tractions import CellLoads, balanced_moments
+from thinlayer.bounding.tractions import CellLoads, TractionBalance
 
 TRIANGLES = np.array([[0, 1, 3], [0, 2, 3]])
 TETRAHEDRA = np.array([[0, 1, 3, 7], [0, 1, 5, 7], [0, 2, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 4, 6, 7]])
@@ -78,10 +78,10 @@ class Problem:
         u[free] = scipy.sparse.linalg.spsolve(self.K[free][:, free].tocsc(), b.ravel()[free])
         return u.reshape(b.shape)[cells.nodes]
 
-    def stress_in_equilibrium(self, U, loads, steps=8, **twins):
-        """The seed, the stress in equilibrium and the balance; wrong twins replace some data."""
+    def stress_in_equilibrium(self, U, loads, steps=8):
+        """The seed, the stress in equilibrium and the balance."""
         stresses = Stresses(self.cells)
-        seed, (moments, balance) = stresses.of(U), balanced_moments(self.cells, U, loads)
+        seed, (moments, balance) = stresses.of(U), TractionBalance(self.cells, loads.is_free).moments(U, loads)
         in_layer = np.zeros(len(self.cells.corners), bool)
         improvement = TractionImprovement(stresses, loads.is_free, in_layer)
         return stresses, seed, improvement.improved(loads, moments, seed, steps), balance

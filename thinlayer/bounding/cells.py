@@ -139,5 +139,3 @@ class StraightCells:
     def moment_sums(self, cell_moments: Array) -> Array:
         """Return the sums (nf m, ...) of values (nc, d + 1, m, ...) of cells over the cells at each facet."""
         return sum_by_number(self.moment_rows, cell_moments, self.facet_nodes.size)
-
-

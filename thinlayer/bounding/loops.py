@@ -23,7 +23,8 @@ class _Columns:
     """Columns of a sparse matrix, collected group by group."""
 
     def __init__(self) -> None:
-        self.rows, self.numbers, self.values, self.count = list[Array](), list[Array](), list[Array](), 0
+        self.rows, self.numbers = list[IntArray](), list[IntArray]()
+        self.values, self.count = list[FloatArray](), 0
 
     def add(self, rows: IntArray, numbers: IntArray, values: FloatArray) -> None:
         """Add entries (n,); the columns of one call are numbered from 0 in this call."""
@@ -37,9 +38,9 @@ class _Columns:
 
     def matrix(self, n_rows: int) -> scipy.sparse.csr_matrix:
         """Return the matrix (n_rows, columns) without empty columns."""
-        rows, numbers, values = map(np.concatenate, (self.rows, self.numbers, self.values))
-        used, columns = np.unique(numbers, return_inverse=True)
-        return scipy.sparse.csr_matrix((values, (rows, columns)), (n_rows, len(used)))
+        used, columns = np.unique(np.concatenate(self.numbers), return_inverse=True)
+        entries = np.concatenate(self.values), (np.concatenate(self.rows), columns)
+        return scipy.sparse.csr_matrix(entries, (n_rows, len(used)))
 
 
 def balanced_changes(cells: StraightCells, is_free: BoolArray) -> scipy.sparse.csr_matrix:
@@ -76,7 +77,7 @@ def balanced_changes(cells: StraightCells, is_free: BoolArray) -> scipy.sparse.c
             columns.add(facet_dofs[facets, nodes, component], loops, senses[facets, k])
         columns.end_group(len(keys) * n_nodes)
     motions, size = _facet_motions(cells)
-    is_closed, unit_moments = closed(is_free.all(axis=1)), np.linalg.pinv(np.swapaxes(motions, 1, 2))
+    is_closed, unit_moments = closed(np.asarray(is_free.all(axis=1))), np.linalg.pinv(np.swapaxes(motions, 1, 2))
     for couple in range(d, motions.shape[2]):
         for k in range(d):
             facets = np.flatnonzero(is_closed[ridge_of[:, k]])

@@ -37,7 +37,9 @@ class Stresses:
         x = lagrange(cells.cell_type, degree).points if degree else self.macro.points.mean(axis=(0, 1))[None]
         stress = np.einsum("crs,cqs->cqr", self._to_reference, cells.stress(U, x))
         points = self.macro.points.reshape(-1, cells.d)
-        values = lagrange(cells.cell_type, degree).tabulate(0, points)[0, :, :, 0] if degree else np.ones((len(points), 1))
+        values = (
+            lagrange(cells.cell_type, degree).tabulate(0, points)[0, :, :, 0] if degree else np.ones((len(points), 1))
+        )
         parts, nv, nk = self.macro.shape
         return np.asarray(np.swapaxes((values @ stress).reshape(-1, parts, nk, nv), 2, 3))
 
@@ -49,7 +51,7 @@ class Stresses:
     @cached_property
     def _null_energy_inverse(self) -> Array:
         N = self.macro.null_space
-        return np.linalg.inv(self._energies(self.macro.energy_tensor(N, N), N.shape[1], N.shape[1]))
+        return np.asarray(np.linalg.inv(self._energies(self.macro.energy_tensor(N, N), N.shape[1], N.shape[1])))
 
     def _energies(self, tensor: Array, *shape: int) -> Array:
         return (self._metric.reshape(len(self._metric), -1) @ tensor).reshape(-1, *shape)
@@ -97,7 +99,7 @@ class Stresses:
 
     def flexibilities(self) -> Array:
         """Return matrices (nc, k, k) of the complementary energy of a cell's k outward moments on its facets."""
-        cells, N, Y = self.cells, self.macro.null_space, self._unit_moments
+        N, Y = self.macro.null_space, self._unit_moments
         k, m = Y.shape[1], N.shape[1]
         H = self._energies(self.macro.energy_tensor(Y, Y), k, k)
         if m:

@@ -164,7 +164,9 @@ class StructureCells:
     def no_loads(self) -> CellLoads:
         """Loads that are zero."""
         cells = self.cells
-        return CellLoads(np.zeros((*cells.nodes.shape, cells.d)), np.zeros((cells.facet_nodes.size, cells.d)), self.is_free)
+        return CellLoads(
+            np.zeros((*cells.nodes.shape, cells.d)), np.zeros((cells.facet_nodes.size, cells.d)), self.is_free
+        )
 
     def add_densities(self, loads: CellLoads, form: ufl.Form, model: Model, first_cell: int = 0) -> None:
         """Add the densities of a linear form, of a load or a goal, to loads.
@@ -192,7 +194,9 @@ class StructureCells:
                 continue
             if is_all:
                 raise refusal("density", "a load or goal is an integral over all facets", "name a facet set")
-            facets = self._facets(domain, domain.facet_tags.indices[np.isin(domain.facet_tags.values, tags)], first_cell)
+            facets = self._facets(
+                domain, domain.facet_tags.indices[np.isin(domain.facet_tags.values, tags)], first_cell
+            )
             facets = facets[cells.is_outer[facets]]
             moments = density.moments(self, facets)
             loads.moments.reshape(len(cells.facets), -1, d)[facets] += moments
@@ -215,8 +219,9 @@ class _Density:
         if any(argument in traverse_unique_terminals(node) for node in derivatives):
             raise refusal("density", "a goal depends on strains", "give means of displacements on facets or cells")
         self._components = []
-        for e in np.eye(argument.ufl_shape[0]).tolist():
-            self._components.append(expand_derivatives(ufl_replace(expanded, {argument: ufl.as_vector(e)})))
+        for k in range(argument.ufl_shape[0]):
+            unit = ufl.as_vector([float(i == k) for i in range(argument.ufl_shape[0])])
+            self._components.append(expand_derivatives(ufl_replace(expanded, {argument: unit})))
         symbols = {node for c in self._components for node in traverse_unique_terminals(c)}
         self._constants = {c: np.asarray(c.value) for part in self._components for c in extract_constants(part)}
         self._places = [node for node in symbols if isinstance(node, ufl.SpatialCoordinate)]

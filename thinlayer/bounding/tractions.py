@@ -35,8 +35,8 @@ class CellLoads:
         return float((cells.nodal_loads(self.body_force) * U).sum() + on_facets.sum())
 
 
-def balanced_moments(cells: StraightCells, U: Array, loads: CellLoads) -> tuple[Array, float]:
-    """Return moments of tractions that balance each cell, near those of the stress of displacements.
+class TractionBalance:
+    """Moments of tractions that balance each cell, near those of the stress of displacements.
 
     At each node the moments balance the nodal forces of each cell. This is possible if those of all cells balance the
     loads, as in a finite element solution. Of all such moments these have the least weighted difference from the mean
@@ -44,46 +44,49 @@ def balanced_moments(cells: StraightCells, U: Array, loads: CellLoads) -> tuple[
 
     Args:
         cells: the cells.
-        U: (nc, n, d) displacements of each cell's nodes; they may differ between cells.
-        loads: the loads.
-
-    Returns:
-        Moments (nf m, d), and the largest unbalanced force on a node of a cell, over the largest nodal force.
+        is_free: (nf, d) mask of the components of tractions that are not known.
     """
-    n_cells, n = cells.nodes.shape
-    forces = cells.nodal_forces(U) - cells.nodal_loads(loads.body_force)
-    start, weight = _mean_moments(cells, U)
-    rows = np.arange(n_cells)[:, None, None] * n + cells.closure
-    signs = np.broadcast_to(cells.sign[:, :, None], rows.shape)
-    columns = (rows.ravel(), cells.moment_rows.ravel())
-    sums = scipy.sparse.csr_matrix((signs.ravel(), columns), (n_cells * n, len(start)))[np.unique(rows)]
-    moments, unbalanced = np.where(np.repeat(loads.is_free, len(start) // len(loads.is_free), axis=0), start, 0.0), 0.0
-    moments += np.where(np.repeat(loads.is_free, len(start) // len(loads.is_free), axis=0), 0.0, loads.moments)
-    patterns, pattern_of = np.unique(loads.is_free, axis=1, return_inverse=True)
-    for pattern, is_free in enumerate(patterns.T):
-        mask = np.repeat(is_free, len(start) // len(is_free))
-        projection = _Projection(sums[:, mask], weight[mask])
-        for component in np.flatnonzero(pattern_of.ravel() == pattern):
-            wanted = forces[:, :, component].ravel()[np.unique(rows)]
+
+    def __init__(self, cells: StraightCells, is_free: BoolArray) -> None:
+        self._cells, (n_cells, n), n_rows = cells, cells.nodes.shape, cells.facet_nodes.size
+        rows = np.arange(n_cells)[:, None, None] * n + cells.closure
+        self._rows, signs = np.unique(rows), np.broadcast_to(cells.sign[:, :, None], rows.shape)
+        entries = (signs.ravel(), (rows.ravel(), cells.moment_rows.ravel()))
+        self._sums = scipy.sparse.csr_matrix(entries, (n_cells * n, n_rows))[self._rows]
+        self._softness = np.trace(cells.compliance, axis1=1, axis2=2) * cells.volume
+        of_cells = np.repeat(self._softness[:, None], cells.d + 1, axis=1)
+        self._totals = sum_by_number(cells.cell_facets, of_cells, len(cells.facets))
+        weight = np.repeat(self._totals / cells.areas**2, cells.facet_nodes.shape[1])
+        self._is_free = np.repeat(is_free, cells.facet_nodes.shape[1], axis=0)
+        patterns, self._pattern_of = np.unique(self._is_free, axis=1, return_inverse=True)
+        self._projections = [_Projection(self._sums[:, mask], weight[mask]) for mask in patterns.T]
+
+    def moments(self, U: Array, loads: CellLoads) -> tuple[Array, float]:
+        """Return the moments for displacements `U` (nc, n, d) of each cell's nodes, which may differ between cells.
+
+        Returns:
+            Moments (nf m, d), and the largest unbalanced force on a node of a cell, over the largest nodal force.
+        """
+        cells, unbalanced = self._cells, 0.0
+        forces = cells.nodal_forces(U) - cells.nodal_loads(loads.body_force)
+        moments = np.where(self._is_free, self._mean_moments(U), loads.moments)
+        for component, pattern in enumerate(self._pattern_of.ravel()):
+            mask, needed = self._is_free[:, component], forces[:, :, component].ravel()[self._rows]
             for _ in range(2):  # the second solve removes rounding errors of the first
-                moments[mask, component] += projection.change(wanted - sums @ moments[:, component])
-            left = np.abs(wanted - sums @ moments[:, component]).max()
-            unbalanced = max(unbalanced, float(left))
-    return moments, unbalanced / max(float(np.abs(forces).max()), 1e-300)
+                change = self._projections[pattern].change(needed - self._sums @ moments[:, component])
+                moments[mask, component] += change
+            unbalanced = max(unbalanced, float(np.abs(needed - self._sums @ moments[:, component]).max()))
+        return moments, unbalanced / max(float(np.abs(forces).max()), 1e-300)
 
-
-def _mean_moments(cells: StraightCells, U: Array) -> tuple[Array, Array]:
-    """Return mean moments (nf m, d) of the cells' stresses on both sides of facets, and weights (nf m) of changes."""
-    mass, softness = mass_matrix(cells.facet_type, cells.degree), np.trace(cells.compliance, axis1=1, axis2=2)
-    softness *= cells.volume
-    own = np.empty((*cells.moment_rows.shape, cells.d))
-    for facet in range(cells.d + 1):
-        stress = cells.stress(U, cells.facet_points(facet))
-        own[:, facet] = mass @ np.einsum("cqr,rij,cj->cqi", stress, cells.basis, cells.area_vectors[:, facet])
-    totals = sum_by_number(cells.cell_facets, np.repeat(softness[:, None], cells.d + 1, axis=1), len(cells.facets))
-    m = cells.facet_nodes.shape[1]
-    mean = cells.moment_sums((softness[:, None] * cells.sign)[:, :, None, None] * own) / np.repeat(totals, m)[:, None]
-    return mean, np.repeat(totals / cells.areas**2, m)
+    def _mean_moments(self, U: Array) -> Array:
+        """Return mean moments (nf m, d) of the stresses of displacements on both sides of facets."""
+        cells, mass = self._cells, mass_matrix(self._cells.facet_type, self._cells.degree)
+        own = np.empty((*cells.moment_rows.shape, cells.d))
+        for facet in range(cells.d + 1):
+            stress = cells.stress(U, cells.facet_points(facet))
+            own[:, facet] = mass @ np.einsum("cqr,rij,cj->cqi", stress, cells.basis, cells.area_vectors[:, facet])
+        sums = cells.moment_sums((self._softness[:, None] * cells.sign)[:, :, None, None] * own)
+        return np.asarray(sums / np.repeat(self._totals, cells.facet_nodes.shape[1])[:, None])
 
 
 class _Projection:

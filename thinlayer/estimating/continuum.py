@@ -26,7 +26,7 @@ from forms.base import Array
 from thinlayer.bounding.loops import TractionImprovement
 from thinlayer.bounding.stresses import Stresses
 from thinlayer.bounding.structure_cells import StructureCells, refusal
-from thinlayer.bounding.tractions import CellLoads, balanced_moments
+from thinlayer.bounding.tractions import CellLoads, TractionBalance
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.estimating.global_local import BodyEquilibrium
@@ -128,6 +128,7 @@ class Continuum:
         self._model, self._layers, self._steps = model, layers, steps
         self.structure = StructureCells(model, layers, t)
         self._stresses = Stresses(self.structure.cells)
+        self._balance = TractionBalance(self.structure.cells, self.structure.is_free)
 
     @cached_property
     def _improvement(self) -> TractionImprovement:
@@ -148,7 +149,7 @@ class Continuum:
         r = iterate.F - layers.dirichlet_reactions(iterate.face_u, iterate.load, iterate.side_u)
         U = self.structure.displacements(iterate.u, w)
         seed_U = self.structure.displacements(iterate.u, w + layers.neumann_displacements(layers.free_face_values(r)))
-        moments, imbalance = balanced_moments(stresses.cells, seed_U, loads)
+        moments, imbalance = self._balance.moments(seed_U, loads)
         if not imbalance <= MAX_IMBALANCE:
             reason = f"forces on nodes of cells are not in balance: {imbalance:.1g} of them is left"
             raise refusal("balance", f"{reason}, allowed: {MAX_IMBALANCE:g}", "use a thicker layer, or less contrast")
@@ -196,7 +197,9 @@ class Continuum:
         law = min((a.law_square * _ratio(g_z, g) + z.law_square * _ratio(g, g_z)) / 2 / total, 1.0)
         bodies = float(by_cell[~self.structure.is_layer].sum()) / total
         layer = max(1 - bodies - law, 0.0)
-        return ContinuumBounds(value, middle - half, middle + half, bodies, layer, 1 - bodies - layer, by_cell, imbalance)
+        return ContinuumBounds(
+            value, middle - half, middle + half, bodies, layer, 1 - bodies - layer, by_cell, imbalance
+        )
 
 
 def _ratio(a: float, b: float) -> float:
