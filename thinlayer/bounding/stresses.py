@@ -12,7 +12,7 @@ from thinlayer.bounding.cells import StraightCells, mass_matrix
 from thinlayer.bounding.macro import macro_cell
 from thinlayer.errors import SolveError
 
-ROW_TOLERANCE = 1e-9  # largest residual of the equations of equilibrium in a cell, over the data
+ROW_TOLERANCE = 1e-6  # largest residual of the equations of equilibrium in a cell, over the data: rounding
 
 
 class Stresses:

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
+import scipy.sparse.linalg
 from scipy.sparse.csgraph import connected_components
 
 from forms.base import Array
 from geometry.topology import BoolArray, sum_by_number
 from thinlayer.bounding.cells import StraightCells, mass_matrix
-from thinlayer.solving.linear_solvers import SubmatrixFactor
 
 
 @dataclass(frozen=True)
@@ -105,10 +105,13 @@ class _Projection:
         is_pinned = np.ones(n_patches, bool)  # a patch without a support: its forces are in balance
         is_pinned[patch_of[np.unique(D[:, is_single].tocoo().row)]] = False
         pins = np.unique(patch_of, return_index=True)[1][is_pinned]
-        self._factor = SubmatrixFactor(laplacian, ~np.isin(np.arange(len(patch_of)), pins), symmetric=True)
+        self._kept = np.setdiff1d(np.arange(len(patch_of)), pins)
+        matrix = laplacian[self._kept][:, self._kept].tocsc()
+        # for many small blocks SuperLU is much faster than MUMPS
+        self._factor = scipy.sparse.linalg.splu(matrix, "MMD_AT_PLUS_A", 0.0, options={"SymmetricMode": True})
 
     def change(self, values: Array) -> Array:
         """Return the least change (columns,) of the moments for sums `values` (rows,)."""
         multipliers = np.zeros(len(values))
-        self._factor.solve(values, multipliers)
+        multipliers[self._kept] = self._factor.solve(values[self._kept])
         return np.asarray((self._D.T @ multipliers) / self._weight)
