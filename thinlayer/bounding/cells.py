@@ -109,6 +109,11 @@ class StraightCells:
         return out
 
     @property
+    def node_stiffness(self) -> FloatArray:
+        """(nc,) size of the force on a node of each cell per displacement of this node alone."""
+        return np.asarray(np.abs(self.C).max(axis=(1, 2)) * self.volume * np.abs(self.A_inverse).max(axis=(1, 2)) ** 2)
+
+    @property
     def is_outer(self) -> BoolArray:
         """(nf,) mask of the facets that belong to a single cell."""
         return np.asarray(self.facet_cells[:, 1] < 0)

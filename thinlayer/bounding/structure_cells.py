@@ -297,8 +297,10 @@ def _tangent(law: BulkLaw, region: str, n: Array, model: Model) -> Array:
         raise refusal("moduli", f"moduli of {region} are functions of the place", "give numbers, or more regions")
     if traits.remembers or traits.rate:
         raise refusal("memory", f"the law of {region} has a memory or a rate", "use LinearElastic")
-    if traits.constrained or (C := tangent_at_rest(law, n)) is None:
-        raise refusal("incompressible", f"the stiffness of {region} is not known", "use LinearElastic")
+    if traits.constrained:
+        raise refusal("incompressible", f"the law of {region} has a pressure of its own", "use LinearElastic")
+    if (C := tangent_at_rest(law, n)) is None:
+        raise refusal("moduli", f"the stiffness of {region} is not known", "write a method stiffness(n) in its class")
     if is_isotropic(C):
         lmbda, mu = average_lame(C)
         if lmbda > 2 * MAX_POISSON_RATIO * (lmbda + mu):

@@ -13,6 +13,8 @@ from forms.base import Array
 from geometry.topology import BoolArray, sum_by_number
 from thinlayer.bounding.cells import StraightCells, mass_matrix
 
+MIN_FORCE_RATIO = 1e-12  # force on a node, over that of its displacement alone, below which it is rounding
+
 
 @dataclass(frozen=True)
 class CellLoads:
@@ -69,6 +71,9 @@ class TractionBalance:
         """
         cells, unbalanced = self._cells, 0.0
         forces = cells.nodal_forces(U) - cells.nodal_loads(loads.body_force)
+        size = float(np.abs(forces).max())
+        if size <= MIN_FORCE_RATIO * (cells.node_stiffness * np.abs(U).max(axis=(1, 2))).max():  # a motion without strain
+            return np.where(self._is_free, 0.0, loads.moments), 0.0
         moments = np.where(self._is_free, self._mean_moments(U), loads.moments)
         for component, pattern in enumerate(self._pattern_of.ravel()):
             mask, needed = self._is_free[:, component], forces[:, :, component].ravel()[self._rows]
@@ -76,7 +81,7 @@ class TractionBalance:
                 change = self._projections[pattern].change(needed - self._sums @ moments[:, component])
                 moments[mask, component] += change
             unbalanced = max(unbalanced, float(np.abs(needed - self._sums @ moments[:, component]).max()))
-        return moments, unbalanced / max(float(np.abs(forces).max()), 1e-300)
+        return moments, unbalanced / size
 
     def _mean_moments(self, U: Array) -> Array:
         """Return mean moments (nf m, d) of the stresses of displacements on both sides of facets."""

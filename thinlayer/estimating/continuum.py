@@ -191,7 +191,7 @@ class Continuum:
         middle = at_rest + z.loads.work(cells, a.U) + a.loads.work(cells, z.U) - energies[0]
         middle += float(stresses.product(a.difference, z.difference).sum()) / 2
         imbalance = max(a.imbalance, z.imbalance)
-        half = g * g_z / 2 + IMBALANCE_FACTOR * imbalance * math.sqrt(energies[1] * energies[2])
+        half = g * g_z / 2 + IMBALANCE_FACTOR * imbalance * math.sqrt(abs(energies[1] * energies[2]))
         by_cell = (a.squares * _ratio(g_z, g) + z.squares * _ratio(g, g_z)) / 2
         total = max(float(by_cell.sum()), 1e-300)
         law = min((a.law_square * _ratio(g_z, g) + z.law_square * _ratio(g, g_z)) / 2 / total, 1.0)

@@ -1,0 +1,224 @@
+"""Bounds of goals against the continuum: they hold the truth, are narrow, and wrong ones are told."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import basix
+import numpy as np
+import pytest
+
+from forms import Anisotropic, LinearElastic
+from geometry import sandwich
+from tests.polynomial_solutions import random_problem
+from tests.refused import refused
+from thinlayer import Structure, ThinLayer, estimate, goals, solve
+from thinlayer.bounding.macro import macro_cell
+from thinlayer.bounding.stresses import Stresses
+from thinlayer.bounding.tractions import CellLoads, TractionBalance
+from thinlayer.errors import InputError, SolveError
+from thinlayer.estimating.continuum import Continuum
+from thinlayer.solving.layer_subproblem import LayerSubproblem
+
+STEEL, GLUE = LinearElastic.young(210e3, 0.3), LinearElastic.young(2e3, 0.4)
+# compliance of two square bodies with a layer of the thickness: of adapted cells, outside this package
+TRUTHS = {1 / 16: 0.0275273, 1 / 64: 0.0265730, 1 / 256: 0.0263406}
+HALF_WIDTHS = {1 / 16: 3.3e-3, 1 / 64: 4.8e-3, 1 / 256: 5.2e-3}  # over the compliance, of eight cells along S
+LAP_VALUES = 4.05816, 4.05856, 4.05861  # compliances of the lap joint with cells halved once, twice, three times
+
+
+def top(u, model):
+    """Mean displacement of the top."""
+    return (0.6 * u[0] + 0.8 * u[1]) * model.ds(model.domain.values("TOP"))
+
+
+@cache
+def blocks(eps, n):
+    """Estimate of two bodies, n cells along S, whose layer has the stiffness of its thickness."""
+    joint = sandwich(1.0, 0.5, 0.5, 1 / n, structured=True)
+    body, mu = LinearElastic.young(100.0, 0.3), 40 * eps
+    structure = Structure(joint, body=body, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.3, -1.0)})
+    model = structure.interface(ThinLayer(LinearElastic.young(2.6 * mu, 0.3), eps))
+    return estimate(solve(model), goals=[goals.Compliance(), goals.Functional("top", top)])
+
+
+@cache
+def lap():
+    """Estimate of README's lap joint."""
+    joint = sandwich(width=40, lower=4, upper=6, h=1, h_S=0.4, h_ends=0.1)
+    supports = {"RIGHT/LOWER": 0, "LEFT/UPPER": {"y": 0}}
+    plates = Structure(joint, body=STEEL, supports=supports, tractions={"LEFT/UPPER": (-60, 0)})
+    return estimate(solve(plates.interface(ThinLayer(GLUE, 0.2, at=0.2))))
+
+
+def bounded(problem, rng):
+    """Effectivity, balance, and |Q - middle| over half the interval of a random mean displacement."""
+    cells, loads = problem.cells, problem.loads
+    stresses, seed, stress, balance = problem.stress_in_equilibrium(problem.U, loads)
+    d = stress - seed
+    where = (rng.random(len(cells.corners)) < 0.3) | (np.arange(len(cells.corners)) == 0)
+    q = np.where(where[:, None, None], rng.normal(size=cells.d), 0.0) * np.ones_like(loads.body_force)
+    weights = CellLoads(q, np.zeros_like(loads.moments), loads.is_free)
+    Z = problem.solved(weights)
+    _, seed_z, stress_z, _ = problem.stress_in_equilibrium(Z, weights)
+    d_z = stress_z - seed_z
+    x, w = basix.make_quadrature(basix.CellType[cells.cell_type], 6)
+    places = cells.points[cells.corners[:, :1]] + x @ np.swapaxes(cells.A, 1, 2)
+    goal = np.einsum("cqi,ci,q,c->", problem.exact(places), q[:, 0], w, cells.J)
+    middle = weights.work(cells, problem.U) + loads.work(cells, Z) - (cells.nodal_forces(problem.U) * Z).sum()
+    middle += stresses.product(d, d_z).sum() / 2
+    g, g_z = (math.sqrt(stresses.product(a, a).sum()) for a in (d, d_z))
+    return g / math.sqrt(problem.squared_error()), balance, abs(goal - middle) / (g * g_z / 2)
+
+
+def check_random(d, count, median):
+    rows = []
+    for seed in range(count):
+        rng = np.random.default_rng(1000 * d + seed)
+        rows.append(bounded(random_problem(d, rng), rng))
+    effectivities, balances, positions = np.array(rows).T
+    assert effectivities.min() >= 1 - 1e-9 and positions.max() <= 1
+    assert balances.max() <= 1e-11
+    assert np.median(effectivities) <= median
+
+
+# ---------------------------------------------------------------- cells
+@pytest.mark.parametrize(
+    ("cell", "degree", "free"), [("triangle", 2, 3), ("tetrahedron", 1, 0), ("tetrahedron", 2, 18)]
+)
+def test_stresses_of_a_cut_cell_bear_all_balanced_loads(cell, degree, free):
+    """Only loads with a resultant are not borne: as many conditions on the data as rigid motions."""
+    macro = macro_cell(cell, degree)
+    assert macro.null_space.shape[1] == free
+    borne = np.eye(macro.n_data) - macro.equations[: macro.n_data] @ macro.particular
+    jumps = macro.equations[macro.n_data :] @ macro.particular
+    assert np.linalg.matrix_rank(np.vstack([borne, jumps]), tol=1e-9) == {"triangle": 3, "tetrahedron": 6}[cell]
+
+
+def test_bounds_hold_exact_solutions():
+    check_random(2, 8, 1.3)
+    check_random(3, 1, 3.5)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("d", "count", "median"), [(2, 200, 1.15), (3, 30, 3.5)])
+def test_bounds_hold_many_exact_solutions(d, count, median):
+    check_random(d, count, median)
+
+
+# ---------------------------------------------------------------- structures
+@pytest.mark.parametrize("eps", TRUTHS)
+def test_interval_of_few_cells_holds_the_continuum(eps):
+    result = blocks(eps, 8)
+    bounds, truth = result.continuum()["compliance"], TRUTHS[eps]
+    assert bounds.lower < truth < bounds.upper
+    assert (bounds.upper - bounds.lower) / 2 / truth == pytest.approx(HALF_WIDTHS[eps], rel=0.1)
+    assert bounds.imbalance < 1e-11
+    assert bounds.bodies + bounds.layer + bounds.law == pytest.approx(1)
+    assert bounds.by_cell.sum() == pytest.approx(bounds.upper - bounds.lower)
+    assert result.goals["compliance"].upper < truth  # bounds on these cells do not hold it
+
+
+def test_intervals_of_finer_cells_intersect():
+    coarse, fine = (blocks(1 / 16, n).continuum() for n in (8, 16))
+    for name, bounds in coarse.items():
+        assert max(bounds.lower, fine[name].lower) <= min(bounds.upper, fine[name].upper)
+        assert fine[name].upper - fine[name].lower < (bounds.upper - bounds.lower) / 2
+    assert fine["compliance"].lower > coarse["compliance"].lower
+
+
+def test_lap_joint_of_readme():
+    bounds = lap().continuum()["compliance"]
+    assert f"{bounds.lower:.5g} {bounds.upper:.5g}" == "4.0576 4.0592"
+    assert all(bounds.lower < value < bounds.upper for value in LAP_VALUES)
+    text = "between 0.14 % and 0.18 % for any mesh; 43 % of the interval from the bodies' cells, 57 % from the layer's"
+    assert str(bounds) == f"{text}, 0 % from the law"
+
+
+def test_goals_and_solids():
+    """A reaction that equilibrium determines, tetrahedra, body forces, a stack along normals, and pressures."""
+    joint = sandwich(1.0, 0.4, 0.4, 0.4, depth=0.6, structured=True)
+    law = Anisotropic(np.diag([9.0, 8.0, 7.0, 3.0, 2.0, 1.0]), frame="layer")
+    data = dict(
+        supports={"BOTTOM": 0.0}, tractions={"TOP": lambda x, t: (0.0, x[0], -1.0)}, body_force=(0.1, 0.0, -0.2)
+    )
+    model = Structure(joint, body=LinearElastic.young(400.0, 0.2), **data).interface(ThinLayer(law, 0.05))
+    reaction = goals.Reaction("BOTTOM", (1, 0, 0))
+    result = estimate(solve(model), goals=[goals.Compliance(), reaction])
+    bounds = result.continuum()
+    force = -0.1 * 0.6 * 0.8
+    assert bounds[reaction.name].lower <= force <= bounds[reaction.name].upper
+    finer = solve(Structure(sandwich(1.0, 0.4, 0.4, 0.2, depth=0.6, structured=True), body=model.body_laws["LOWER"], **data).full(
+        ThinLayer(law, 0.05), cells_through=2
+    )).load_work()  # fmt: skip
+    assert bounds["compliance"].lower < finer < bounds["compliance"].upper
+    assert bounds["compliance"].upper - bounds["compliance"].lower < 0.2 * finer
+
+
+def test_parts_of_the_norm_add_up():
+    """Before tractions are improved, squared norms of meshes and of the law's steps add up."""
+    result = blocks(1 / 16, 8)
+    continuum = Continuum(result.better.model, result._subproblem, 0.0, steps=0)
+    iteration = continuum.field(result._iterate, continuum.structure.loads)
+    stresses, layers, iterate = continuum._stresses, result._subproblem, result._iterate
+    w = layers.dirichlet_displacements(iterate.face_u, iterate.load, iterate.side_u)
+    r = iterate.F - layers.dirichlet_reactions(iterate.face_u, iterate.load, iterate.side_u)
+    moved = layers.neumann_displacements(layers.free_face_values(r))
+    law = stresses.of(continuum.structure.displacements(0 * iterate.u, moved))
+    mesh = iteration.difference - law
+    assert abs(stresses.product(mesh, law).sum()) < 1e-12 * iteration.squares.sum()
+    assert iteration.law_square == pytest.approx(moved @ (layers.K @ moved), rel=1e-6)
+
+
+# ---------------------------------------------------------------- wrong twins
+def test_layer_under_face_displacements_is_not_in_balance(monkeypatch):
+    monkeypatch.setattr(LayerSubproblem, "neumann_displacements", lambda self, r: np.zeros_like(r))
+    assert refused(InputError, "not in balance", blocks(1 / 16, 8).continuum).key == "balance"
+
+
+def test_half_the_interval_misses():
+    problem = random_problem(2, np.random.default_rng(2002), degree=2)
+    stresses, seed, stress, _ = problem.stress_in_equilibrium(problem.U, problem.loads)
+    square = stresses.product(stress - seed, stress - seed).sum()
+    assert problem.squared_error() > 3 / 4 * square
+
+
+def test_bodies_alone_miss():
+    bounds = lap().continuum()["compliance"]
+    assert bounds.lower + bounds.bodies * (bounds.upper - bounds.lower) < LAP_VALUES[-1]
+
+
+def test_compliance_of_plane_stress_misses():
+    problem = random_problem(2, np.random.default_rng(2001), degree=2)
+    stresses, seed, stress, _ = problem.stress_in_equilibrium(problem.U, problem.loads)
+    stiffer = replace(problem)
+    stiffer.cells = type(problem.cells)(problem.cells.points, problem.cells.corners, 2, 2 * problem.cells.C)
+    too_small = Stresses(stiffer.cells).product(stress - seed, stress - seed).sum()
+    assert too_small < problem.squared_error() < stresses.product(stress - seed, stress - seed).sum()
+
+
+def test_forces_without_couples_are_told():
+    problem = random_problem(2, np.random.default_rng(2002), degree=2)
+    cells, loads = problem.cells, problem.loads
+    moments, _ = TractionBalance(cells, loads.is_free).moments(problem.U, loads)
+    without = moments.reshape(*cells.facet_nodes.shape, 2)
+    share = np.array([1, 1, 4]) / 6  # uniform tractions of the same forces
+    by_node = cells.facet_nodes >= len(np.unique(cells.corners))  # middles come last
+    uniform = without.sum(axis=1, keepdims=True) * np.where(by_node[..., None], share[2], share[0])
+    stresses = Stresses(cells)
+    refused(
+        SolveError,
+        "do not balance",
+        stresses.in_equilibrium,
+        uniform.reshape(-1, 2),
+        loads.body_force,
+        stresses.of(problem.U),
+    )
+
+
+def test_sides_of_the_layer_are_free():
+    structure = Continuum(blocks(1 / 16, 8).better.model, blocks(1 / 16, 8)._subproblem, 0.0).structure
+    of_layer = structure.cells.is_outer & structure.is_layer[structure.cells.facet_cells[:, 0]]
+    assert of_layer.sum() == 8 and not structure.is_free[of_layer].any()
