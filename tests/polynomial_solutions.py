@@ -81,7 +81,10 @@ class Problem:
     def stress_in_equilibrium(self, U, loads, steps=8):
         """The seed, the stress in equilibrium and the balance."""
         stresses = Stresses(self.cells)
-        seed, (moments, balance) = stresses.of(U), TractionBalance(self.cells, loads.is_free).moments(U, loads)
+        seed, (moments, balance) = (
+            stresses.of(self.cells.stress(U)),
+            TractionBalance(self.cells, loads.is_free).moments(self.cells.stress(U), loads, U),
+        )
         in_layer = np.zeros(len(self.cells.corners), bool)
         improvement = TractionImprovement(stresses, loads.is_free, in_layer)
         return stresses, seed, improvement.improved(loads, moments, seed, steps), balance
@@ -90,7 +93,7 @@ class Problem:
         """Squared energy norm of the error of the finite element solution."""
         x, w = basix.make_quadrature(basix.CellType[self.cells.cell_type], 6)
         places = self.cells.points[self.cells.corners[:, :1]] + x @ np.swapaxes(self.cells.A, 1, 2)
-        error = self.stress(places) - self.cells.stress(self.U, x)
+        error = self.stress(places) - self.cells.stress_values(x) @ self.cells.stress(self.U)
         return float(np.einsum("cqr,crs,cqs,q,c->", error, self.cells.compliance, error, w, self.cells.J))
 
 
@@ -128,7 +131,9 @@ def random_problem(d, rng, degree=None, rollers=None):
     moments[np.repeat(is_free[:, None], m, axis=1)] = 0.0
     loads = CellLoads(f, moments.reshape(-1, d), is_free)
     eye = np.eye(n * d).reshape(n * d, n, d)
-    element = np.stack([cells.nodal_forces(np.broadcast_to(e, f.shape)).reshape(len(f), -1) for e in eye], axis=2)
+    element = np.stack(
+        [cells.nodal_forces(cells.stress(np.broadcast_to(e, f.shape))).reshape(len(f), -1) for e in eye], axis=2
+    )
     dofs = (cells.nodes[:, :, None] * d + np.arange(d)).reshape(len(f), -1)
     size = len(cells.node_vertices) * d
     rows, columns = np.repeat(dofs, n * d, axis=1), np.tile(dofs, (1, n * d))

@@ -118,18 +118,34 @@ class StraightCells:
         """(nf,) mask of the facets that belong to a single cell."""
         return np.asarray(self.facet_cells[:, 1] < 0)
 
-    def stress(self, U: Array, x: FloatArray) -> Array:
-        """Return the stresses (nc, k, nv) of displacements `U` (nc, n, d) at k points `x` (k, d) of the reference cell."""
-        gradients = np.moveaxis(self.element.tabulate(1, x)[1:, :, :, 0], 0, 2)
-        grad_u = np.einsum("qnk,cni->cqik", gradients, U) @ self.A_inverse[:, None]
-        return np.asarray(np.einsum("cqij,rij,crs->cqs", grad_u, self.basis, self.C, optimize=True))
+    @cached_property
+    def stress_points(self) -> FloatArray:
+        """(k, d) points of the reference cell whose stresses determine those of displacements in the whole cell."""
+        corners = lagrange(self.cell_type, 1).points
+        return np.asarray(corners if self.degree == 2 else corners.mean(axis=0, keepdims=True))
 
-    def nodal_forces(self, U: Array) -> Array:
-        """Return the forces (nc, n, d) on each cell's nodes that hold its displacements `U` (nc, n, d) in place."""
+    def stress_values(self, x: FloatArray) -> FloatArray:
+        """Return (n, k) factors that make the stresses at n points `x` (n, d) from those at the k `stress_points`."""
+        linear = lagrange(self.cell_type, 1).tabulate(0, x)[0, :, :, 0]
+        return np.asarray(linear if self.degree == 2 else np.ones((len(x), 1)))
+
+    def strain(self, U: Array) -> Array:
+        """Return the strains (nc, k, nv) of displacements `U` (nc, n, d) at the `stress_points`."""
+        gradients = np.moveaxis(self.element.tabulate(1, self.stress_points)[1:, :, :, 0], 0, 2)
+        grad_u = np.einsum("qnk,cni->cqik", gradients, U) @ self.A_inverse[:, None]
+        return np.asarray(np.einsum("cqij,rij->cqr", grad_u, self.basis))
+
+    def stress(self, U: Array) -> Array:
+        """Return the stresses (nc, k, nv) of displacements `U` (nc, n, d) at the `stress_points`."""
+        return np.asarray(self.strain(U) @ self.C)
+
+    def nodal_forces(self, stress: Array) -> Array:
+        """Return the forces (nc, n, d) on each cell's nodes that balance stresses (nc, k, nv) at `stress_points`."""
         x, w = basix.make_quadrature(basix.CellType[self.cell_type], max(2 * self.degree - 2, 1))
         gradients = np.moveaxis(self.element.tabulate(1, x)[1:, :, :, 0], 0, 2)
-        stress = np.einsum("cqr,rij->cqij", self.stress(U, x), self.basis) @ np.swapaxes(self.A_inverse, 1, 2)[:, None]
-        return np.asarray(np.einsum("cqik,qnk,q,c->cni", stress, gradients, w, self.J, optimize=True))
+        tensors = np.einsum("cqr,rij->cqij", self.stress_values(x) @ stress, self.basis)
+        tensors = tensors @ np.swapaxes(self.A_inverse, 1, 2)[:, None]
+        return np.asarray(np.einsum("cqik,qnk,q,c->cni", tensors, gradients, w, self.J, optimize=True))
 
     def nodal_loads(self, f: Array) -> Array:
         """Return the loads (nc, n, d) on each cell's nodes of a force per volume with values `f` (nc, n, d) there."""

@@ -7,7 +7,6 @@ from functools import cached_property
 import numpy as np
 
 from forms.base import Array
-from geometry.topology import lagrange
 from thinlayer.bounding.cells import StraightCells, mass_matrix
 from thinlayer.bounding.macro import macro_cell
 from thinlayer.errors import SolveError
@@ -31,17 +30,12 @@ class Stresses:
         self._to_reference = np.linalg.inv(to_cell)
         self._metric = np.swapaxes(to_cell, 1, 2) @ cells.compliance @ to_cell * cells.J[:, None, None]
 
-    def of(self, U: Array) -> Array:
-        """Return the stress of displacements `U` (nc, n, d) of the cells' nodes."""
-        cells, degree = self.cells, self.cells.degree - 1
-        x = lagrange(cells.cell_type, degree).points if degree else self.macro.points.mean(axis=(0, 1))[None]
-        stress = np.einsum("crs,cqs->cqr", self._to_reference, cells.stress(U, x))
-        points = self.macro.points.reshape(-1, cells.d)
-        values = (
-            lagrange(cells.cell_type, degree).tabulate(0, points)[0, :, :, 0] if degree else np.ones((len(points), 1))
-        )
+    def of(self, values: Array) -> Array:
+        """Return the stress that has the values (nc, k, nv) at the cells' `stress_points`."""
+        in_reference = np.einsum("crs,cqs->cqr", self._to_reference, values)
         parts, nv, nk = self.macro.shape
-        return np.asarray(np.swapaxes((values @ stress).reshape(-1, parts, nk, nv), 2, 3))
+        at_nodes = self.cells.stress_values(self.macro.points.reshape(-1, self.cells.d)) @ in_reference
+        return np.asarray(np.swapaxes(at_nodes.reshape(-1, parts, nk, nv), 2, 3))
 
     def product(self, a: Array, b: Array) -> Array:
         """Return the integrals (nc,) of a : C^-1 : b over each cell; for a = b twice the complementary energy."""

@@ -12,6 +12,7 @@ from ufl.differentiation import Derivative
 from forms.base import Array
 from forms.law import BulkLaw
 from forms.law_tangents import depends_on_normal, evaluate, is_isotropic, tangent_at_rest
+from forms.rubber import Rubber
 from forms.tensors import Expr, average_lame
 from geometry.domain import Domain
 from geometry.topology import Indices, IntArray, lagrange
@@ -55,7 +56,7 @@ class StructureCells:
     """
 
     def __init__(self, model: InterfaceModel, layers: LayerSubproblem, t: float) -> None:
-        self._model, self._layer_model, self._t = model, layers.model, t
+        self._model, self._layers, self._layer_model, self._t = model, layers, layers.model, t
         _check_structure(model, layers)
         joint = layers.model.inflated_joint
         n_bodies, d = len(model.joint.cells), joint.dim
@@ -87,6 +88,21 @@ class StructureCells:
         x[of_bodies] = self._model.domain.joint.cell_points[numbers[of_bodies]]
         return np.asarray(x)
 
+    def stress(self, u: Array, w: Array) -> Array:
+        """Return stresses (nc, k, nv) at `stress_points` of the bodies' displacements `u` and the layers' unknowns `w`.
+
+        Where a law has a pressure field, its pressure replaces that of the displacements.
+        """
+        cells, U = self.cells, self.displacements(u, w)
+        stress = cells.stress(U)
+        has_pressure = np.flatnonzero(self._pressure_moduli)
+        if len(has_pressure):
+            unit = np.trace(cells.basis, axis1=1, axis2=2)
+            pressures = self._layers.cell_pressures(w)[has_pressure - len(self._model.joint.cells)]
+            by_strain = self._pressure_moduli[has_pressure, None] * (cells.strain(U)[has_pressure] @ unit)
+            stress[has_pressure] += (pressures - by_strain)[..., None] * unit
+        return stress
+
     # ---------------------------------------------------------------- laws
     def _stiffnesses(self) -> Array:
         """Return the stiffness (nc, nv, nv) of each cell, stress.
@@ -108,14 +124,17 @@ class StructureCells:
             if curved:
                 raise refusal("moduli", f"the law of {curved[0]} turns with the normal of S", "use an isotropic law")
         nv = 3 * (joint.dim - 1)
-        C = np.empty((len(joint.cells), nv, nv))
+        C, self._pressure_moduli = np.empty((len(joint.cells), nv, nv)), np.zeros(len(joint.cells))
+        indices = [*model.structure.kinematics.strain_indices(joint.dim)]
         for number, region in enumerate(joint.regions):
             in_region = np.flatnonzero(joint.region == number)
             directions, which = np.unique(np.round(normals[in_region], 12), axis=0, return_inverse=True)
             if not depends_on_normal(laws[region]):
                 directions, which = directions[:1], np.zeros_like(which)
-            tangents = [_tangent(laws[region], region, n, model) for n in directions]
-            C[in_region] = np.stack(tangents)[which.ravel()]
+            tangents = [_tangent(laws[region], region, n) for n in directions]
+            if laws[region].traits.constrained:
+                self._pressure_moduli[in_region] = average_lame(tangents[0])[0]
+            C[in_region] = np.stack(tangents)[which.ravel()][:, indices][:, :, indices]
         return C
 
     # ---------------------------------------------------------------- supports and loads
@@ -290,15 +309,15 @@ def _require_degree(values: Array, polynomial: Array, degree: int, where: str) -
         raise refusal("density", reason, "give one that is, or constants")
 
 
-def _tangent(law: BulkLaw, region: str, n: Array, model: Model) -> Array:
-    """Return the stiffness (nv, nv) of a law, stress; `n` (d,) is the normal of the layer."""
+def _tangent(law: BulkLaw, region: str, n: Array) -> Array:
+    """Return the stiffness (6, 6) in Mandel's order of a law, stress; `n` (d,) is the normal of the layer."""
     traits = law.traits
     if law.fields or traits.varies:
         raise refusal("moduli", f"moduli of {region} are functions of the place", "give numbers, or more regions")
     if traits.remembers or traits.rate:
         raise refusal("memory", f"the law of {region} has a memory or a rate", "use LinearElastic")
-    if traits.constrained:
-        raise refusal("incompressible", f"the law of {region} has a pressure of its own", "use LinearElastic")
+    if traits.constrained and not isinstance(law, Rubber):
+        raise refusal("incompressible", f"the law of {region} is incompressible", "use Rubber")
     if (C := tangent_at_rest(law, n)) is None:
         raise refusal("moduli", f"the stiffness of {region} is not known", "write a method stiffness(n) in its class")
     if is_isotropic(C):
@@ -306,8 +325,7 @@ def _tangent(law: BulkLaw, region: str, n: Array, model: Model) -> Array:
         if lmbda > 2 * MAX_POISSON_RATIO * (lmbda + mu):
             reason = f"{region} has a Poisson ratio above {MAX_POISSON_RATIO}: bounds would be wide"
             raise refusal("incompressible", reason, "use a smaller one")
-    indices = [*model.structure.kinematics.strain_indices(model.joint.dim)]
-    return np.asarray(C[np.ix_(indices, indices)])
+    return C
 
 
 def _check_structure(model: InterfaceModel, layers: LayerSubproblem) -> None:
@@ -316,7 +334,11 @@ def _check_structure(model: InterfaceModel, layers: LayerSubproblem) -> None:
     if model.domain.comm.size > 1:
         raise refusal("ranks", "cells are gathered on one rank only", "run on one rank")
     if structure.plane == "axisymmetric" or model.n_components != joint.dim:
-        raise refusal("kinematics", "bounds are of plane and 3D elasticity", "take with_finer_ends and finer cells")
+        raise refusal(
+            "kinematics",
+            "bounds are of plane and 3D elasticity",
+            "ask for `with_finer_ends`, and solve with finer cells",
+        )
     if joint.cell_type not in ("triangle", "tetrahedron") or model.element not in ("P1", "P2"):
         reason = f"cells are of the type {joint.cell_type}, elements {model.element}"
         raise refusal("cells", reason, "use triangles or tetrahedra with P1 or P2")

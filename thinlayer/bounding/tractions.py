@@ -63,18 +63,22 @@ class TractionBalance:
         patterns, self._pattern_of = np.unique(self._is_free, axis=1, return_inverse=True)
         self._projections = [_Projection(self._sums[:, mask], weight[mask]) for mask in patterns.T]
 
-    def moments(self, U: Array, loads: CellLoads) -> tuple[Array, float]:
-        """Return the moments for displacements `U` (nc, n, d) of each cell's nodes, which may differ between cells.
+    def moments(self, stress: Array, loads: CellLoads, U: Array) -> tuple[Array, float]:
+        """Return the moments that balance each cell, near those of stresses (nc, k, nv) at `stress_points`.
+
+        `U` (nc, n, d) are displacements of the cells' nodes; their size tells forces from rounding.
 
         Returns:
             Moments (nf m, d), and the largest unbalanced force on a node of a cell, over the largest nodal force.
         """
         cells, unbalanced = self._cells, 0.0
-        forces = cells.nodal_forces(U) - cells.nodal_loads(loads.body_force)
+        forces = cells.nodal_forces(stress) - cells.nodal_loads(loads.body_force)
         size = float(np.abs(forces).max())
-        if size <= MIN_FORCE_RATIO * (cells.node_stiffness * np.abs(U).max(axis=(1, 2))).max():  # a motion without strain
+        if (
+            size <= MIN_FORCE_RATIO * (cells.node_stiffness * np.abs(U).max(axis=(1, 2))).max()
+        ):  # a motion without strain
             return np.where(self._is_free, 0.0, loads.moments), 0.0
-        moments = np.where(self._is_free, self._mean_moments(U), loads.moments)
+        moments = np.where(self._is_free, self._mean_moments(stress), loads.moments)
         for component, pattern in enumerate(self._pattern_of.ravel()):
             mask, needed = self._is_free[:, component], forces[:, :, component].ravel()[self._rows]
             for _ in range(2):  # the second solve removes rounding errors of the first
@@ -83,13 +87,13 @@ class TractionBalance:
             unbalanced = max(unbalanced, float(np.abs(needed - self._sums @ moments[:, component]).max()))
         return moments, unbalanced / size
 
-    def _mean_moments(self, U: Array) -> Array:
-        """Return mean moments (nf m, d) of the stresses of displacements on both sides of facets."""
+    def _mean_moments(self, stress: Array) -> Array:
+        """Return mean moments (nf m, d) of stresses (nc, k, nv) on both sides of facets."""
         cells, mass = self._cells, mass_matrix(self._cells.facet_type, self._cells.degree)
         own = np.empty((*cells.moment_rows.shape, cells.d))
         for facet in range(cells.d + 1):
-            stress = cells.stress(U, cells.facet_points(facet))
-            own[:, facet] = mass @ np.einsum("cqr,rij,cj->cqi", stress, cells.basis, cells.area_vectors[:, facet])
+            values = cells.stress_values(cells.facet_points(facet)) @ stress
+            own[:, facet] = mass @ np.einsum("cqr,rij,cj->cqi", values, cells.basis, cells.area_vectors[:, facet])
         sums = cells.moment_sums((self._softness[:, None] * cells.sign)[:, :, None, None] * own)
         return np.asarray(sums / np.repeat(self._totals, cells.facet_nodes.shape[1])[:, None])
 

@@ -148,12 +148,13 @@ class Continuum:
         w = layers.dirichlet_displacements(iterate.face_u, iterate.load, iterate.side_u)
         r = iterate.F - layers.dirichlet_reactions(iterate.face_u, iterate.load, iterate.side_u)
         U = self.structure.displacements(iterate.u, w)
-        seed_U = self.structure.displacements(iterate.u, w + layers.neumann_displacements(layers.free_face_values(r)))
-        moments, imbalance = self._balance.moments(seed_U, loads)
+        moved = w + layers.neumann_displacements(layers.free_face_values(r))
+        stress = self.structure.stress(iterate.u, moved)
+        moments, imbalance = self._balance.moments(stress, loads, U)
         if not imbalance <= MAX_IMBALANCE:
             reason = f"forces on nodes of cells are not in balance: {imbalance:.1g} of them is left"
             raise refusal("balance", f"{reason}, allowed: {MAX_IMBALANCE:g}", "use a thicker layer, or less contrast")
-        seed, of_U = stresses.of(seed_U), stresses.of(U)
+        seed, of_U = stresses.of(stress), stresses.of(stresses.cells.stress(U))
         difference = self._improvement.improved(loads, moments, seed, self._steps) - of_U
         law_square = float(stresses.product(seed - of_U, seed - of_U).sum())
         return _Field(U, loads, difference, stresses.product(difference, difference), law_square, imbalance)
@@ -187,7 +188,9 @@ class Continuum:
         """
         stresses, cells = self._stresses, self._stresses.cells
         g, g_z = (math.sqrt(part.squares.sum()) for part in (a, z))
-        energies = [float((cells.nodal_forces(U) * V).sum()) for U, V in ((a.U, z.U), (a.U, a.U), (z.U, z.U))]
+        energies = [
+            float((cells.nodal_forces(cells.stress(U)) * V).sum()) for U, V in ((a.U, z.U), (a.U, a.U), (z.U, z.U))
+        ]
         middle = at_rest + z.loads.work(cells, a.U) + a.loads.work(cells, z.U) - energies[0]
         middle += float(stresses.product(a.difference, z.difference).sum()) / 2
         imbalance = max(a.imbalance, z.imbalance)

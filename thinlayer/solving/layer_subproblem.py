@@ -108,6 +108,19 @@ class DirichletLayers:
         self._equations.residual(self._x, self._out)
         return np.asarray(self._out.array_r.copy())
 
+    def cell_pressures(self, w: Array) -> Array:
+        """Return the pressures (n_cells, k) at the k vertices of the layers' cells, in the joint's order; zero if none.
+
+        `w` (n,) are unknowns of the layers.
+        """
+        self.residual(w)  # sets the fields
+        domain = self.model.domain
+        out = np.zeros(domain.joint.corners.shape)
+        for part in self._equations.field_parts:
+            dofs = np.asarray(part.field.function_space.dofmap.list)
+            out[domain.original_cells[part.region.indices]] = part.field.x.array[dofs] * part.unit
+        return out
+
     def linearise(self, w: Array) -> None:
         """Linearise the layers at unknowns `w` (n,): set their tangent stiffness K and their `load`.
 
