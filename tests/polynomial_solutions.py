@@ -108,7 +108,8 @@ def random_problem(d, rng, degree=None, rollers=None):
     if rng.random() < 0.3:
         Q = rng.normal(size=(nv, nv))
         C = C + E * 0.5 * Q @ Q.T
-    cells = StraightCells(points, corners, p, np.broadcast_to(C, (len(corners), nv, nv)))
+    cell_type = "triangle" if d == 2 else "tetrahedron"
+    cells = StraightCells(points, corners, cell_type, p, np.broadcast_to(C, (len(corners), nv, nv)))
     rollers = bool(rng.random() < 0.5) if rollers is None else rollers
     exact = Polynomial(d, p + 1, rollers, rng)
     n, m = cells.nodes.shape[1], cells.facet_nodes.shape[1]

@@ -1,8 +1,8 @@
-"""Straight triangles or tetrahedra as arrays, with their facets, nodes and stiffnesses."""
+"""Straight triangles, tetrahedra or parallelograms as arrays, with their facets, nodes and stiffnesses."""
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cache, cached_property
 
 import basix
 import numpy as np
@@ -15,62 +15,74 @@ from geometry.topology import (
     FacetTable,
     FloatArray,
     IntArray,
+    is_tensor,
     lagrange,
     local_facets,
     sum_by_number,
 )
 
 
+@cache
+def polynomials(cell_type: str, degree: int) -> basix.finite_element.FiniteElement:
+    """Return Basix's scalar Lagrange element of any degree; up to degree 2 it is that of `geometry.topology.lagrange`."""
+    variant = basix.LagrangeVariant.gll_warped
+    return basix.create_element(basix.ElementFamily.P, basix.CellType[cell_type], degree, variant)
+
+
 def mass_matrix(cell_type: str, degree: int) -> FloatArray:
     """Return the integrals (n, n) of products of a Lagrange element's n shape functions, for a cell of volume 1."""
     x, w = basix.make_quadrature(basix.CellType[cell_type], 2 * degree)
-    values = lagrange(cell_type, degree).tabulate(0, x)[0, :, :, 0]
+    values = polynomials(cell_type, degree).tabulate(0, x)[0, :, :, 0]
     return np.asarray(values.T @ ((w / w.sum())[:, None] * values))
 
 
-def area_vectors(d: int) -> FloatArray:
-    """Return the outward normals (d + 1, d) of the facets of the reference simplex, each as long as the facet's area."""
+def area_vectors(cell_type: str) -> FloatArray:
+    """Return the outward normals (facets, d) of the facets of the reference cell, each as long as the facet's area."""
+    if cell_type == "quadrilateral":
+        return np.array([[0.0, -1.0], [-1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    d = 2 if cell_type == "triangle" else 3
     return np.vstack([np.ones(d), -np.eye(d)]) / (d - 1)
 
 
 class StraightCells:
-    """Straight simplices of bodies and layers with shape functions of a degree, and the facets between them.
+    """Affine cells of bodies and layers with shape functions of a degree, and the facets between them.
 
-    A cell has n nodes, d + 1 facets and nv components of stress (Mandel's order, in d dimensions); a facet has m nodes.
-    A moment is the integral of a traction times the shape function of a node. It is stored once for each facet, as a
-    load on the first of its cells; the second cell sees it with the opposite sign.
+    In d dimensions a cell has n nodes, l vertices, f facets and nv components of stress (Mandel's order); a facet has
+    m nodes. A moment is the integral of a traction times the shape function of a node. It is stored once for each facet,
+    as a load on the first of its cells; the second cell sees it with the opposite sign.
 
     Attributes:
-        d, degree, cell_type: dimension; degree 1 or 2 of displacements; "triangle" or "tetrahedron".
+        d, degree, cell_type: dimension; degree 1 or 2 of displacements; "triangle", "tetrahedron", "quadrilateral".
         basis: (nv, d, d) symmetric tensors of norm 1, to which the components of stress belong.
-        corners: (nc, d + 1) numbers of the vertices of nc cells.
+        corners: (nc, l) numbers of the vertices of nc cells.
         A, A_inverse: (nc, d, d) Jacobians of the cells and their inverses.
         J, volume: (nc,) sizes of the Jacobians' determinants, and volumes of the cells.
         C, compliance: (nc, nv, nv) stiffness of each cell, stress, and its inverse.
         nodes: (nc, n) numbers of the nodes of each cell; node_vertices (nn, 2) the vertices that each node lies amid.
         facets, facet_cells: (nf, d) vertices, and (nf, 2) cells of each facet; -1: no second cell.
-        cell_facets, sign: (nc, d + 1) numbers of a cell's facets, and 1 or -1 for its first or second cell.
-        area_vectors: (nc, d + 1, d) outward normals of a cell's facets, as long as their area.
+        cell_facets, sign: (nc, f) numbers of a cell's facets, and 1 or -1 for its first or second cell.
+        area_vectors: (nc, f, d) outward normals of a cell's facets, as long as their area.
         facet_nodes: (nf, m) numbers of the nodes of each facet.
-        moment_rows: (nc, d + 1, m) row of each facet's node, in the order of the cell, among all nf m moments.
+        moment_rows: (nc, f, m) row of each facet's node, in the order of the cell, among all nf m moments.
 
     Args:
         points: (n_points, d) coordinates, lengths.
-        corners: (nc, d + 1) numbers of the vertices of each cell.
+        corners: (nc, l) numbers of the vertices of each cell; of a quadrilateral a parallelogram's.
+        cell_type: type of the cells.
         degree: polynomial degree of displacements.
         C: (nc, nv, nv) stiffness of each cell in Mandel's order, stress.
     """
 
-    def __init__(self, points: FloatArray, corners: IntArray, degree: int, C: Array) -> None:
+    def __init__(self, points: FloatArray, corners: IntArray, cell_type: str, degree: int, C: Array) -> None:
         self.points, self.corners, self.degree, self.d = points, corners, degree, points.shape[1]
-        self.cell_type = {2: "triangle", 3: "tetrahedron"}[self.d]
+        self.cell_type = cell_type
         self.element, self.facet_element = (lagrange(kind, degree) for kind in (self.cell_type, self.facet_type))
         self.basis = MANDEL_BASIS[[j < self.d for _, j in MANDEL_PAIRS]][:, : self.d, : self.d]
         self.C, self.compliance = C, np.linalg.inv(C)
-        self.A = np.swapaxes(points[corners[:, 1:]] - points[corners[:, :1]], 1, 2)
+        self.A = np.swapaxes(points[corners[:, 1 : self.d + 1]] - points[corners[:, :1]], 1, 2)
         self.A_inverse, self.J = np.linalg.inv(self.A), np.abs(np.linalg.det(self.A))
-        self.volume = self.J / (2 if self.d == 2 else 6)
-        self.area_vectors = self.J[:, None, None] * (area_vectors(self.d) @ self.A_inverse)
+        self.volume = self.J / {"triangle": 2, "tetrahedron": 6, "quadrilateral": 1}[cell_type]
+        self.area_vectors = self.J[:, None, None] * (area_vectors(cell_type) @ self.A_inverse)
         table = FacetTable.of(corners, self.cell_type)
         self.facets, self.facet_cells = table.vertices, table.cells
         self.cell_facets = table.index(corners[:, local_facets(self.cell_type)].reshape(-1, self.d))
@@ -93,8 +105,11 @@ class StraightCells:
             unique_pairs, numbers = np.unique(pairs.reshape(-1, 2), axis=0, return_inverse=True)
             nodes.append(numbers.reshape(len(corners), -1) + len(self.node_vertices))
             self.node_vertices = np.vstack([self.node_vertices, unique_pairs])
+            if is_tensor(self.cell_type):
+                nodes.append(np.arange(len(corners))[:, None] + len(self.node_vertices))
+                self.node_vertices = np.vstack([self.node_vertices, corners[:, [0, 3]]])
         self.nodes = np.hstack(nodes)
-        self.closure = np.array(self.element.entity_closure_dofs[-2])  # (d + 1, m) positions of facets' nodes
+        self.closure = np.array(self.element.entity_closure_dofs[-2])  # (f, m) positions of facets' nodes
         nodes_of_facets = self.nodes[:, self.closure]
         rank = nodes_of_facets.argsort(axis=2).argsort(axis=2)
         self.moment_rows = self.cell_facets[:, :, None] * self.closure.shape[1] + rank
@@ -119,15 +134,22 @@ class StraightCells:
         return np.asarray(self.facet_cells[:, 1] < 0)
 
     @cached_property
+    def _stress_element(self) -> basix.finite_element.FiniteElement | None:
+        """Element that contains the strains of displacements in a cell; None: they are constant."""
+        if is_tensor(self.cell_type):
+            return self.element
+        return lagrange(self.cell_type, 1) if self.degree == 2 else None
+
+    @cached_property
     def stress_points(self) -> FloatArray:
         """(k, d) points of the reference cell whose stresses determine those of displacements in the whole cell."""
-        corners = lagrange(self.cell_type, 1).points
-        return np.asarray(corners if self.degree == 2 else corners.mean(axis=0, keepdims=True))
+        element = self._stress_element
+        return np.asarray(element.points if element else lagrange(self.cell_type, 1).points.mean(axis=0, keepdims=True))
 
     def stress_values(self, x: FloatArray) -> FloatArray:
         """Return (n, k) factors that make the stresses at n points `x` (n, d) from those at the k `stress_points`."""
-        linear = lagrange(self.cell_type, 1).tabulate(0, x)[0, :, :, 0]
-        return np.asarray(linear if self.degree == 2 else np.ones((len(x), 1)))
+        element = self._stress_element
+        return np.asarray(element.tabulate(0, x)[0, :, :, 0] if element else np.ones((len(x), 1)))
 
     def strain(self, U: Array) -> Array:
         """Return the strains (nc, k, nv) of displacements `U` (nc, n, d) at the `stress_points`."""
@@ -141,7 +163,7 @@ class StraightCells:
 
     def nodal_forces(self, stress: Array) -> Array:
         """Return the forces (nc, n, d) on each cell's nodes that balance stresses (nc, k, nv) at `stress_points`."""
-        x, w = basix.make_quadrature(basix.CellType[self.cell_type], max(2 * self.degree - 2, 1))
+        x, w = basix.make_quadrature(basix.CellType[self.cell_type], 2 * self.degree)
         gradients = np.moveaxis(self.element.tabulate(1, x)[1:, :, :, 0], 0, 2)
         tensors = np.einsum("cqr,rij->cqij", self.stress_values(x) @ stress, self.basis)
         tensors = tensors @ np.swapaxes(self.A_inverse, 1, 2)[:, None]
@@ -158,5 +180,5 @@ class StraightCells:
         return np.asarray(v[0] + x @ (v[1:] - v[0]))
 
     def moment_sums(self, cell_moments: Array) -> Array:
-        """Return the sums (nf m, ...) of values (nc, d + 1, m, ...) of cells over the cells at each facet."""
+        """Return the sums (nf m, ...) of values (nc, f, m, ...) of cells over the cells at each facet."""
         return sum_by_number(self.moment_rows, cell_moments, self.facet_nodes.size)

@@ -1,7 +1,7 @@
 """Reference cell cut at its centre, with polynomial stresses that have any tractions in balance and any divergence.
 
-Straight lines from the centre (mean of the vertices) of a simplex to its vertices divide it into d + 1 parts in d
-dimensions. On each part the stress is symmetric and of degree k; its tractions are continuous between the parts.
+Straight lines from the centre (mean of the vertices) of a cell to its vertices divide it into simplices, one at each
+facet. On each of these parts the stress is symmetric and of degree k; its tractions are continuous between the parts.
 A cell with Jacobian A has the stress A y A^T, with a stress y of the reference cell. Its tractions and its
 divergence then fulfil the same equations for all cells, so that one decomposition solves all of them.
 """
@@ -15,14 +15,15 @@ import numpy as np
 
 from forms.base import Array
 from forms.tensors import MANDEL_BASIS, MANDEL_PAIRS
-from geometry.topology import FACET_TYPES, FloatArray, lagrange, local_facets
-from thinlayer.bounding.cells import area_vectors, mass_matrix
+from geometry.topology import FACET_TYPES, FloatArray, is_tensor, lagrange, local_facets
+from thinlayer.bounding.cells import area_vectors, mass_matrix, polynomials
 
+SIMPLEX_TYPES = {2: "triangle", 3: "tetrahedron"}
 RANK_TOLERANCE = 1e-10  # singular value of the equations, over the largest, that counts as zero
 
 
 class MacroCell:
-    """Stresses of degree k on the reference simplex cut at its centre, for given tractions and divergence.
+    """Stresses of degree k on the reference cell cut at its centre, for given tractions and divergence.
 
     A stress is an array (parts, nv, nk): values of its nv components at the nk nodes of each part. With the equations
     B y = data, all stresses are y = P data + N a with arbitrary a.
@@ -30,47 +31,54 @@ class MacroCell:
     Attributes:
         points: (parts, nk, d) nodes of the parts.
         div_points: (parts, ., d) points at which the divergence is prescribed, which has degree k - 1.
-        equations: (rows, parts nv nk) matrix B. Rows are first tractions times area at the nodes of the outer facets,
+        equations: (rows, parts nv nk) matrix B. Rows are first tractions times area at the k-th lattice of each facet,
             then the divergence at `div_points`, then jumps of tractions between parts, which are zero.
+        to_tractions: (., m) factors that make the first data, of a facet, from its m moments.
         n_tractions, n_data: number of the first, and of the first two kinds of rows.
         particular: (parts nv nk, n_data) matrix P.
         null_space: (parts nv nk, .) matrix N.
         mass: (parts, nk, nk) integrals of products of shape functions on each part.
 
     Args:
-        cell_type: "triangle" or "tetrahedron".
-        degree: degree k of the stresses, and of the tractions.
+        cell_type: "triangle", "tetrahedron" or "quadrilateral".
+        degree: degree of displacements, and of the tractions. Stresses of triangles and tetrahedra have this degree, too.
+            Gradients of displacements on quadrilaterals have a degree that is higher by one, and so have stresses.
     """
 
     def __init__(self, cell_type: str, degree: int) -> None:
-        self._element = element = lagrange(cell_type, degree)
-        corners, facet_points = lagrange(cell_type, 1).points, lagrange(FACET_TYPES[cell_type], degree).points
-        d, centre = corners.shape[1], corners.mean(axis=0)
+        corners, facets = lagrange(cell_type, 1).points, local_facets(cell_type)
+        d, centre, facet_type = corners.shape[1], corners.mean(axis=0), FACET_TYPES[cell_type]
+        k = degree + is_tensor(cell_type)
+        self._element = element = polynomials(SIMPLEX_TYPES[d], k)
+        facet_points, inside = polynomials(facet_type, k).points, lagrange(SIMPLEX_TYPES[d], max(k - 1, 1)).points
+        inside = inside if k > 1 else inside.mean(axis=0, keepdims=True)
+        densities = lagrange(facet_type, degree).tabulate(0, facet_points)[0, :, :, 0]
+        self.to_tractions = densities @ np.linalg.inv(mass_matrix(facet_type, degree))
         self._basis = MANDEL_BASIS[[j < d for _, j in MANDEL_PAIRS]][:, :d, :d]
-        self._parts = np.stack([np.vstack([corners[f], centre]) for f in local_facets(cell_type)])
+        self._parts = np.stack([np.vstack([corners[f], centre]) for f in facets])
         self.points = np.stack([v[0] + element.points @ (v[1:] - v[0]) for v in self._parts])
-        inside = lagrange(cell_type, degree - 1).points if degree > 1 else centre[None]
         self.div_points = np.stack([v[0] + inside @ (v[1:] - v[0]) for v in self._parts])
-        self.shape = (d + 1, len(self._basis), element.dim)
+        self.shape = (len(facets), len(self._basis), element.dim)
         rows = []
-        for part, (v, normal) in enumerate(zip(self._parts, area_vectors(d), strict=True)):
+        for part, (v, normal) in enumerate(zip(self._parts, area_vectors(cell_type), strict=True)):
             rows.append(self._traction_rows(part, v[0] + facet_points @ (v[1:-1] - v[0]), normal))
         self.n_tractions = sum(map(len, rows))
-        rows += [self._divergence_rows(part) for part in range(d + 1)]
+        rows += [self._divergence_rows(part) for part in range(len(facets))]
         self.n_data = sum(map(len, rows))
-        for a, b in combinations(range(d + 1), 2):
-            v = np.vstack([np.delete(corners, (a, b), axis=0), centre])
-            edges = v[1:] - v[0]
-            normal = np.cross(*edges) if d == 3 else np.array([edges[0, 1], -edges[0, 0]])
-            x = v[0] + facet_points @ edges
-            rows.append(self._traction_rows(a, x, normal) - self._traction_rows(b, x, normal))
+        for a, b in combinations(range(len(facets)), 2):
+            v = np.vstack([corners[np.intersect1d(facets[a], facets[b])], centre])
+            if len(v) == d:  # else opposite parts
+                edges = v[1:] - v[0]
+                normal = np.cross(*edges) if d == 3 else np.array([edges[0, 1], -edges[0, 0]])
+                x = v[0] + facet_points @ edges
+                rows.append(self._traction_rows(a, x, normal) - self._traction_rows(b, x, normal))
         self.equations = np.vstack(rows)
         U, s, Vt = np.linalg.svd(self.equations)
         rank = int((s > RANK_TOLERANCE * s[0]).sum())
         self.particular = (Vt[:rank].T / s[:rank]) @ U[: self.n_data, :rank].T
         self.null_space = Vt[rank:].T
         part_volumes = np.abs(np.linalg.det(self._parts[:, 1:] - self._parts[:, :1])) / (2 if d == 2 else 6)
-        self.mass = part_volumes[:, None, None] * mass_matrix(cell_type, degree)
+        self.mass = part_volumes[:, None, None] * mass_matrix(SIMPLEX_TYPES[d], k)
 
     def _reference_points(self, part: int, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         v = self._parts[part]

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from forms.base import Array
-from thinlayer.bounding.cells import StraightCells, mass_matrix
+from thinlayer.bounding.cells import StraightCells
 from thinlayer.bounding.macro import macro_cell
 from thinlayer.errors import SolveError
 
@@ -15,12 +15,12 @@ ROW_TOLERANCE = 1e-6  # largest residual of the equations of equilibrium in a ce
 
 
 class Stresses:
-    """Stresses of straight cells that are polynomials on the parts of each cell, see `MacroCell`.
+    """Stresses of affine cells that are polynomials on the parts of each cell, see `MacroCell`.
 
     A stress is an array (nc, parts, nv, nk), in the metric of the reference cell.
 
     Args:
-        cells: the cells; stresses have the degree of their displacements.
+        cells: the cells.
     """
 
     def __init__(self, cells: StraightCells) -> None:
@@ -62,9 +62,7 @@ class Stresses:
             SolveError: a cell is not in balance.
         """
         cells, macro = self.cells, self.macro
-        densities = np.linalg.inv(mass_matrix(cells.facet_type, cells.degree)) @ (
-            moments[cells.moment_rows] * cells.sign[:, :, None, None]
-        )
+        densities = macro.to_tractions @ (moments[cells.moment_rows] * cells.sign[:, :, None, None])
         tractions = np.einsum("cij,cfpj->cfpi", cells.A_inverse, densities) / cells.J[:, None, None, None]
         values = cells.element.tabulate(0, macro.div_points.reshape(-1, cells.d))[0, :, :, 0]
         divergence = -np.einsum("cij,qn,cnj->cqi", cells.A_inverse, values, f, optimize=True)
@@ -87,9 +85,8 @@ class Stresses:
     def _unit_moments(self) -> Array:
         """(parts nv nk, facets m d) stresses of the reference cell under unit tractions, from moments of all facets."""
         cells, macro = self.cells, self.macro
-        inverse_mass = np.linalg.inv(mass_matrix(cells.facet_type, cells.degree))
-        by_node = macro.particular[:, : macro.n_tractions].reshape(-1, cells.d + 1, len(inverse_mass), cells.d)
-        return np.einsum("yfpd,pn->yfnd", by_node, inverse_mass).reshape(len(by_node), -1)
+        by_node = macro.particular[:, : macro.n_tractions].reshape(-1, macro.shape[0], len(macro.to_tractions), cells.d)
+        return np.einsum("yfpd,pn->yfnd", by_node, macro.to_tractions).reshape(len(by_node), -1)
 
     def flexibilities(self) -> Array:
         """Return matrices (nc, k, k) of the complementary energy of a cell's k outward moments on its facets."""
@@ -113,5 +110,5 @@ class Stresses:
         """Return the derivative (nc, facets, m, d), by a cell's outward moments, of half the squared norm of `change`."""
         cells, Y = self.cells, self._unit_moments.reshape(*self.macro.shape, -1)
         pairs = np.einsum("csrn,smn,stmi->crti", change, self.macro.mass, Y, optimize=True)
-        by_moment = np.einsum("crt,crti->ci", self._metric, pairs).reshape(len(change), cells.d + 1, -1, cells.d)
+        by_moment = np.einsum("crt,crti->ci", self._metric, pairs).reshape(len(change), len(Y), -1, cells.d)
         return np.asarray(np.einsum("cfni,cik->cfnk", by_moment, cells.A_inverse / cells.J[:, None, None]))

@@ -62,9 +62,15 @@ class StructureCells:
         n_bodies, d = len(model.joint.cells), joint.dim
         self.is_layer = np.arange(len(joint.cells)) >= n_bodies
         degree = model.structure.degree
-        self.cells = StraightCells(joint.points, joint.corners, degree, self._stiffnesses())
+        self.cells = StraightCells(joint.points, joint.corners, joint.cell_type, degree, self._stiffnesses())
+        if joint.cell_type == "quadrilateral":
+            x = joint.points[joint.corners]
+            if np.abs(x[:, 0] + x[:, 3] - x[:, 1] - x[:, 2]).max() > SHAPE_TOLERANCE * joint.size:
+                raise refusal("cells", "some quadrilaterals are no parallelograms", "use triangles")
         body_points = model.domain.joint.cell_points
-        difference = np.abs(self.cells.A[:n_bodies] - np.swapaxes(body_points[:, 1:] - body_points[:, :1], 1, 2)).max()
+        difference = np.abs(
+            self.cells.A[:n_bodies] - np.swapaxes(body_points[:, 1 : d + 1] - body_points[:, :1], 1, 2)
+        ).max()
         if difference > SHAPE_TOLERANCE * joint.size:
             reason = "making room for the layer changes the shape of the bodies' cells"
             raise refusal("shape", reason, "use bodies='extended'")
@@ -98,9 +104,10 @@ class StructureCells:
         has_pressure = np.flatnonzero(self._pressure_moduli)
         if len(has_pressure):
             unit = np.trace(cells.basis, axis1=1, axis2=2)
+            at_points = lagrange(cells.cell_type, 1).tabulate(0, cells.stress_points)[0, :, :, 0]
             pressures = self._layers.cell_pressures(w)[has_pressure - len(self._model.joint.cells)]
             by_strain = self._pressure_moduli[has_pressure, None] * (cells.strain(U)[has_pressure] @ unit)
-            stress[has_pressure] += (pressures - by_strain)[..., None] * unit
+            stress[has_pressure] += (pressures @ at_points.T - by_strain)[..., None] * unit
         return stress
 
     # ---------------------------------------------------------------- laws
@@ -271,7 +278,7 @@ class _Density:
         x, probes = cells.element.points, CELL_PROBES[cells.d]
         vertex = lagrange(cells.cell_type, 1).tabulate(0, np.vstack([x, probes]))[0, :, :, 0]
         values = self._values(vertex @ corners, np.zeros((len(corners), len(vertex), cells.d)))
-        low = vertex @ values[:, : cells.d + 1] if cells.degree == 2 else values.mean(axis=1, keepdims=True)
+        low = vertex @ values[:, : cells.corners.shape[1]] if cells.degree == 2 else values.mean(axis=1, keepdims=True)
         _require_degree(values, low, cells.degree - 1, "volume")
         return values[:, : len(x)]
 
@@ -288,7 +295,7 @@ class _Density:
         out = np.empty((len(facets), m, cells.d))
         mass = mass_matrix(cells.facet_type, cells.degree)
         probes = np.vstack([cells.facet_element.points, FACET_PROBES[cells.d]])
-        for facet in range(cells.d + 1):
+        for facet in range(cells.sign.shape[1]):
             some = np.flatnonzero(local == facet)
             v = lagrange(cells.cell_type, 1).points[lagrange(cells.cell_type, 1).entity_closure_dofs[-2][facet]]
             vertex = lagrange(cells.cell_type, 1).tabulate(0, v[0] + probes @ (v[1:] - v[0]))[0, :, :, 0]
@@ -339,9 +346,10 @@ def _check_structure(model: InterfaceModel, layers: LayerSubproblem) -> None:
             "bounds are of plane and 3D elasticity",
             "ask for `with_finer_ends`, and solve with finer cells",
         )
-    if joint.cell_type not in ("triangle", "tetrahedron") or model.element not in ("P1", "P2"):
+    elements = ("Q1", "Q2") if joint.cell_type == "quadrilateral" else ("P1", "P2")
+    if joint.cell_type == "hexahedron" or model.element not in elements:
         reason = f"cells are of the type {joint.cell_type}, elements {model.element}"
-        raise refusal("cells", reason, "use triangles or tetrahedra with P1 or P2")
+        raise refusal("cells", reason, "use triangles or tetrahedra with P1 or P2, or parallelograms with Q1 or Q2")
     if joint.degree > 1:
         raise refusal("curved", "cells are curved", "make a joint with straight ones (degree 1)")
     if joint.periods or structure.strain is not None or structure.stress is not None:

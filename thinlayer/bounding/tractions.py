@@ -56,7 +56,7 @@ class TractionBalance:
         entries = (signs.ravel(), (rows.ravel(), cells.moment_rows.ravel()))
         self._sums = scipy.sparse.csr_matrix(entries, (n_cells * n, n_rows))[self._rows]
         self._softness = np.trace(cells.compliance, axis1=1, axis2=2) * cells.volume
-        of_cells = np.repeat(self._softness[:, None], cells.d + 1, axis=1)
+        of_cells = np.repeat(self._softness[:, None], cells.sign.shape[1], axis=1)
         self._totals = sum_by_number(cells.cell_facets, of_cells, len(cells.facets))
         weight = np.repeat(self._totals / cells.areas**2, cells.facet_nodes.shape[1])
         self._is_free = np.repeat(is_free, cells.facet_nodes.shape[1], axis=0)
@@ -91,7 +91,7 @@ class TractionBalance:
         """Return mean moments (nf m, d) of stresses (nc, k, nv) on both sides of facets."""
         cells, mass = self._cells, mass_matrix(self._cells.facet_type, self._cells.degree)
         own = np.empty((*cells.moment_rows.shape, cells.d))
-        for facet in range(cells.d + 1):
+        for facet in range(cells.sign.shape[1]):
             values = cells.stress_values(cells.facet_points(facet)) @ stress
             own[:, facet] = mass @ np.einsum("cqr,rij,cj->cqi", values, cells.basis, cells.area_vectors[:, facet])
         sums = cells.moment_sums((self._softness[:, None] * cells.sign)[:, :, None, None] * own)
