@@ -139,6 +139,14 @@ def ignored():
 
 glue_state = cache(lambda: march(law_of(glue()), [1.0]).last)
 load = lambda **body: [PointLoad((0.0, 0.0), (0.0, 0.1), **body)]
+mean_of = lambda density: goals.Functional("mean", lambda u, m: density(u) * m.ds(m.domain.values("TOP")))
+
+
+def bounds(layer=None, goal=None, **data):
+    """Bounds against the continuum."""
+    return estimate(solved(layer or glue(), **data), goals=[goal or goals.Compliance()]).continuum()
+
+
 # key or words of a refusal, what is refused, what it advises
 CASES = [
     ("unknown", lambda: law_of(ThinLayer(Conduction(1.0), 0.05)), lambda: heated().interface(PAD)),
@@ -189,6 +197,19 @@ CASES = [
     ("moved", lambda: estimate(solved(Bond(), **ARC), glue()), ignored),
     ("moved", lambda: thin_enough(made(**ARC), glue(), 0.05, bonded=True), ignored),
     ("moved", lambda: thin_enough(made(**ARC), glue(), 0.05, bonded=True, bodies="extended"), ignored),
+    ("not linear", lambda: bounds(glue(CUBIC)), lambda: estimate(solved(glue(CUBIC))).energy),
+    ("kinematics", lambda: bounds(**TURNED), lambda: estimate(solved(glue(), **TURNED)).with_finer_ends()),
+    ("cells", lambda: bounds(element="S2"), lambda: bounds(element="Q2")),
+    ("parts", lambda: bounds(loads=load(body="UPPER")), bounds),
+    ("eigenstrain", lambda: bounds(glue(eigenstrain=0.1)), bounds),
+    ("point support", lambda: bounds(supports={"BOTTOM": {"y": 0.0}, (0.0, -1.0): {"x": 0.0}}), bounds),
+    ("moving support", lambda: bounds(supports={"BOTTOM": {"x": 0.0, "y": lambda x, t: 0.1 * x[0]}}),
+        lambda: bounds(supports={"BOTTOM": {"x": 0.0, "y": 0.1}})),
+    ("density", lambda: bounds(tractions={"TOP": lambda x, t: (0.0, ufl.exp(x[0]))}),
+        lambda: bounds(tractions={"TOP": lambda x, t: (0.0, x[0] ** 2)})),
+    ("density", lambda: bounds(goal=mean_of(lambda u: ufl.div(u))), lambda: bounds(goal=mean_of(lambda u: u[0]))),
+    ("goal", lambda: bounds(goal=goals.Displacement((4.0, 1.2), (0, 1))), lambda: bounds(goal=mean_of(lambda u: u[1]))),
+    ("incompressible", lambda: bounds(glue(WATER)), lambda: bounds(glue(Rubber.shear(1.0, 0.49)))),
     ("march(model, times)", lambda: solved(glue(KELVIN)), lambda: march(law_of(glue(KELVIN)), [1.0])),
     ("march(model, times)", lambda: solved(glue(FLAWED)), lambda: march(law_of(glue(FLAWED)), [1.0])),
     ("method='newton'", lambda: solve(law_of(glue(CUBIC)), method="linear"),
