@@ -26,6 +26,7 @@ from thinlayer.discretisation.state import Configuration, Report, State
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import SolveError
 from thinlayer.parts.part import TimeStep
+from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import SubmatrixFactor
 from thinlayer.solving.part_sum import FORCE_ROUNDING
@@ -117,6 +118,7 @@ class DirichletLayers:
         domain = self.model.domain
         out = np.zeros(domain.joint.corners.shape)
         for part in self._equations.field_parts:
+            assert isinstance(part, PressurePart)  # a layer has no other fields
             dofs = np.asarray(part.field.function_space.dofmap.list)
             out[domain.original_cells[part.region.indices]] = part.field.x.array[dofs] * part.unit
         return out
