@@ -121,6 +121,12 @@ def _facet_motions(cells: StraightCells) -> tuple[FloatArray, FloatArray]:
     return np.concatenate([translations, rotations], axis=3).reshape(len(x), arms[0].size, -1), size
 
 
+def _matrix(blocks: Array, dofs: IntArray, n: int) -> scipy.sparse.csr_matrix:
+    """Return the sum (n, n) of blocks (m, k, k) at rows and columns `dofs` (m, k)."""
+    rows, columns = np.repeat(dofs, dofs.shape[1], axis=1).ravel(), np.tile(dofs, (1, dofs.shape[1])).ravel()
+    return scipy.sparse.csr_matrix((blocks.ravel(), (rows, columns)), (n, n))
+
+
 class TractionImprovement:
     """Lowers the complementary energy of stresses in equilibrium by a few conjugate-gradient steps on tractions.
 
@@ -136,19 +142,35 @@ class TractionImprovement:
     def __init__(self, stresses: Stresses, is_free: BoolArray, in_layer: BoolArray) -> None:
         self._stresses, cells = stresses, stresses.cells
         self._T = balanced_changes(cells, is_free)
-        n, sign = self._T.shape[0], np.repeat(cells.sign, cells.closure.shape[1] * cells.d, axis=1)
-        H = stresses.flexibilities() * sign[:, :, None] * sign[:, None]
-        dofs = (cells.moment_rows[..., None] * cells.d + np.arange(cells.d)).reshape(len(H), -1)
-        rows, columns = np.repeat(dofs, dofs.shape[1], axis=1).ravel(), np.tile(dofs, (1, dofs.shape[1])).ravel()
-        self._H = scipy.sparse.csr_matrix((H.ravel(), (rows, columns)), (n, n))
-        HT = self._H @ self._T
-        self._diagonal = np.maximum(np.asarray(self._T.multiply(HT).sum(axis=0)).ravel(), 1e-300)
-        at_layer = np.zeros(n)
-        at_layer[dofs[in_layer]] = 1.0
-        self._in_block = np.asarray(abs(self._T).T @ at_layer).ravel() > 0
-        block = (self._T[:, self._in_block].T @ HT[:, self._in_block]).tocsr()
-        diagonal = block.diagonal()
-        self._factor = SubmatrixFactor(block + scipy.sparse.diags(DEPENDENCE_SHIFT * diagonal), symmetric=True)
+        n, k = self._T.shape[0], cells.closure.shape[1] * cells.d
+        sign = np.repeat(cells.sign, k, axis=1)
+        self._H = stresses.flexibilities() * sign[:, :, None] * sign[:, None]
+        self._dofs = (cells.moment_rows[..., None] * cells.d + np.arange(cells.d)).reshape(len(sign), -1)
+        facet_numbers, T = np.arange(cells.sign.shape[1]), self._T
+        by_facet = self._H.reshape(len(sign), len(facet_numbers), k, len(facet_numbers), k)
+        own_blocks = by_facet[:, facet_numbers, :, facet_numbers]  # (facets, nc, k, k)
+        facet_dofs = np.swapaxes(self._dofs.reshape(len(sign), -1, k), 0, 1)
+        own = _matrix(own_blocks.reshape(-1, k, k), facet_dofs.reshape(-1, k), n)
+        self._diagonal = np.maximum(np.asarray(T.multiply(own @ T).sum(axis=0)).ravel(), 1e-300)
+        self._in_block = self._touching(self._dofs[in_layer].ravel())
+        near = np.asarray(abs(T[:, self._in_block]).sum(axis=1)).ravel() > 0
+        cells_near = near[self._dofs].any(axis=1)
+        block = T[:, self._in_block]
+        block = (block.T @ (_matrix(self._H[cells_near], self._dofs[cells_near], n) @ block)).tocsr()
+        shift = scipy.sparse.diags(DEPENDENCE_SHIFT * block.diagonal())
+        self._factor = SubmatrixFactor(block + shift, symmetric=True)
+
+    def _touching(self, dofs: IntArray) -> BoolArray:
+        """Return the mask of the changes that change any of the moments `dofs`."""
+        marked = np.zeros(self._T.shape[0])
+        marked[dofs] = 1.0
+        return np.asarray(abs(self._T).T @ marked).ravel() > 0
+
+    def _curvature(self, p: Array) -> Array:
+        """Return the product of the energy's second derivative with changes `p`."""
+        moments = (self._T @ p)[self._dofs]
+        forces = np.bincount(self._dofs.ravel(), (self._H @ moments[..., None]).ravel(), self._T.shape[0])
+        return np.asarray(self._T.T @ forces)
 
     def _precondition(self, r: Array) -> Array:
         z = r / self._diagonal
@@ -177,7 +199,7 @@ class TractionImprovement:
         p = z = self._precondition(r)
         rz = float(r @ z)
         for _ in range(steps):
-            Ap = self._T.T @ (self._H @ (self._T @ p))
+            Ap = self._curvature(p)
             if not rz > GAIN_TOLERANCE * energy:
                 break
             alpha = rz / float(p @ Ap)
