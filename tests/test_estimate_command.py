@@ -103,8 +103,10 @@ def test_bonded(lap, wanted, tmp_path):
     """
     (tmp_path / "map_law_compliance.png").write_text("of the user")
     alike = "goals={compliance = true, 'compliance!' = {kind = 'compliance'}}"
-    done = thinlayer("estimate", lap, "--set", "bonded=true", "--set", alike, "--out", tmp_path)
+    switches = "--set", "bonded=true", "--set", "continuum=true"
+    done = thinlayer("estimate", lap, *switches, "--set", alike, "--out", tmp_path)
     assert done.returncode == 0, done.stderr
+    assert done.stdout.count("for any mesh; ") == 4
     values, bonded = numbers(tmp_path / "estimate.csv"), solve(lap_files.structure().bonded())
     assert values["bond", "compliance"][0] == pytest.approx(goals.Compliance().value(bonded, bonded.model), rel=1e-8)
     assert values["bond", "compliance"][1] == pytest.approx(values["law", "compliance"][1], rel=1e-8)

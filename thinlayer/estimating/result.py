@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
@@ -238,13 +238,16 @@ class Estimate:
             goal_values.append(load_z @ w - w_z @ (subproblem.K @ w - subproblem.load))
         return float(self.goals[goal].better + goal_values[1] - goal_values[0])
 
-    def continuum(self, *, steps: int = DEFAULT_STEPS) -> dict[str, ContinuumBounds]:
+    def continuum(
+        self, names: Sequence[str] | None = None, *, steps: int = DEFAULT_STEPS
+    ) -> dict[str, ContinuumBounds]:
         """Return bounds of the goals of the continuum, which hold for any mesh: errors of the laws and of all cells.
 
         The structure must be of straight triangles, tetrahedra or parallelograms, with linear laws. Goals must be the
         compliance, reactions, or integrals of displacements. The whole structure is not solved again.
 
         Args:
+            names: names of the goals; None: all goals of the estimate.
             steps: number of steps that improve tractions between cells; more steps give narrower bounds.
 
         Returns:
@@ -268,11 +271,18 @@ class Estimate:
             '0.0163 to 0.01668 for any mesh'
         """
         require(isinstance(steps, int) and steps >= 0, "continuum: steps", steps, "allowed: whole numbers >= 0")
+        goals = self._goals if names is None else {name: self._goals[name] for name in self._known_goals(names)}
         model = self.better.model
         assert isinstance(model, InterfaceModel)
         continuum = Continuum(model, self._subproblem, self.state.t, steps)
         values = {name: error.value for name, error in self.goals.items()}
-        return continuum_bounds(continuum, self._initial, values, self._goals, self._iterate, self._adjoint_solutions)
+        return continuum_bounds(continuum, self._initial, values, goals, self._iterate, self._adjoint_solutions)
+
+    def _known_goals(self, names: Sequence[str]) -> Sequence[str]:
+        require(not isinstance(names, str), "continuum: names", names, "give a list of names")
+        for name in names:
+            require_known("goal", name, self._goals, "estimate")
+        return names
 
     # ---------------------------------------------------------------- words
     @property

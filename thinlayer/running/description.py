@@ -84,6 +84,7 @@ class Description:
         tolerance: name of a quantity -> its largest allowed relative change, < 1. The command then also looks for the
             thickness of the layer below which the change is smaller.
         bonded: whether to estimate, too, what changes if the layer is left out and the bodies are bonded.
+        continuum: whether to bound the goals for any mesh, too, see `Estimate.continuum`.
         sensitivities: names of parameters by which the goals are differentiated, see `derivative`; True: all.
     """
 
@@ -107,6 +108,7 @@ class Description:
     goals: Mapping[str, Arguments] = field(default_factory=dict)
     tolerance: Mapping[str, float] = field(default_factory=dict)
     bonded: bool = False
+    continuum: bool = False
     sensitivities: Sequence[str] | bool = False
 
     @classmethod
@@ -302,6 +304,10 @@ def _is_names_or_switch(value: object) -> bool:
 POSITIVE = {**NUMBER.schema, "exclusiveMinimum": 0}
 CHANGE = {**POSITIVE, "exclusiveMaximum": 1}
 LOADS = {"type": "array", "items": {"anyOf": [POINT_LOAD_KEYS.schema(), LINE_LOAD_KEYS.schema()]}}
+SWITCH = Reader(
+    lambda file, key: file.checked(key, lambda is_on: isinstance(is_on, bool), "is neither true nor false"),
+    {"type": "boolean"},
+)
 ENTRY_READERS: dict[str, Reader] = {
     "mesh": Reader(_read_mesh, {**MESH_KEYS.schema(), **TEXT.schema, "type": ["string", "object"]}),
     "units": UNITS,
@@ -321,10 +327,8 @@ ENTRY_READERS: dict[str, Reader] = {
     "times": Reader(_read_times, {"type": "array", "items": POSITIVE, "minItems": 1}),
     "goals": Reader(_read_goals, _goals_schema()),
     "tolerance": Reader(_read_tolerances, {**CHANGE, "type": ["number", "object"], "additionalProperties": CHANGE}),
-    "bonded": Reader(
-        lambda file, key: file.checked(key, lambda is_on: isinstance(is_on, bool), "is neither true nor false"),
-        {"type": "boolean"},
-    ),
+    "bonded": SWITCH,
+    "continuum": SWITCH,
     "sensitivities": Reader(
         lambda file, key: file.checked(key, _is_names_or_switch, "is neither true, false nor a list of names"),
         {"type": ["boolean", "array"], "items": {"type": "string"}},

@@ -78,6 +78,8 @@ def run(record: Record, description: Description, path: Path) -> None:
     thickness_rows = []
     for instead, answer in estimates.items():
         record.say("\n".join([QUESTION_TEXTS[instead], *(f"  {sentence}" for sentence in answer.sentences)]))
+        if description.continuum:
+            _bound_goals(record, instead, answer)
         thickness_rows += _find_thicknesses(record, case, instead)
     record.say(f"\n{table}\n")
     if thickness_rows:
@@ -87,6 +89,19 @@ def run(record: Record, description: Description, path: Path) -> None:
         _write_sensitivities(record, solution, case.goals, names)
     for instead, answer in estimates.items():
         _draw_changes(record, case, instead, answer)
+
+
+def _bound_goals(record: Record, instead: str, answer: Estimate) -> None:
+    """Print bounds of the goals for any mesh, or why a goal has none; `instead` is `LAW` or `BOND`."""
+    results = record.results[instead]["any mesh"] = {}
+    for name in answer.goals:
+        try:
+            bounds = answer.continuum([name])[name]
+        except InputError as error:
+            record.say(f"  {name}: {error}")
+            continue
+        results[name] = {"lower": bounds.lower, "upper": bounds.upper}
+        record.say(f"  {name}: {bounds.lower:.6g} to {bounds.upper:.6g}, {bounds}")
 
 
 def _write_sensitivities(
