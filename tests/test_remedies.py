@@ -209,7 +209,7 @@ CASES = [
         lambda: bounds(tractions={"TOP": lambda x, t: (0.0, x[0] ** 2)})),
     ("density", lambda: bounds(goal=mean_of(lambda u: ufl.div(u))), lambda: bounds(goal=mean_of(lambda u: u[0]))),
     ("goal", lambda: bounds(goal=goals.Displacement((4.0, 1.2), (0, 1))), lambda: bounds(goal=mean_of(lambda u: u[1]))),
-    ("incompressible", lambda: bounds(glue(WATER)), lambda: bounds(glue(Rubber.shear(1.0, 0.49)))),
+    ("volume", lambda: bounds(glue(WATER)), lambda: bounds(glue(Rubber.shear(1.0, 0.49)))),
     ("march(model, times)", lambda: solved(glue(KELVIN)), lambda: march(law_of(glue(KELVIN)), [1.0])),
     ("march(model, times)", lambda: solved(glue(FLAWED)), lambda: march(law_of(glue(FLAWED)), [1.0])),
     ("method='newton'", lambda: solve(law_of(glue(CUBIC)), method="linear"),

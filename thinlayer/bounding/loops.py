@@ -148,10 +148,10 @@ class TractionImprovement:
         self._dofs = (cells.moment_rows[..., None] * cells.d + np.arange(cells.d)).reshape(len(sign), -1)
         facet_numbers, T = np.arange(cells.sign.shape[1]), self._T
         by_facet = self._H.reshape(len(sign), len(facet_numbers), k, len(facet_numbers), k)
-        own_blocks = by_facet[:, facet_numbers, :, facet_numbers]  # (facets, nc, k, k)
+        facet_blocks = by_facet[:, facet_numbers, :, facet_numbers]  # (facets, nc, k, k)
         facet_dofs = np.swapaxes(self._dofs.reshape(len(sign), -1, k), 0, 1)
-        own = _matrix(own_blocks.reshape(-1, k, k), facet_dofs.reshape(-1, k), n)
-        self._diagonal = np.maximum(np.asarray(T.multiply(own @ T).sum(axis=0)).ravel(), 1e-300)
+        facet_matrix = _matrix(facet_blocks.reshape(-1, k, k), facet_dofs.reshape(-1, k), n)
+        self._diagonal = np.maximum(np.asarray(T.multiply(facet_matrix @ T).sum(axis=0)).ravel(), 1e-300)
         self._in_block = self._touching(self._dofs[in_layer].ravel())
         near = np.asarray(abs(T[:, self._in_block]).sum(axis=1)).ravel() > 0
         cells_near = near[self._dofs].any(axis=1)

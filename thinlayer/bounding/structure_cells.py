@@ -324,14 +324,14 @@ def _tangent(law: BulkLaw, region: str, n: Array) -> Array:
     if traits.remembers or traits.rate:
         raise refusal("memory", f"the law of {region} has a memory or a rate", "use LinearElastic")
     if traits.constrained and not isinstance(law, Rubber):
-        raise refusal("incompressible", f"the law of {region} is incompressible", "use Rubber")
+        raise refusal("volume", f"the law of {region} is incompressible", "use Rubber")
     if (C := tangent_at_rest(law, n)) is None:
         raise refusal("moduli", f"the stiffness of {region} is not known", "write a method stiffness(n) in its class")
     if is_isotropic(C):
         lmbda, mu = average_lame(C)
         if lmbda > 2 * MAX_POISSON_RATIO * (lmbda + mu):
             reason = f"{region} has a Poisson ratio above {MAX_POISSON_RATIO}: bounds would be wide"
-            raise refusal("incompressible", reason, "use a smaller one")
+            raise refusal("volume", reason, "use a smaller one")
     return C
 
 

@@ -90,11 +90,13 @@ class TractionBalance:
     def _mean_moments(self, stress: Array) -> Array:
         """Return mean moments (nf m, d) of stresses (nc, k, nv) on both sides of facets."""
         cells, mass = self._cells, mass_matrix(self._cells.facet_type, self._cells.degree)
-        own = np.empty((*cells.moment_rows.shape, cells.d))
+        cell_moments = np.empty((*cells.moment_rows.shape, cells.d))
         for facet in range(cells.sign.shape[1]):
             values = cells.stress_values(cells.facet_points(facet)) @ stress
-            own[:, facet] = mass @ np.einsum("cqr,rij,cj->cqi", values, cells.basis, cells.area_vectors[:, facet])
-        sums = cells.moment_sums((self._softness[:, None] * cells.sign)[:, :, None, None] * own)
+            cell_moments[:, facet] = mass @ np.einsum(
+                "cqr,rij,cj->cqi", values, cells.basis, cells.area_vectors[:, facet]
+            )
+        sums = cells.moment_sums((self._softness[:, None] * cells.sign)[:, :, None, None] * cell_moments)
         return np.asarray(sums / np.repeat(self._totals, cells.facet_nodes.shape[1])[:, None])
 
 

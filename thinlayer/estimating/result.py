@@ -263,7 +263,10 @@ class Estimate:
             >>> steel = LinearElastic.young(E=210e3, nu=0.3)
             >>> glue = LinearElastic.young(E=2e3, nu=0.4)
             >>> plates = Structure(
-            ...     sandwich(4, 1, 2, h=0.5), body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)}
+            ...     sandwich(4, 1, 2, h=0.5),
+            ...     body=steel,
+            ...     supports={"BOTTOM": 0},
+            ...     tractions={"TOP": (3, -10)},
             ... )
             >>> result = estimate(solve(plates.interface(ThinLayer(glue, eps=0.05))))
             >>> bounds = result.continuum()["compliance"]
