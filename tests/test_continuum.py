@@ -262,6 +262,15 @@ def test_layer_under_face_displacements_is_not_in_balance(monkeypatch):
     assert refused(InputError, "not in balance", blocks(1 / 16, 8).continuum).key == "balance"
 
 
+def test_forces_with_a_resultant_on_the_layer_are_not_in_balance():
+    """As those of a law of order 0 without couples."""
+    result = blocks(1 / 16, 8)
+    continuum, iterate = Continuum(result.better.model, result._subproblem, 0.0), result._iterate
+    motion = result._subproblem.free_face_values(result._subproblem.R[:, 0])
+    off = iterate._replace(F=iterate.F + 1e-3 * np.abs(iterate.F).max() * motion / np.abs(motion).max())
+    assert refused(InputError, "not in balance", continuum.field, off, continuum.structure.loads).key == "balance"
+
+
 def test_half_the_interval_misses():
     problem = random_problem(2, np.random.default_rng(2002), degree=2)
     stresses, seed, stress, _ = problem.stress_in_equilibrium(problem.U, problem.loads)

@@ -93,7 +93,8 @@ def run(record: Record, description: Description, path: Path) -> None:
 
 def _bound_goals(record: Record, instead: str, answer: Estimate) -> None:
     """Print bounds of the goals for any mesh, or why a goal has none; `instead` is `LAW` or `BOND`."""
-    results = record.results[instead]["any mesh"] = {}
+    results: dict[str, Mapping[str, float]] = {}
+    record.results[f"{instead}, for any mesh"] = results
     for name in answer.goals:
         try:
             bounds = answer.continuum([name])[name]
