@@ -18,6 +18,7 @@ from geometry.topology import (
     is_tensor,
     lagrange,
     local_facets,
+    ridge_keys,
     sum_by_number,
 )
 
@@ -101,10 +102,10 @@ class StraightCells:
         self.node_vertices = np.column_stack([np.arange(vertices[-1] + 1)] * 2)
         if self.degree == 2:
             edges = np.array(basix.topology(basix.CellType[self.cell_type])[1])
-            pairs = np.sort(corners[:, edges], axis=2)
-            unique_pairs, numbers = np.unique(pairs.reshape(-1, 2), axis=0, return_inverse=True)
+            pairs = corners[:, edges].reshape(-1, 2)
+            _, first, numbers = np.unique(ridge_keys(pairs), return_index=True, return_inverse=True)
             nodes.append(numbers.reshape(len(corners), -1) + len(self.node_vertices))
-            self.node_vertices = np.vstack([self.node_vertices, unique_pairs])
+            self.node_vertices = np.vstack([self.node_vertices, pairs[first]])
             if is_tensor(self.cell_type):
                 nodes.append(np.arange(len(corners))[:, None] + len(self.node_vertices))
                 self.node_vertices = np.vstack([self.node_vertices, corners[:, [0, 3]]])

@@ -85,8 +85,10 @@ def balanced_changes(cells: StraightCells, is_free: BoolArray) -> scipy.sparse.c
             loops = np.repeat(ridge_of[facets, k, None], m * d, axis=1)
             columns.add(facet_dofs[facets].reshape(len(facets), -1), loops, values)
         columns.end_group(len(keys))
-    for pattern in np.unique(is_free[is_free.any(axis=1)], axis=0):
-        facets, mask = np.flatnonzero((is_free == pattern).all(axis=1)), np.tile(pattern, m)
+    pattern_codes = is_free @ (1 << np.arange(d))
+    for code in np.unique(pattern_codes[pattern_codes > 0]):
+        facets = np.flatnonzero(pattern_codes == code)
+        mask = np.tile(is_free[facets[0]], m)
         left, singular, _ = np.linalg.svd(motions[facets][:, mask])
         ranks = (singular > 1e-9 * singular[:, :1]).sum(axis=1)
         for rank in np.unique(ranks):

@@ -135,9 +135,9 @@ class StructureCells:
         indices = [*model.structure.kinematics.strain_indices(joint.dim)]
         for number, region in enumerate(joint.regions):
             in_region = np.flatnonzero(joint.region == number)
-            directions, which = np.unique(np.round(normals[in_region], 12), axis=0, return_inverse=True)
-            if not depends_on_normal(laws[region]):
-                directions, which = directions[:1], np.zeros_like(which)
+            directions, which = normals[in_region[:1]], np.zeros_like(in_region)
+            if depends_on_normal(laws[region]):
+                directions, which = np.unique(np.round(normals[in_region], 12), axis=0, return_inverse=True)
             tangents = [_tangent(laws[region], region, n) for n in directions]
             if laws[region].traits.constrained:
                 self._pressure_moduli[in_region] = average_lame(tangents[0])[0]

@@ -60,8 +60,11 @@ class TractionBalance:
         self._totals = sum_by_number(cells.cell_facets, of_cells, len(cells.facets))
         weight = np.repeat(self._totals / cells.areas**2, cells.facet_nodes.shape[1])
         self._is_free = np.repeat(is_free, cells.facet_nodes.shape[1], axis=0)
-        patterns, self._pattern_of = np.unique(self._is_free, axis=1, return_inverse=True)
-        self._projections = [_Projection(self._sums[:, mask], weight[mask]) for mask in patterns.T]
+        self._projections: list[_Projection] = []  # one for each component
+        for component, mask in enumerate(self._is_free.T):
+            alike = [k for k in range(component) if (self._is_free[:, k] == mask).all()]
+            new = self._projections[alike[0]] if alike else _Projection(self._sums[:, mask], weight[mask])
+            self._projections.append(new)
 
     def moments(self, stress: Array, loads: CellLoads, U: Array) -> tuple[Array, float]:
         """Return the moments that balance each cell, near those of stresses (nc, k, nv) at `stress_points`.
@@ -79,10 +82,10 @@ class TractionBalance:
         ):  # a motion without strain
             return np.where(self._is_free, 0.0, loads.moments), 0.0
         moments = np.where(self._is_free, self._mean_moments(stress), loads.moments)
-        for component, pattern in enumerate(self._pattern_of.ravel()):
+        for component, projection in enumerate(self._projections):
             mask, needed = self._is_free[:, component], forces[:, :, component].ravel()[self._rows]
             for _ in range(2):  # the second solve removes rounding errors of the first
-                change = self._projections[pattern].change(needed - self._sums @ moments[:, component])
+                change = projection.change(needed - self._sums @ moments[:, component])
                 moments[mask, component] += change
             unbalanced = max(unbalanced, float(np.abs(needed - self._sums @ moments[:, component]).max()))
         return moments, unbalanced / size
