@@ -132,8 +132,9 @@ def _matrix(blocks: Array, dofs: IntArray, n: int) -> scipy.sparse.csr_matrix:
 class TractionImprovement:
     """Lowers the complementary energy of stresses in equilibrium by a few conjugate-gradient steps on tractions.
 
-    The preconditioner is a factor of the changes that touch the layers' cells, and the diagonal for all others: thin
-    cells couple the tractions along a layer strongly. Any number of steps leaves each cell in balance.
+    The preconditioner is a factor of the changes that touch the layers' cells, as thin cells couple the tractions along
+    a layer strongly. For all others it is the diagonal, without the coupling of facets. Any number of steps leaves each
+    cell in balance.
 
     Args:
         stresses: stresses of the cells.
