@@ -213,6 +213,11 @@ class Domain:
         """(n,) local number of each of the joint's n cells; -1 if it is not on this rank."""
         return positions(self.original_cells, len(self.joint.cells))
 
+    @cached_property
+    def centroids(self) -> dict[str, FloatArray]:
+        """Centroids (d,) of facet sets computed so far, by name: each needs compiled integrals."""
+        return {}
+
     def numbers(self, dim: int, entities: Indices) -> IntArray:
         """Return the numbers in the joint of cells or facets that are given by their local numbers.
 

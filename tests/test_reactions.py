@@ -13,6 +13,7 @@ from geometry import block, sandwich
 from tests.refused import refused
 from tests.supports_run import BODY, CONTACT, CREEP, EPS, GLUE, KINDS, MORTAR, loaded, on_base, out_of_balance
 from thinlayer import RangeWarning, RigidPlate, Springs, Structure, ThinLayer, march, solve
+from thinlayer.discretisation import rigid_motions
 
 BALANCED = 1e-10  # residual at which solvers stop
 
@@ -42,6 +43,21 @@ def test_contact(method):
     state = solve(on_base(CONTACT, contact=True), method=method)
     assert out_of_balance(state) < BALANCED
     assert state.reaction("S").force[1] == pytest.approx(4.0, rel=1e-9)
+
+
+def test_a_centroid_is_computed_once_for_all_states(monkeypatch):
+    """Reactions are observed at each step of a march, about the same point."""
+    calls, unit_values = [], rigid_motions.unit_values
+    monkeypatch.setattr(rigid_motions, "unit_values", lambda *args: calls.append(args) or unit_values(*args))
+    model = loaded(2, "interface")
+    observe = {
+        "left": lambda state: state.reaction("LEFT").moment,
+        "bottom": lambda state: state.reaction("BOTTOM").moment,
+    }
+    history = march(model, [0.5, 1.0, 1.5], observe=observe)
+    assert len(calls) == 2
+    centre = rigid_motions.centroid(model.domain, "LEFT")
+    assert history.last.reaction("LEFT", about=centre).moment == history.table["left"][-1]
 
 
 # ---------------------------------------------------------------- what belongs to whom

@@ -266,12 +266,15 @@ def require_point(about: Sequence[float] | Array, dim: int) -> Array:
 
 def centroid(domain: Domain, name: str) -> Array:
     """Return the centroid (d,) of a named facet set, with the facets of a layer's side that continue it. Collective."""
+    if name in domain.centroids:
+        return domain.centroids[name]
     mesh = domain.mesh
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=domain.facet_tags)(domain.values(name, layer_sides=True))
     factors = fem.Constant(mesh, np.zeros(domain.joint.dim + 1))
     sums = unit_values(domain.comm, ufl.dot(factors, ufl.as_vector([*ufl.SpatialCoordinate(mesh), 1.0])) * ds, factors)
     centre = sums[:-1] / sums[-1]
-    return np.asarray(np.where(np.abs(centre) > ZERO_TOLERANCE * domain.joint.size, centre, 0.0))
+    domain.centroids[name] = np.where(np.abs(centre) > ZERO_TOLERANCE * domain.joint.size, centre, 0.0)
+    return domain.centroids[name]
 
 
 def load_resultants(model: Model, t: float, work: Callable[[Expr], Mapping[str, Expr]]) -> dict[str, Resultant]:
