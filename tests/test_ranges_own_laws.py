@@ -76,21 +76,19 @@ def test_tangent_over_a_step():
 # ---------------------------------------------------------------- thick, hard, nearly incompressible
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize("kind", ["layer", "bodies", "incompressible"])
-def test_harder_than_a_body(kind):
-    """E/(1 - nu^2) against E/(1 - nu^2); 4 mu of an incompressible layer. The sides are held: only this is told."""
+@pytest.mark.parametrize("stiffer", [LinearElastic.young(1e3, 0.3), LinearElastic.young(1.0, 0.3)])
+def test_as_hard_as_the_bodies(stiffer):
+    """Own laws are told as those that declare their stiffness; not beside a body that holds the other one on S."""
     joint, setup = fourier(1 / 8, cell="quadrilateral")
-    soft = LinearElastic.young(70.0, 0.3)
-    bodies = Own(soft.lmbda, soft.mu) if kind == "bodies" else soft
-    for factor, messages in ((0.99, 0), (1.01, 1)):
-        e = LinearElastic.young(70.0 * factor, 0.3).scaled(1 / 0.01)
-        law = {"layer": Own(e.lmbda, e.mu), "bodies": e, "incompressible": Incompressible(e.mu * 1.3 / 2 / 0.91)}[kind]
-        two = {"body": {"LOWER": STIFF, "UPPER": bodies}}
-        model = Structure(joint, **setup | two).interface(ThinLayer(law, 0.01, at=1.0))
-        reported = range_warnings(lambda model=model: solve(model))
-        assert len(reported) == messages
-        assert not reported or "the layer is 1.01 times as hard as the softer body" in reported[0]
+    e = LinearElastic.young(1.0, 0.3)
+    two = {"body": {"LOWER": stiffer, "UPPER": e}}
+    structure = Structure(joint, **setup | two)
+    reported = [
+        range_warnings(lambda law=law: solve(structure.interface(ThinLayer(law, 0.01))))
+        for law in (e, Own(e.lmbda, e.mu))
+    ]
+    assert reported[0] == reported[1]
+    assert [message.partition(":")[0] for message in reported[0]] == ["order 0"] * (stiffer.mu < 1)
 
 
 def test_incompressible_with_free_ends():
@@ -100,8 +98,10 @@ def test_incompressible_with_free_ends():
     for sides, messages in (({"LEFT": {"x": 0.0}}, 1), ({"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}, 0)):
         data = {"body": STIFF, "supports": {"BOTTOM": 0.0, **sides}, "tractions": {"TOP": (0.0, -1.0)}}
         reported = range_warnings(lambda data=data: solve(Structure(joint, **data).interface(layer)))
-        assert len(reported) == messages
-        assert not reported or "incompressible: the layer is incompressible: its law holds" in reported[0]
+        assert (
+            sum("incompressible: the layer is incompressible: its law holds" in text for text in reported) == messages
+        )
+        assert bool(reported) == bool(messages)
 
 
 # ---------------------------------------------------------------- negative stiffness

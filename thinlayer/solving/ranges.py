@@ -32,6 +32,7 @@ from thinlayer.surface.pressure_excess import (
     SublayerModuli,
     acts_as_springs,
     jump_stiffness,
+    order_0_remark,
     stiffness_remark,
     sublayer_moduli,
 )
@@ -209,7 +210,8 @@ def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | Non
         layer: the layer.
         start: time at which the loads began; None: they are sudden in every state.
     """
-    if not (states[0].model.linear or acts_as_springs(sublayer_moduli(layer))):
+    sublayers = sublayer_moduli(layer)
+    if not (states[0].model.linear or acts_as_springs(sublayers)):
         # The mean over S is tested, as jumps are large at single places in any case. The limit is above 1, because
         # under the same load jumps do not vanish with the thickness. Linear models are not tested: their results are
         # proportional to loads of any size.
@@ -223,6 +225,7 @@ def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | Non
             yield "overlap", f"{text} ({most_text}): bodies overlap; check loads, thickness and parameters"
     if not layer.has_pressure_flow:
         yield from stiffness_remark(layer, states, start)
+    yield from order_0_remark(layer, states, sublayers)
 
 
 def _strain_layers(model: Model) -> list[SeamLayer]:
@@ -263,10 +266,7 @@ def _facet_remarks(model: Model, layer: SeamLayer) -> Iterator[Remark]:
 
 
 def _thickness_remarks(model: Model, layer: SeamLayer, sublayers: list[SublayerModuli]) -> Iterator[Remark]:
-    """Yield warnings (key, text) if a layer is thicker or harder than a body, or joins plates that bend.
-
-    The law of order 0 is the first term of a series in eps over the length on which stresses vary. It neglects the term
-    eps grad_S <u> in the jump. Under a traction t this is about eps t/E_body, while the jump is about eps t/E_layer.
+    """Yield warnings (key, text) if a layer is thicker than a body, or joins plates that bend.
 
     Args:
         model: the interface model.
@@ -283,12 +283,6 @@ def _thickness_remarks(model: Model, layer: SeamLayer, sublayers: list[SublayerM
     if thin_layer.order == 1 or not sublayers or any(C is None for C in body_tangents):
         return
     softer = min(in_plane_modulus(C, layer.initial_tangents.n) for C in body_tangents if C is not None)
-    layer_modulus = max(sublayer.E_plane for sublayer in sublayers)
-    # at a quarter of the body's modulus jumps are 23 to 34 % off, tractions 3 to 10 % (nu = 0.3, eps to 1/8 of the width)
-    if layer_modulus > softer > 0:
-        text = f"{layer} is {layer_modulus / softer:.3g} times as hard as the softer body (moduli in the plane of S)"
-        remedy = "use order=1, mesh the layer (structure.full), or check its parameters"
-        yield "hard", f"{text}: its jump is less than what order 0 leaves out; {remedy}"
     sheet = layer.sheet
     length, mean_h = float(np.ptp(sheet.joint.points[sheet.vertices], axis=(0, 1)).max()), np.mean(sheet.body_heights)
     if len(sheet.body_heights) == 2 and sheet.planar and length > PLATE_SLENDERNESS * 2 * mean_h and softer > 0:
