@@ -18,7 +18,7 @@ from tests.network_cases import BED, HEAD, square, three_bricks
 from tests.on_ranks import on_ranks
 from tests.refused import refused
 from thinlayer import Springs, Structure, Surface, ThinLayer, march, piecewise, solve
-from thinlayer.errors import LimitLoad, LooseBody
+from thinlayer.errors import LimitLoad, LooseBody, SolveError
 from thinlayer.solving.contact import condensation
 from thinlayer.solving.contact.condensation import Condensation
 from thinlayer.solving.contact.condensed import MAX_COARSE_RATIO, every_second_point
@@ -200,6 +200,19 @@ def test_a_wall_ends_at_its_limit_and_names_the_seams_that_slide(method):
     beds = Surface(limit.history.last.model, "BED").contact(limit.history.last)
     assert limit.history.last.t == limit.t
     assert beds.friction_force == pytest.approx(3 * 3.0 * limit.t, rel=1e-9)
+
+
+@pytest.mark.parametrize("method", ["condensed", pytest.param("newton", marks=pytest.mark.long)])
+def test_bricks_without_weight_are_no_limit_and_have_no_one_place(method):
+    """The beds of one slide at once before the load's limit, which tends to 0.5 with the weight."""
+    times = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+    with pytest.raises(SolveError, match=r"body 'COURSE 2' .* a weightless body has no one place") as error:
+        march(dry_wall(bricks=2, courses=3, h=0.25, kind=IncrementalCoulomb), times, method=method)
+    assert not isinstance(error.value, LimitLoad)
+    assert error.value.history.last.t < 0.5
+    with pytest.raises(LimitLoad) as limit:
+        march(dry_wall(bricks=2, courses=3, h=0.25, kind=IncrementalCoulomb, weight=0.01), times, method=method)
+    assert limit.value.t < 0.5 * 1.005 < limit.value.failed_at < limit.value.t + 2e-4
 
 
 # ---------------------------------------------------------------- friction that remembers

@@ -247,7 +247,12 @@ class RigidMotions:
             return
         motion = self._motion_text(allowed @ directions[singular_values <= min_resistance].T)
         reason = f"no unique solution: {motion}, and neither supports nor the layer resist it (to rounding)"
-        raise LooseBody(reason, motion, advice="add supports, or give the layer's law a stiffness in this direction")
+        advice = "add supports, or give the layer's law a stiffness in this direction"
+        if self.model.contact:  # beds above and below have the same pressure, so that both slide at once
+            advice = (
+                "add supports, or weight (body_force): between joints that slide a weightless body has no one place"
+            )
+        raise LooseBody(reason, motion, advice)
 
     def _motion_text(self, motions: Array) -> str:
         """Say how a piece of the bodies can move: "body NAME can move along ...", or turn.

@@ -16,7 +16,7 @@ from forms.base import Array
 from forms.kinematics import PLANE_STRAIN
 from thinlayer.discretisation.rigid_motions import model_motions
 from thinlayer.discretisation.state import State
-from thinlayer.errors import LimitLoad, NoEquilibrium, SolveError
+from thinlayer.errors import LimitLoad, LooseBody, NoEquilibrium, SolveError
 from thinlayer.parts.part import MeasuresError
 from thinlayer.pointwise.columns import EXCESS_TOLERANCE
 from thinlayer.solving.equations import Equations
@@ -82,9 +82,12 @@ class PlannedStepsController(Controller):
     def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:
         old, history, cause = self.last, self.journal.history, errors[-1]
         error = errors[-2] if self.solver.limited else cause
-        if isinstance(cause, NoEquilibrium) and self._loads_change(old.t, self._diverged_time):
+        end, is_not_unique = self._step_end(length), isinstance(error, LooseBody) and not error.residuals
+        # an equilibrium that is not unique is no limit, unless displacements run away in the shortest step
+        may_be_limit = self._diverged_time <= end or not is_not_unique
+        if isinstance(cause, NoEquilibrium) and may_be_limit and self._loads_change(old.t, self._diverged_time):
             return LimitLoad(error.reason, old.t, self._diverged_time, self._resultant(old.t), cause, history)
-        text = f"step {len(history)}, from t = {old.t:g} to {self._step_end(length):g}"
+        text = f"step {len(history)}, from t = {old.t:g} to {end:g}"
         return self.error(f"{text}, failed, and so did longer ones: {error}", LIMIT_HINT if self.solver.limited else "")
 
     def _loads_change(self, before: float, after: float) -> bool:
