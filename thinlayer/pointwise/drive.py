@@ -9,6 +9,7 @@ import numpy as np
 import ufl
 
 from forms.base import Array, InputError, is_finite, is_number, require
+from forms.kinematics import ScalarField
 from forms.law import Law
 from forms.law_tangents import depends_on_step_length, evaluate
 from forms.temperature import finite_values
@@ -106,6 +107,7 @@ def drive(
     """
     if not isinstance(law, Law) or law.traits.nodal or law.traits.constrained:
         raise InputError(f"law is {law!r}; allowed: laws that give a stress for a strain, or a TractionLaw")
+    require(law.unknown != ScalarField.unknown, "law", law, "drive is for laws of a displacement")
     if name := next(iter(law.fields), "a parameter" if law.traits.varies else ""):
         raise InputError(f"{type(law).__name__}: {name} is a function of the place, or of time; a point needs numbers")
     require(isinstance(steps, Iterable), "steps", steps, "it must be a list of dictionaries")
