@@ -149,6 +149,22 @@ def conducting_stations(stack: Stack) -> list[AnyStation]:
     return [station_at(i, z) for i in range(len(stack.laws)) for z in GAUSS_HEIGHTS]
 
 
+def upper_share(stack: Stack, laws: Sequence[FluxLaw], n: Expr) -> Expr:
+    """Return the share of a source, uniform through a stack, that goes into the upper face; UFL.
+
+    It is the mean of the value at a height over the layer, if the lower face has the value 0 and the upper one 1.
+
+    Args:
+        stack: the law of the layer.
+        laws: laws of its sublayers on S, which are linear, with UFL expressions as parameters.
+        n: unit normal of S.
+    """
+    resistances = [a / law.conductivity_across(n) for a, law in zip(stack.fractions, laws, strict=True)]
+    starts = accumulate(resistances[:-1], initial=ufl.as_ufl(0.0))
+    parts = zip(stack.fractions, starts, resistances, strict=True)
+    return sum(a * (start + R / 2) for a, start, R in parts) / sum(resistances)
+
+
 def _start_and_step(steps: list[float]) -> Iterator[tuple[float, float]]:
     """Yield, for each sublayer from the lower face on, the value of Phi at its lower side and the increment over it.
 

@@ -10,6 +10,7 @@ import ufl
 
 from forms import (
     AnisotropicConduction,
+    Conductance,
     Conduction,
     FluxLaw,
     Heat,
@@ -19,22 +20,26 @@ from forms import (
     Stack,
 )
 from forms.base import InputError
-from geometry import bond_cell, periodic, sandwich, wall
+from geometry import block, bond_cell, periodic, sandwich, wall
 from tests.mpirun import CLONE
 from tests.refused import refused
 from thinlayer import (
     Bond,
     Film,
+    JouleHeat,
     PointLoad,
     Pressure,
     Prestress,
     RigidPlate,
     Springs,
     Structure,
+    Surface,
+    SurfaceSource,
     ThermalExpansion,
     ThinLayer,
     UflPart,
     compare,
+    drive,
     homogenised_conductivity,
     homogenised_stiffness,
     march,
@@ -51,6 +56,11 @@ LAYER = ThinLayer(GLUE, EPS)
 def plates(**data):
     data = {"body": Conduction(K_BODY), "supports": {"BOTTOM": 20.0}, "fluxes": {"TOP": 0.05}} | data
     return Structure(sandwich(40, 4, 6, 5, cell="quadrilateral"), **data)
+
+
+def on_base(**data):
+    data = {"body": Conduction(K_BODY), "supports": {}, "fluxes": {"TOP": 0.05}} | data
+    return Structure(block(40, 6, 5, cell="quadrilateral"), **data)
 
 
 def elastic(**data):
@@ -98,6 +108,8 @@ REFUSED = {
     "laws of one unknown": lambda: Stack((0.5, GLUE), (0.5, ELASTIC)),
     "Stressed has a method stress": lambda: Stressed(1.0),
     "layered: along is": lambda: AnisotropicConduction.layered([1.0], 2.0),
+    "drive is for laws of a displacement": lambda: drive(GLUE, [{"w_T": 1.0, "w_N": 0.0}]),
+    "it is bonded; a source needs a layer": lambda: plates(sources={"S": SurfaceSource(1.0)}).bonded(),
     "homogenised_stiffness is for laws of a displacement": lambda: homogenised_stiffness(cell().interface(LAYER)),
 }
 
@@ -105,6 +117,21 @@ REFUSED = {
 @pytest.mark.parametrize("words", REFUSED)
 def test_what_is_refused_by_name(words):
     refused(InputError, words, REFUSED[words])
+
+
+@pytest.mark.parametrize("place", ["side", "body", "support", "eigenstrain"])
+def test_values_on_s_are_no_data_of_bodies(place):
+    """They would be zero away from S."""
+    values = Surface(plates().bonded()).function(1.0)
+    data = {
+        "side": {"fluxes": {"TOP": values}},
+        "body": {"sources": {"UPPER": values}},
+        "support": {"supports": {"BOTTOM": values}},
+        "eigenstrain": {"eigenstrain": ThermalExpansion(1e-5, values, reference=0)},
+    }[place]
+    make, layer = (elastic, ThinLayer(ELASTIC, EPS)) if place == "eigenstrain" else (plates, LAYER)
+    for kind in ("full", "interface"):
+        refused(InputError, "values on S are data of layers", getattr(make(**data), kind), layer)
 
 
 def test_a_stack_of_laws_that_are_not_linear_is_refused_on_s():
@@ -188,6 +215,15 @@ def test_stacks_agree_with_meshed_ones(lower, upper, error):
     assert max(errors["error_flux"], errors["error_jump"]) < error
 
 
+@pytest.mark.parametrize("make", [plates, on_base], ids=["bodies", "rigid base"])
+def test_a_source_in_a_stack_goes_to_the_face_that_is_nearer(make):
+    """Nearer by the resistance between; half to each would be an error of 5 % in the jump."""
+    layer = ThinLayer(Stack((0.3, Conduction(lambda x: 2e-4 + 1e-6 * x[0])), (0.7, Conduction(4e-3))), EPS)
+    structure = make(sources={"S": 0.1})
+    errors = compare(solve(structure.full(layer)), solve(structure.interface(layer)))
+    assert max(errors["error_flux"], errors["error_jump"]) < 2e-3
+
+
 # ---------------------------------------------------------------- seams that meet, shapes
 @pytest.mark.filterwarnings("ignore::thinlayer.RangeWarning")
 def test_a_wall_of_conducting_seams():
@@ -238,6 +274,31 @@ def test_a_mean_gradient():
         state = solve(cell(joint=joint, gradient=(0, 3.0)).interface(ThinLayer(Conduction(0.3), 0.1), bodies=bodies))
         assert state.mean_strain() == pytest.approx([0.0, 3.0])
         assert state.mean_stress() == pytest.approx([0.0, 3.0 * want])
+
+
+def test_a_mean_gradient_is_not_handed_over():
+    """The field of such a state is its periodic part alone."""
+    joint = periodic(sandwich(1, 0.5, 0.5, h=0.25, cell="quadrilateral"), ("LEFT", "RIGHT"))
+    state = solve(Structure(joint, body=GLUE, supports={"BOTTOM": 0}, gradient=(1, 0)).interface(ThinLayer(GLUE, 0.1)))
+    heat = Structure(joint, body=GLUE, supports={"BOTTOM": 0}, parts=[JouleHeat(state)])
+    refused(InputError, "has a mean gradient", lambda: solve(heat.interface(ThinLayer(GLUE, 0.1))))
+    swollen = Structure(
+        joint, body=ELASTIC, supports={"BOTTOM": 0}, eigenstrain=ThermalExpansion(1.0, state, reference=0)
+    )
+    refused(InputError, "has a mean gradient", swollen.interface, ThinLayer(ELASTIC, 0.1))
+
+
+def test_a_current_has_the_shape_of_the_model_of_heat():
+    def current(layer=LAYER, bodies="kept", **data):
+        return solve(plates(**data).interface(layer, bodies=bodies))
+
+    for words, state in {
+        "plane= and bodies=": current(plane="axisymmetric"),
+        "bodies= of the model": current(bodies="extended"),
+        "a layer with a thickness": current(Conductance(1e-3)),
+        "needs a layer": current({"S": Bond()}),
+    }.items():
+        refused(InputError, words, lambda state=state: solve(plates(parts=[JouleHeat(state)]).interface(LAYER)))
 
 
 def test_a_bond_conducts_as_its_bricks():

@@ -62,6 +62,7 @@ class Coordinates(FormerNames):
         cache: coefficients made so far.
         planned_kinks: list with one set of times at which coefficients change their slope, as last read by a march. It
             is empty before the first march.
+        in_layers: whether they are those in layers, on S or meshed.
     """
 
     former_names = {"given": "coefficient"}
@@ -71,6 +72,7 @@ class Coordinates(FormerNames):
     test_places: Array
     cache: dict[tuple[object, ...], Coefficient] = field(default_factory=dict, repr=False, compare=False)
     planned_kinks: list[set[float]] = field(default_factory=list, repr=False, compare=False)
+    in_layers: bool = False
 
     @classmethod
     def of_domain(cls, domain: Domain) -> Self:

@@ -183,8 +183,9 @@ class Forces:
         facets, layer_side = self.domain.joint.facets.get(part.set_name), str(FacetName(part.set_name, LAYER))
         if parted and facets is not None and Sheet(self.domain.joint).rim.lies_on(facets).any():
             reason = "S ends there, and bodies='extended' gave a part of this face to the layer's side"
-            remedy = f"give '{layer_side}', which has no facets, a traction, zero if that side is free"
-            raise InputError(f"traction on {name!r}: {reason}; {remedy}")
+            traction = self._kinematics.quantities.traction
+            remedy = f"give '{layer_side}', which has no facets, a {traction}, zero if that side is free"
+            raise InputError(f"{traction} on {name!r}: {reason}; {remedy}")
         if band is None or band.bodies == "kept" or part.part_name == LAYER or layer_side not in self.domain.set_tags:
             return 0.0
         joint, sheet = band.drawn_joint, Sheet(band.drawn_joint)

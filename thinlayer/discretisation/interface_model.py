@@ -13,7 +13,9 @@ from ufl.algorithms.analysis import extract_coefficients
 
 from forms import work as forms
 from forms.base import InputError
+from forms.kinematics import ScalarField
 from forms.law import BulkLaw
+from forms.series import Stack, upper_share
 from forms.tensors import Expr
 from forms.work import Interface, InterfaceSide
 from geometry.domain import Domain
@@ -100,6 +102,7 @@ class InterfaceModel(Model):
         return None if self.domain.joint.parted is None else MidSurface(self.domain)
 
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
+        at = super()._coordinates_on(at)
         return at.with_place(at.x + self._middle.offset) if self._middle else at
 
     def _layer_strain(self, layer: SeamLayer) -> Expr | tuple[Expr, Expr] | None:
@@ -228,7 +231,12 @@ class InterfaceModel(Model):
         Its weight contains the thickness, if the layer has one. Each side of S carries half of a load, of a source its
         share. On a rigid base, the base carries the lower part.
         """
-        sides, share = self.sides_of(layer.name), 0.5 + (source.height if source else 0.0)  # of the upper side
+        sides, law = self.sides_of(layer.name), layer.thin_layer.law if layer.thin_layer else None
+        share: Expr | float = 0.5 + (source.height if source else 0.0)  # of the upper side
+        if not source and isinstance(law, Stack) and law.unknown == ScalarField.unknown and law.traits.linear:
+            on_surface = partial(_law_on_surface, self.domain, self.joint, layer.name, sides.upper)
+            laws: list[Any] = [on_surface(sublayer) for sublayer in law.laws]
+            share = upper_share(law, laws, sides.n)
 
         def base_displacement(v: Expr) -> Expr:  # the base moves and rotates as the facets of the body above it do
             return sides.upper(v + ufl.dot(ufl.grad(v), 2 * self._middle.offset) if self._middle else v) * (1 - share)

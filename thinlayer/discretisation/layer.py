@@ -401,15 +401,19 @@ def loads_of_layers(model: Model) -> dict[str, LoadInput]:
     Seams with bonds are left out.
 
     Raises:
-        InputError: a load on a seam without a layer, or whose layer has no thickness.
+        InputError: a load on a seam without a layer, or whose layer has no thickness; a `SurfaceSource` on a bond.
     """
     force, layers = model.structure.body_force, model.layers
     loads_by_name = force if isinstance(force, Mapping) else {}
+    for name in (name for name, load in loads_by_name.items() if isinstance(load, SurfaceSource)):
+        bonded = [seam for seam in model.bonds if name in (S, seam)]
+        require(not bonded, "SurfaceSource on the seam", name, "it is bonded; a source needs a layer, or Conductance")
     seams = [seam for seam in model.joint.seams if seam not in model.bonds]
     loads = {seam: loads_by_name[name] for name in loads_by_name for seam in seams if name in (S, seam)}
     if model.n_components > 1 and any(isinstance(load, SurfaceSource) for load in loads.values()):
         raise InputError("a SurfaceSource is a source of a scalar field; the bodies have laws of displacements")
     is_per_volume = {seam: not isinstance(load, SurfaceSource) for seam, load in loads.items()}
     for seam in (seam for seam in loads if seam not in layers or (is_per_volume[seam] and not layers[seam].thin_layer)):
-        raise InputError(f"body force in the layer {seam!r}: it has no layer with a thickness, so no weight is known")
+        load = model.kinematics.quantities.body_force
+        raise InputError(f"{load} in the layer {seam!r}: it has no layer with a thickness, so no weight is known")
     return loads

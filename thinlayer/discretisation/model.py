@@ -248,7 +248,7 @@ class Model(ABC):
 
         Return None if there is no eigenstrain.
         """
-        return layer.prescribed_strain(self.coordinates)
+        return layer.prescribed_strain(self._coordinates_on(self.coordinates))
 
     def _terms_of_bodies(self) -> list[forms.Term]:
         """Return the terms of the bodies' laws.
@@ -290,7 +290,7 @@ class Model(ABC):
 
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
         """Return the coordinates and time in layers, made from those on the mesh, `at`."""
-        return at
+        return replace(at, in_layers=True)
 
     @abstractmethod
     def load_region(self, layer: SeamLayer, source: SurfaceSource | None = None) -> LoadRegion:

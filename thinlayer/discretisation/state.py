@@ -270,6 +270,7 @@ class State(Configuration):
         model = self.model
         if self.reactions is None:
             hint = "; ask estimate for goals.Reaction(place, direction)" * self.with_meshed_layers
+            hint += "; observe it where state.t > 0" * self.at_rest
             raise InputError(f"this state has no reactions: it was not solved for{hint}")
         part_reactions = [row for part in model.parts for row in part.reaction(model, self.u)]
         all_reactions = [*zip(model.held_places, self.reactions, strict=True), *part_reactions]
@@ -417,11 +418,14 @@ def scalar_field_on(state: State, domain: Domain) -> Expr:
     of S. Otherwise it is a function on the mesh of the state, for `Coefficient` to sample.
 
     Raises:
-        InputError: the state is one of displacements, or it has no values in a meshed layer of the other model.
+        InputError: the state is one of displacements, or under a mean gradient; or it has no values in a meshed layer
+            of the other model.
     """
     model, joint = state.model, domain.joint
     if not model.kinematics.has_value_in_strain:
         raise InputError(f"{state!r} is a state of a {model.kinematics.unknown}; give one of a temperature")
+    if model.strain:
+        raise InputError(f"{state!r} has a mean gradient, and its periodic part alone is no temperature or potential")
     if not np.array_equal((joint.band.drawn_joint if joint.band else joint).points, model.joint.points):
         return state.u[0]
     is_taken = domain.original_cells < len(model.joint.cells)

@@ -15,6 +15,7 @@ from forms.base import Array, require
 from forms.kinematics import ScalarField
 from forms.tensors import Expr, scalar_value
 from forms.work import stress
+from geometry.joint import Joint
 from thinlayer.discretisation.form_compilation import compiled_functionals
 from thinlayer.discretisation.part_definition import HostModel, PartDefinition
 from thinlayer.discretisation.state import Configuration, State
@@ -32,7 +33,8 @@ class JouleHeat(PartDefinition):
         current: state of the electric potential, whose laws have conductivities that are numbers.
 
     Raises:
-        InputError: no state of a potential; when a model is made: another joint, or conductivities that vary.
+        InputError: no state of a potential; when a model is made: another joint or `plane`, bodies kept and extended,
+            a seam without a layer that has a thickness, or conductivities that vary.
 
     Example:
         >>> from forms import Conduction
@@ -66,6 +68,11 @@ class JouleHeat(PartDefinition):
         is_linear = all(p.law.traits.proportional and not p.law.traits.compiled for p in electric.terms)
         is_same = np.array_equal(electric.joint.points, model.joint.points)
         require(is_linear and is_same, "current", self.current, hint)
+        shapes = {(m.kinematics.has_axis, _is_extended(m.domain.joint)) for m in (electric, model)}
+        require(len(shapes) == 1, "current", self.current, "the current needs plane= and bodies= of the model of heat")
+        is_thick = all(layer.thin_layer for layer in electric.layers.values()) and not electric.bonds
+        hint = "where current passes S it needs a layer with a thickness: ThinLayer(Conduction(h * eps), eps)"
+        require(is_thick, "current", self.current, hint)
 
     def work(self, model: HostModel, u: Expr, v: Expr) -> ufl.Form:
         electric = self.current.model
@@ -84,3 +91,8 @@ class JouleHeat(PartDefinition):
     def part(self, model: HostModel) -> FormPart:
         u, v = fem.Function(model.V), ufl.TestFunction(model.V)
         return FormPart(self.key, u, g=self.work(model, u, v), energy=self.work(model, u, u))
+
+
+def _is_extended(joint: Joint) -> bool:
+    """Return whether the bodies of a model's joint gave a part of themselves to the layers."""
+    return joint.parted is not None or (joint.band is not None and joint.band.bodies == "extended")

@@ -58,7 +58,12 @@ class SurfaceFunction:
         return {"values on S": describe([self._values, self._times]), "seam": self._surface.seam}
 
     def field_on(self, at: Coordinates) -> Expr:
-        """Return the function as UFL on the mesh of a model, where it is zero at vertices that are not on S."""
+        """Return the function as UFL on the mesh of a model, where it is zero at vertices that are not on S.
+
+        Raises:
+            InputError: it is data of bodies or their sides; the model has another joint.
+        """
+        require(at.in_layers, "data of a body or its side", self, "values on S are data of layers")
         joint = at.domain.joint
         drawn = self._surface.model.joint
         is_same = np.array_equal((joint.band.drawn_joint if joint.band else joint).points, drawn.points)
