@@ -288,6 +288,12 @@ def test_a_mean_gradient_is_not_handed_over():
     refused(InputError, "has a mean gradient", swollen.interface, ThinLayer(ELASTIC, 0.1))
 
 
+def test_a_temperature_is_of_a_model_with_the_same_axis():
+    hot = ThermalExpansion(1e-5, solve(plates(plane="axisymmetric").interface(LAYER)), reference=20)
+    refused(InputError, "with this plane=", elastic(eigenstrain=hot).interface, ThinLayer(ELASTIC, EPS))
+    refused(InputError, "with this plane=", elastic().interface, ThinLayer(ELASTIC, EPS, eigenstrain=hot))
+
+
 def test_a_current_has_the_shape_of_the_model_of_heat():
     def current(layer=LAYER, bodies="kept", **data):
         return solve(plates(**data).interface(layer, bodies=bodies))

@@ -21,6 +21,9 @@ from thinlayer import (
     ThermalExpansion,
     ThinLayer,
     coupled,
+    derivative,
+    estimate,
+    goals,
     march,
     solve,
 )
@@ -207,6 +210,20 @@ def test_heat_of_a_current(kind):
     top = (lower / 2 + inside + upper) * 0.5 / 0.05 + (inside / 2 + upper) * EPS / 2e-4 + upper / 2 * 0.5 / 0.05
     T = state.integral(state.u[0] * state.model.ds(state.model.domain.values("TOP"))) / 0.2
     assert pytest.approx(top, rel=1e-8) == T
+
+
+def test_derivatives_in_the_heat_of_a_current():
+    """That of the compliance is refused, as the work of this heat has no weights."""
+    wires = Structure(JOINT, body=Conduction(1e3), supports={"BOTTOM": 0, "TOP": 0.1})
+    parts = [JouleHeat(solve(wires.interface(ThinLayer(Conduction(1.0), EPS))))]
+    model = Structure(JOINT, body=Conduction(0.05), supports={"BOTTOM": 0}, parts=parts).interface(
+        ThinLayer(Conduction(2e-4), EPS)
+    )
+    state, hottest = solve(model), goals.PointValue((0.0, 0.5))
+    by_all = derivative(state, hottest, ["LOWER.k", "UPPER.k", "S.k"]).by
+    assert sum(by_all.values()) == pytest.approx(-hottest.value(state, model), rel=1e-6)
+    refused(InputError, "give other goals", derivative, state, goals.Compliance(), ["S.k"])
+    refused(InputError, "give other goals", estimate, state)
 
 
 @pytest.mark.parametrize("z", [-0.5, 0.0, 0.3])

@@ -321,8 +321,13 @@ class ThermalExpansion(Eigenstrain):
         """Return the eigenstrain of a body or layer as rows (3, 3) of numbers or UFL scalars.
 
         Raises:
-            InputError: the temperature or its factor is not a scalar.
+            InputError: the temperature or its factor is not a scalar, or only one of both models has an axis.
         """
+        if isinstance(self.T, HandsOver) and (model := getattr(self.T, "model", None)):
+            is_alike = model.kinematics.has_axis == context.kinematics.has_axis
+            require(
+                is_alike, f"the temperature of {context.name}", self.T, "give the state of a model with this plane="
+            )
         T, scale = context.scalar(self.T, "the change of temperature T"), context.scalar(self.factor, "the factor of T")
         T, alpha = scale * (T - self.reference if self.reference else T), np.array(self.alpha, float)
         table = alpha if alpha.ndim == 2 else np.diag(np.broadcast_to(alpha, 3))

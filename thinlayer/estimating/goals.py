@@ -27,6 +27,7 @@ from thinlayer.discretisation.contact_nodes import nodes_of_sides
 from thinlayer.discretisation.form_compilation import checked_user_form, compiled
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.part_definition import PartDefinition
 from thinlayer.discretisation.rigid_motions import load_resultants, resultant_mask
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.discretisation.supports import Place, is_same_or_part
@@ -203,6 +204,9 @@ class Compliance(Goal):
         return float(np.nansum(np.abs([*state.energies().values()])))  # a law need not declare its energy
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
+        for part in adjoint.model.parts:  # such as JouleHeat
+            if type(part).load_work is not PartDefinition.load_work:
+                raise InputError(f"compliance: the weights of the load {part!r:.60} are not known; give other goals")
         return adjoint.load_weights(), adjoint.prescribed_displacements()
 
     def at_rest(self, state: State, model: InterfaceModel) -> float:

@@ -104,7 +104,10 @@ class Probe:
         return self._unknown(x, side, seam)
 
     def value(self, x: npt.ArrayLike, *, side: str | None = None, seam: str = S) -> Array:
-        """Return the values (n,) of a scalar field at n points, or one value; arguments as of `displacement`."""
+        """Return the values (n,) of a scalar field at n points, or one value; arguments as of `displacement`.
+
+        In a cell under a mean gradient they are those of its periodic part.
+        """
         self.state.model.kinematics.require(ScalarField.unknown, "value", "displacement")
         return self._unknown(x, side, seam)[..., 0]
 
