@@ -334,6 +334,7 @@ def test_a_described_pad():
         ("tractions={TOP=[0,1]}", "tractions= does not act on a scalar field"),
         ("layer.eigenstrain=0.1", "it is of displacements"),
         ("films={RIGHT={h=-1,T=20}}", "films.RIGHT.h: -1 is not > 0"),
+        ("body.k='50 W/m/K'", "units are read in lengths, stresses, forces and times"),
         ("fluxes={RIGHT=[1,2]}", "is not a finite number"),
         ("body={law='FluxLaw'}", "unknown law of strains 'FluxLaw'"),
     ],

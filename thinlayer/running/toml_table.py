@@ -189,7 +189,10 @@ class TomlTable:
 
     def number(self, key: str) -> float:
         """Return the finite number at `key`; raise DescriptionError if the value is anything else."""
-        return float(self.checked(key, is_finite, "is not a finite number"))
+        text = "is not a finite number"
+        if isinstance(self.values[key], str):
+            text += "; units are read in lengths, stresses, forces and times"
+        return float(self.checked(key, is_finite, text))
 
     def vector(self, key: str) -> tuple[float, ...]:
         """Return the vector at `key`, 2 or 3 finite numbers; raise DescriptionError if the value is anything else."""
