@@ -20,14 +20,14 @@ from thinlayer import Surface, estimate, march, plotting, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
-from thinlayer.estimating.result import ESTIMATED_FIELDS, Estimate
+from thinlayer.estimating.result import Estimate
 from thinlayer.output.plotting.curves import as_fraction
 from thinlayer.running.record import Record
 from thinlayer.solving.history import Solution
 from thinlayer.surface.surface_mesh import Where
 from thinlayer.system.progress import track
 
-THICKNESSES = (THICK, THIN)
+THICKNESSES, FIELDS = (THICK, THIN), ("traction", "jump")
 EFFECTIVITY_TOLERANCE = 0.01  # allowed distance of effectivities from 1
 GOAL_ROUNDING = 1e-8  # relative rounding error of goals
 
@@ -50,7 +50,7 @@ def run(record: Record, *, quick: bool = False) -> None:
         row, goal_rows = effectivities(solved)
         table.append({"case": case.name, "eps": eps, "unknowns": solved.estimate.better.model.unknowns, **row})
         goals.extend({"case": case.name, "eps": eps, **goal} for goal in goal_rows)
-    for name in ESTIMATED_FIELDS:
+    for name in FIELDS:
         deviation = np.abs(table[name] - 1).max()
         record.check(f"largest distance of the {name}'s effectivity from 1", deviation, high=EFFECTIVITY_TOLERANCE)
     deviations = np.abs(goals["effectivity"] - 1)[goals["told"] > 0]
@@ -109,7 +109,7 @@ class SolvedCase:
             for row, field in zip(squares, (traction, Surface.jump), strict=True):
                 old_field = field(surface, self.estimate.state)
                 row += surface.norm(field(surface, state) - old_field, part) ** 2, surface.norm(old_field, part) ** 2
-        return {name: math.sqrt(change / size) for name, (change, size) in zip(ESTIMATED_FIELDS, squares, strict=True)}
+        return {name: math.sqrt(change / size) for name, (change, size) in zip(FIELDS, squares, strict=True)}
 
 
 def solve_case(case: DroppedCase, model: Model) -> Solution:
@@ -148,7 +148,7 @@ def draw(record: Record) -> None:
     """Draw how ratios of estimated to true changes are distributed, from effectivities.csv in the folder of `record`."""
     lines = Curves()
     for eps, rows in record.load("effectivities.csv").split("eps").items():
-        for field in ESTIMATED_FIELDS:
+        for field in FIELDS:
             label = f"{field}, eps = {as_fraction(eps)}"
             lines[label] = np.sort(rows[field]), np.arange(1, len(rows) + 1) / len(rows)
     title, save = "changes if the layers are meshed", record.path("effectivities.svg")

@@ -126,7 +126,7 @@ def test_what_is_no_form():
         (lambda: UflPart(lambda u, v, model: model.coordinates.t * ufl.inner(u, v) * model.dx), "depends on the time"),
         (lambda: UflPart(lambda u, v, model: fem.Constant(OTHER, 1.0) * ufl.dx(OTHER)), "another mesh"),
         (lambda: UflPart(energy=lambda u, model: u[0] * model.dx), "do not depend on u"),
-        (lambda: 3.0, "one of parts is 3.0"),
+        (lambda: 3.0, "parts is 3.0"),
     ]:
         refused(InputError, message, lambda part=part: column(part()))
 
