@@ -24,7 +24,7 @@ from forms.traction import JumpStep, TractionLaw
 class Conduction(FluxLaw):
     """Fourier's, Ohm's, Fick's or Darcy's law: the flux is k times the gradient of the field.
 
-    As a layer's law of order 0, with the jump [T]: flux through the layer k [T]/eps.
+    As a layer's law of order 0, the flux through the layer is k [T]/eps: eps is its thickness, [T] the field's jump.
 
     Attributes:
         k: conductivity, > 0: flux over gradient. A number, or a numpy function of the coordinates (d, n) of n places.
@@ -159,8 +159,8 @@ class _ConductanceOfGradients(Conduction):
 class Conductance(TractionLaw):
     """Law of a scalar field on S without a thickness: the flux is h times the jump of the field.
 
-    Examples are a contact resistance 1/h, or gas in a gap: h = k_g/(opening + g_0), with the opening of a mechanical
-    model (`Surface.function`).
+    Examples are a contact resistance 1/h, or gas with the conductivity k_g in a gap: h = k_g/(opening + g_0), with the
+    opening of a mechanical model (`Surface.function`), and the gap g_0 that is left where the opening is 0.
 
     Attributes:
         h: conductance, flux over jump; > 0. A number, or a numpy function (x, t) of the coordinates (d, n) of n places

@@ -59,7 +59,7 @@ class FluxStep(Step):
 
 
 def _in_ufl(value: Any, power: float) -> Expr:
-    """Return a parameter's number or table in UFL, as a product of a number of numpy and UFL fails."""
+    """Return a parameter, a number or array, as UFL, since UFL cannot multiply numpy's numbers; `power` is not used."""
     return ufl.as_tensor(value) if np.ndim(value) else ufl.as_ufl(value)
 
 
@@ -73,7 +73,7 @@ class FluxLaw(BulkLaw):
     A subclass with internal variables also defines `evolve(step)`. If the flux depends on the value T, or the sink on
     the gradient, the tangent is not symmetric: it declares `symmetric = False`.
 
-    A potential is a function with the derivatives flux by g_end, and sink by T_end. If a law without rate defines
+    The derivative of a potential by g_end is the flux, that by T_end the sink. If a law without `rate` defines
     `potential(step)`, results have its integral as an energy.
     """
 
@@ -123,7 +123,7 @@ class FluxLaw(BulkLaw):
         return self.potential(FluxStep(*step))
 
     def loss(self, step: FluxStep) -> Expr:
-        """Return the loss per unit volume and time that belongs to the potential, UFL: the sink times the rate of T.
+        """Return the loss per unit volume and time, UFL: power of flux and sink that does not change the potential.
 
         The power of loads in the rate of the field is the rate of the potential plus the loss.
         """

@@ -12,7 +12,7 @@ from forms.base import Array, InputError
 from forms.law import BulkLaw
 from forms.tensors import MANDEL_PAIRS, Expr, jump_strain, scalar_strain, strain, three_dimensional
 
-# (k, d, d) matrices W of unit rotations: displacements W x, in 3D e_k x x
+# (k, d, d) matrices W of unit rotations with displacements W x: in 3D the cross products of e_k and x
 UNIT_ROTATIONS = {2: np.array([[[0.0, -1.0], [1.0, 0.0]]]), 3: np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)}
 
 
@@ -25,7 +25,7 @@ class QuantityNames(NamedTuple):
         stress: what a law gives in bodies.
         load: load on a facet set, in names of parameters.
         body_force: what acts in a volume, per volume.
-        load_arguments: arguments of structures with loads on facets and in volumes.
+        load_arguments: names of the arguments of `Structure` for loads on facet sets and in volumes.
         motion: change of the unknown without strain, with {} for the name of a component.
         unsupported: message if nothing prevents a motion without strain, with {} for this motion.
     """
@@ -51,7 +51,7 @@ class Kinematics:
     Attributes:
         x: coordinates on the mesh, UFL (d,); None if no mesh is set (`on_mesh` returns a copy with a mesh).
         name: value of `plane` in `Structure(plane=...)` that selects these kinematics.
-        unknown: name of the unknown, by which laws say what they are laws of (`Law.unknown`).
+        unknown: name of the unknown; laws for these kinematics have the same name in `Law.unknown`.
         quantities: names of quantities, for messages and columns of results.
         has_value_in_strain: whether a strain contains the unknown's value, on which laws then may depend.
         has_axis: whether the bodies are bodies of revolution about an axis.
@@ -77,13 +77,13 @@ class Kinematics:
         return replace(self, x=ufl.SpatialCoordinate(mesh))
 
     def require(self, unknown: str, what: str, instead: str = "") -> None:
-        """Raise InputError unless these are kinematics of an unknown, for which alone `what` is; `instead` is a remedy."""
+        """Raise InputError unless the unknown has the name `unknown`, which `what` requires; `instead` is a remedy."""
         if self.unknown != unknown:
             remedy = f"; take {instead}" if instead else ""
             raise InputError(f"{what} is for laws of a {unknown}; the bodies have laws of a {self.unknown}{remedy}")
 
     def at(self, x: Expr) -> Self:
-        """Return a copy with other coordinates `x`, UFL (d,), such as those of points on S off the mesh's facets."""
+        """Return a copy with other coordinates `x`, UFL (d,), such as those of points on S away from the facets."""
         return replace(self, x=x)
 
     def components(self, d: int) -> tuple[str, ...]:
@@ -95,20 +95,21 @@ class Kinematics:
         return self.translation_axes(d)
 
     def motion_count(self, d: int) -> int:
-        """Return the number of unit motions in `d` dimensions: of rigid bodies 3 in two dimensions, 6 in three."""
+        """Return the number k of unit motions: 3 of a rigid body in `d` = 2 dimensions, 6 in three."""
         return d + len(UNIT_ROTATIONS[d])
 
     def unit_motions_at(self, x: Array, about: Array) -> Array:
-        """Return the values (n, c, k) of the k unit motions without strain in a plane or in space, at n places (n, d).
+        """Return the values (n, c, k) of the k unit motions at n places (n, d): of rigid bodies, or a uniform value.
 
-        The motions of rigid bodies are d translations, then rotations about the point `about` (d,).
+        The motions of rigid bodies are d translations, then rotations about the point `about` (d,). Not all of them
+        are without strain in axisymmetry, see `uniform_components` and `has_rigid_rotations`.
         """
         n, d = x.shape
         arms = np.einsum("kij,nj->nik", UNIT_ROTATIONS[d], x - about)
         return np.concatenate([np.broadcast_to(np.eye(d), (n, d, d)), arms], axis=2)
 
     def combined_motion(self, x: Expr, about: Array, factors: Expr) -> Expr:
-        """Return a combination (c,), UFL, of the k unit motions with the `factors` (k,), as `unit_motions_at` has them."""
+        """Return the sum (c,), UFL, of the unit motions `unit_motions_at` at `x` (d,), times the `factors` (k,)."""
         d, arm = len(about), x - ufl.as_vector(about.tolist())
         rotations = enumerate(UNIT_ROTATIONS[d].tolist())
         rotation_terms = (factors[d + k] * ufl.dot(ufl.as_matrix(rotation), arm) for k, rotation in rotations)
@@ -122,7 +123,7 @@ class Kinematics:
         return tuple(k for k, (_, j) in enumerate(MANDEL_PAIRS) if j < d)
 
     def resisted_indices(self, d: int) -> tuple[int, ...]:
-        """Return the indices, as `strain_indices`, of those components that a stable law resists with a stress."""
+        """Return those of the `strain_indices` whose components of strain every stable law resists with a stress."""
         return self.strain_indices(d)
 
     def translation_axes(self, d: int) -> tuple[int, ...]:
@@ -258,7 +259,8 @@ class Axisymmetric(Kinematics):
 class ScalarField(Kinematics):
     """A scalar field, such as a temperature, on plane and three-dimensional meshes: its gradient and value are strains.
 
-    They stand in the places of `forms.tensors.scalar_strain`. In plane meshes nothing varies across the plane.
+    They are entries of a strain (3, 3), as `forms.tensors.scalar_strain` places them. In 2D nothing varies across the
+    plane.
     """
 
     unknown = "scalar field"

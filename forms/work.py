@@ -1,6 +1,6 @@
 """Virtual work of laws in bodies, in meshed layers and on S, as UFL forms; the two sides of S.
 
-A `Term` is the virtual work of one law.
+S is the surface that replaces a layer in an interface model. A `Term` is the virtual work of one law.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from forms.tensors import Expr, three_dimensional
 
 
 def require_constant_law(law: BulkLaw) -> BulkLaw:
-    """Return the given law, after a check that its parameters do not depend on the place through numpy functions.
+    """Return the law itself, if none of its parameters is a numpy function of the place.
 
     Raises:
         InputError: a parameter is a function of the place, for which a mesh would be needed.
@@ -34,7 +34,7 @@ def require_constant_law(law: BulkLaw) -> BulkLaw:
 
 @dataclass(frozen=True)
 class InterfaceSide:
-    """One side of S, in d dimensions, with the operations that take the values of functions on this side.
+    """One side of S, in d dimensions: the values and gradients that functions on the mesh have there.
 
     Attributes:
         restrict: function that restricts a UFL function on the mesh to this side.
@@ -139,9 +139,9 @@ class Interface:
         N = -ufl.dot(upper(ufl.FacetNormal(mesh)), inverse_grad)
         norm_of_N = ufl.sqrt(ufl.dot(N, N))
         n, x = N / norm_of_N, upper(ufl.SpatialCoordinate(mesh) + to_s)
-        fibre = upper(to_s) / ufl.dot(upper(to_s), n)
+        director = upper(to_s) / ufl.dot(upper(to_s), n)
         ratio = norm_of_N / abs(ufl.det(inverse_grad))
-        return cls(measure, x, n, fibre, InterfaceSide(upper.restrict, inverse_grad), lower, kinematics.at(x), ratio)
+        return cls(measure, x, n, director, InterfaceSide(upper.restrict, inverse_grad), lower, kinematics.at(x), ratio)
 
     @property
     def factor(self) -> Expr:
@@ -153,7 +153,7 @@ class Interface:
         return self.upper(v) - self.lower(v)
 
     def faces(self, u: Expr, eps: Expr, grad_eps: Expr | None = None, *, uniform: bool = False) -> Faces:
-        """Return the displacements of the faces of a layer on S.
+        """Return the faces of a layer on S, with the jump, gradients and mean strain of a displacement.
 
         Args:
             u: displacement, UFL on the mesh.
@@ -192,10 +192,10 @@ class Term:
         kinematics: kinematics of the strain.
         bbar_degree: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell
             (B-bar). It applies to compiled laws over cells. None: no projection.
-        traction: on S, function that returns, for a stress (3, 3), the traction (c,) that does the stress's virtual
-            work on [u]. None: stress times n.
-        mobility: flux along S per gradient of the pressure, eps^3/(12 mu), for laws of order 1 with a pressure on S; 0
-            for others.
+        traction: on S, function of a stress (3, 3) that returns the traction (c,) with the same virtual work on [u].
+            None: stress times n.
+        mobility: flux along S per gradient of the pressure, for laws of order 1 with a pressure on S; 0 for others. It
+            is eps^3/(12 mu) with the thickness eps and the shear modulus mu.
     """
 
     law: BulkLaw

@@ -57,9 +57,12 @@ class StraightCells:
         basis: (nv, d, d) symmetric tensors of norm 1, to which the components of stress belong.
         corners: (nc, l) numbers of the vertices of nc cells.
         A, A_inverse: (nc, d, d) Jacobians of the cells and their inverses.
-        J, volume: (nc,) sizes of the Jacobians' determinants, and volumes of the cells.
-        C, compliance: (nc, nv, nv) stiffness of each cell, stress, and its inverse.
-        nodes: (nc, n) numbers of the nodes of each cell; node_vertices (nn, 2) the vertices that each node lies amid.
+        J, volume: (nc,) absolute determinants of the Jacobians, and volumes of the cells; areas in 2D.
+        C, compliance: (nc, nv, nv) stiffness of each cell (unit: stress), and its inverse.
+        nodes: (nc, n) numbers of the nodes of each cell.
+        node_vertices: (nn, 2) the two vertices midway between which each node lies; twice the same for a vertex.
+        closure: (f, m) positions of the nodes of each facet among the n nodes of a cell.
+        element, facet_element: Lagrange elements of the degree on the reference cell and on its facets.
         facets, facet_cells: (nf, d) vertices, and (nf, 2) cells of each facet; -1: no second cell.
         cell_facets, sign: (nc, f) numbers of a cell's facets, and 1 or -1 for its first or second cell.
         area_vectors: (nc, f, d) outward normals of a cell's facets, as long as their area.
@@ -71,7 +74,7 @@ class StraightCells:
         corners: (nc, l) numbers of the vertices of each cell; of a quadrilateral a parallelogram's.
         cell_type: type of the cells.
         degree: polynomial degree of displacements.
-        C: (nc, nv, nv) stiffness of each cell in Mandel's order, stress.
+        C: (nc, nv, nv) stiffness of each cell in Mandel's order (unit: stress).
     """
 
     def __init__(self, points: FloatArray, corners: IntArray, cell_type: str, degree: int, C: Array) -> None:
@@ -110,7 +113,7 @@ class StraightCells:
                 nodes.append(np.arange(len(corners))[:, None] + len(self.node_vertices))
                 self.node_vertices = np.vstack([self.node_vertices, corners[:, [0, 3]]])
         self.nodes = np.hstack(nodes)
-        self.closure = np.array(self.element.entity_closure_dofs[-2])  # (f, m) positions of facets' nodes
+        self.closure = np.array(self.element.entity_closure_dofs[-2])
         nodes_of_facets = self.nodes[:, self.closure]
         rank = nodes_of_facets.argsort(axis=2).argsort(axis=2)
         self.moment_rows = self.cell_facets[:, :, None] * self.closure.shape[1] + rank
@@ -175,11 +178,11 @@ class StraightCells:
         return np.asarray(self.volume[:, None, None] * (mass_matrix(self.cell_type, self.degree) @ f))
 
     def facet_points(self, facet: int, degree: int | None = None) -> FloatArray:
-        """Return the nodes of a facet of the reference cell, of an element of a degree, in the facet's order."""
+        """Return the places (m, d) of a reference cell's nodes on a facet; `degree` None: that of the cells."""
         x, v = lagrange(self.facet_type, degree or self.degree).points, lagrange(self.cell_type, 1).points
         v = v[local_facets(self.cell_type)[facet]]
         return np.asarray(v[0] + x @ (v[1:] - v[0]))
 
     def moment_sums(self, cell_moments: Array) -> Array:
-        """Return the sums (nf m, ...) of values (nc, f, m, ...) of cells over the cells at each facet."""
+        """Return the sums (nf m, ...), over the cells at each facet, of the cells' values (nc, f, m, ...)."""
         return sum_by_number(self.moment_rows, cell_moments, self.facet_nodes.size)

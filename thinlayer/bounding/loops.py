@@ -46,8 +46,9 @@ class _Columns:
 def balanced_changes(cells: StraightCells, is_free: BoolArray) -> scipy.sparse.csr_matrix:
     """Return changes of the facets' moments, as columns (nf m d, k), under which each cell stays in balance.
 
-    A ridge is a vertex in 2D, an edge in 3D. Around a ridge, moments of one node on it, or couples, may run through all
-    cells; the last kind of change are tractions on a single facet without force and couple.
+    A ridge is a vertex in 2D, an edge in 3D. There are three kinds of change: a moment of one node, passed on through
+    all cells around a ridge that contains the node; a couple passed on likewise; and tractions on a single facet that
+    have neither a force nor a couple. Letters in shapes are those of `StraightCells`.
 
     Args:
         cells: the cells.
@@ -59,11 +60,12 @@ def balanced_changes(cells: StraightCells, is_free: BoolArray) -> scipy.sparse.c
     ridge_of = ridge_of.reshape(n_facets, -1)
     cell_ridges = np.searchsorted(keys, facet_ridge_keys(cells.corners, d - 1))
     n_at_ridge, n_cells_at = np.bincount(ridge_of.ravel()), np.bincount(cell_ridges.ravel(), minlength=len(keys))
+    # facets around a ridge are a single ring, inside, or a single fan, at the boundary
     is_fan = (n_at_ridge == n_cells_at) | (n_at_ridge == n_cells_at + 1)
     senses = _senses(cells)
 
     def closed(mask: BoolArray) -> BoolArray:
-        """Return at which ridges (n,) all facets are in `mask` (nf,)."""
+        """Return the mask (n,) of the ridges whose facets are all in `mask` (nf,)."""
         counts = np.bincount(ridge_of[mask].ravel(), minlength=len(keys))
         return np.asarray(is_fan & (counts == n_at_ridge))
 
@@ -101,7 +103,7 @@ def balanced_changes(cells: StraightCells, is_free: BoolArray) -> scipy.sparse.c
 
 
 def _senses(cells: StraightCells) -> FloatArray:
-    """Return (nf, d) whether the normal of a facet's first cell runs around each of its ridges forwards, 1, or -1."""
+    """Return the sense (nf, d), 1 or -1, in which the normal of a facet's first cell turns about its d ridges."""
     d, x = cells.d, cells.points[cells.facets]
     first = cells.facet_cells[:, 0]
     local = (cells.cell_facets[first] == np.arange(len(first))[:, None]).argmax(axis=1)
@@ -114,7 +116,7 @@ def _senses(cells: StraightCells) -> FloatArray:
 
 
 def _facet_motions(cells: StraightCells) -> tuple[FloatArray, FloatArray]:
-    """Return values (nf, m d, k) of k rigid motions at the nodes of facets; rotations are divided by sizes (nf,)."""
+    """Return k rigid motions (nf, m d, k) of facets at their nodes, and the sizes (nf,) that divide their rotations."""
     x = cells.points[cells.node_vertices].mean(axis=1)[cells.facet_nodes]
     arms = x - cells.points[cells.facets].mean(axis=1, keepdims=True)
     size = np.linalg.norm(arms, axis=2).max(axis=1)
@@ -132,9 +134,9 @@ def _matrix(blocks: Array, dofs: IntArray, n: int) -> scipy.sparse.csr_matrix:
 class TractionImprovement:
     """Lowers the complementary energy of stresses in equilibrium by a few conjugate-gradient steps on tractions.
 
-    The preconditioner is a factor of the changes that touch the layers' cells, as thin cells couple the tractions along
-    a layer strongly. For all others it is the diagonal, without the coupling of facets. Any number of steps leaves each
-    cell in balance.
+    The preconditioner inverts the energy's second derivative among the changes that touch the layers' cells, as thin
+    cells couple the tractions along a layer strongly. For all others it is the diagonal, without the coupling of
+    facets. Any number of steps leaves each cell in balance.
 
     Args:
         stresses: stresses of the cells.
@@ -164,7 +166,7 @@ class TractionImprovement:
         self._factor = SubmatrixFactor(block + shift, symmetric=True)
 
     def _touching(self, dofs: IntArray) -> BoolArray:
-        """Return the mask of the changes that change any of the moments `dofs`."""
+        """Return the mask of the columns of `balanced_changes` that change any of the moments `dofs`."""
         marked = np.zeros(self._T.shape[0])
         marked[dofs] = 1.0
         return np.asarray(abs(self._T).T @ marked).ravel() > 0
@@ -184,7 +186,7 @@ class TractionImprovement:
         return z
 
     def improved(self, loads: CellLoads, moments: Array, seed: Array, steps: int) -> Array:
-        """Return the stress in equilibrium with better tractions.
+        """Return a stress (nc, parts, nv, nk) in equilibrium, after steps on tractions that bring it nearer to `seed`.
 
         Args:
             loads: the loads.

@@ -1,4 +1,4 @@
-"""Reference cell cut at its centre, with polynomial stresses that have any tractions in balance and any divergence.
+"""Reference cell cut at its centre, and its polynomial stresses for any divergence and any tractions that balance it.
 
 Straight lines from the centre (mean of the vertices) of a cell to its vertices divide it into simplices, one at each
 facet. On each of these parts the stress is symmetric and of degree k; its tractions are continuous between the parts.
@@ -31,9 +31,10 @@ class MacroCell:
     Attributes:
         points: (parts, nk, d) nodes of the parts.
         div_points: (parts, ., d) points at which the divergence is prescribed, which has degree k - 1.
-        equations: (rows, parts nv nk) matrix B. Rows are first tractions times area at the k-th lattice of each facet,
-            then the divergence at `div_points`, then jumps of tractions between parts, which are zero.
-        to_tractions: (., m) factors that make the first data, of a facet, from its m moments.
+        shape: (parts, nv, nk).
+        equations: (rows, parts nv nk) matrix B. Rows are first tractions times area at a lattice of degree k on each
+            facet, then the divergence at `div_points`, then jumps of tractions between parts, which are zero.
+        to_tractions: (., m) factors of a facet's m moments in its tractions times area, the data of the first rows.
         n_tractions, n_data: number of the first, and of the first two kinds of rows.
         particular: (parts nv nk, n_data) matrix P.
         null_space: (parts nv nk, .) matrix N.
@@ -81,6 +82,7 @@ class MacroCell:
         self.mass = part_volumes[:, None, None] * mass_matrix(SIMPLEX_TYPES[d], k)
 
     def _reference_points(self, part: int, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the points `x` (k, d) in the coordinates of a part as reference cell, and their gradient (d, d)."""
         v = self._parts[part]
         inverse = np.linalg.inv((v[1:] - v[0]).T)
         return (x - v[0]) @ inverse.T, inverse

@@ -17,7 +17,8 @@ ROW_TOLERANCE = 1e-6  # largest residual of the equations of equilibrium in a ce
 class Stresses:
     """Stresses of affine cells that are polynomials on the parts of each cell, see `MacroCell`.
 
-    A stress is an array (nc, parts, nv, nk), in the metric of the reference cell.
+    A stress is an array (nc, parts, nv, nk): values at the nodes of the parts, mapped to the reference cell. Letters in
+    shapes are those of `StraightCells` and `MacroCell`.
 
     Args:
         cells: the cells.
@@ -83,7 +84,7 @@ class Stresses:
 
     @cached_property
     def _unit_moments(self) -> Array:
-        """(parts nv nk, facets m d) stresses of the reference cell under unit tractions, from moments of all facets."""
+        """(parts nv nk, facets m d) stresses of the reference cell for unit moments on its facets."""
         cells, macro = self.cells, self.macro
         by_node = macro.particular[:, : macro.n_tractions].reshape(-1, macro.shape[0], len(macro.to_tractions), cells.d)
         return np.einsum("yfpd,pn->yfnd", by_node, macro.to_tractions).reshape(len(by_node), -1)
@@ -99,7 +100,7 @@ class Stresses:
         return self._to_cells(self._to_cells(H), transpose=True)
 
     def _to_cells(self, H: Array, transpose: bool = False) -> Array:
-        """Multiply matrices (nc, k, k) from the left by what maps a cell's moments to the reference cell, transposed."""
+        """Return B^T H or, with `transpose`, H B for H (nc, k, k); B maps a cell's moments to the reference cell."""
         H = np.swapaxes(H, 1, 2) if transpose else H
         inverse = self.cells.A_inverse / self.cells.J[:, None, None]
         blocks = H.reshape(len(H), -1, self.cells.d, H.shape[2])

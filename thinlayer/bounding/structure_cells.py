@@ -28,8 +28,8 @@ from thinlayer.solving.layer_subproblem import LayerSubproblem
 from thinlayer.system.compat import ufl_replace
 
 SHAPE_TOLERANCE = 1e-9  # difference of shapes of cells, normals or loads, over their size, that counts as rounding
-MAX_POISSON_RATIO = 0.499
-CELL_PROBES = {2: np.array([[0.23, 0.31]]), 3: np.array([[0.23, 0.31, 0.17]])}  # places where degrees are checked
+MAX_POISSON_RATIO = 0.499  # above it bounds would be wide
+CELL_PROBES = {2: np.array([[0.23, 0.31]]), 3: np.array([[0.23, 0.31, 0.17]])}  # places off the nodes
 FACET_PROBES = {2: np.array([[0.23]]), 3: np.array([[0.23, 0.31]])}
 
 
@@ -52,7 +52,7 @@ class StructureCells:
         t: time of loads and supports.
 
     Raises:
-        InputError: a structure without such bounds, with a key.
+        InputError: the structure has no bounds against the continuum; the error's `key` names the condition.
     """
 
     def __init__(self, model: InterfaceModel, layers: LayerSubproblem, t: float) -> None:
@@ -88,7 +88,7 @@ class StructureCells:
         return np.concatenate([u.reshape(-1, d)[self._body_nodes], w[:n].reshape(-1, d)[self._layer_nodes]])
 
     def corner_points(self, numbers: IntArray) -> Array:
-        """Return the corners (k, d + 1, d) of k cells at the places that loads refer to: bodies' as in their model."""
+        """Return the corners (k, l, d) of k cells, of bodies as in the interface model, where loads are defined."""
         x, n_bodies = self.cells.points[self.cells.corners[numbers]], len(self._model.joint.cells)
         of_bodies = numbers < n_bodies
         x[of_bodies] = self._model.domain.joint.cell_points[numbers[of_bodies]]
@@ -112,7 +112,7 @@ class StructureCells:
 
     # ---------------------------------------------------------------- laws
     def _stiffnesses(self) -> Array:
-        """Return the stiffness (nc, nv, nv) of each cell, stress.
+        """Return the stiffness (nc, nv, nv) of each cell (unit: stress); set the moduli of laws with a pressure field.
 
         Raises:
             InputError: a law with memory, or with functions of the place; an almost incompressible one.
@@ -127,26 +127,26 @@ class StructureCells:
         normals[:, -1] = 1.0
         normals[self.is_layer] = band.director.mean(axis=1)
         if np.abs(band.director - band.director[:, :1]).max(initial=0.0) > SHAPE_TOLERANCE:
-            curved = [name for name, law in laws.items() if name in band.regions and depends_on_normal(law)]
-            if curved:
-                raise refusal("moduli", f"the law of {curved[0]} turns with the normal of S", "use an isotropic law")
+            dependent = [name for name, law in laws.items() if name in band.regions and depends_on_normal(law)]
+            if dependent:
+                raise refusal("moduli", f"the law of {dependent[0]} turns with the normal of S", "use an isotropic law")
         nv = 3 * (joint.dim - 1)
         C, self._pressure_moduli = np.empty((len(joint.cells), nv, nv)), np.zeros(len(joint.cells))
         indices = [*model.structure.kinematics.strain_indices(joint.dim)]
         for number, region in enumerate(joint.regions):
             in_region = np.flatnonzero(joint.region == number)
-            directions, which = normals[in_region[:1]], np.zeros_like(in_region)
+            directions, direction_of = normals[in_region[:1]], np.zeros_like(in_region)
             if depends_on_normal(laws[region]):
-                directions, which = np.unique(np.round(normals[in_region], 12), axis=0, return_inverse=True)
+                directions, direction_of = np.unique(np.round(normals[in_region], 12), axis=0, return_inverse=True)
             tangents = [_tangent(laws[region], region, n) for n in directions]
             if laws[region].traits.constrained:
                 self._pressure_moduli[in_region] = average_lame(tangents[0])[0]
-            C[in_region] = np.stack(tangents)[which.ravel()][:, indices][:, :, indices]
+            C[in_region] = np.stack(tangents)[direction_of.ravel()][:, indices][:, :, indices]
         return C
 
     # ---------------------------------------------------------------- supports and loads
     def _facets(self, domain: Domain, entities: Indices, first_cell: int) -> IntArray:
-        """Return the numbers of the cells' facets of local facets `entities` of a model's domain."""
+        """Return the numbers in `cells` of facets `entities` of a domain whose cells begin at `first_cell`."""
         table = domain.joint.table
         rows = domain.numbers(domain.joint.dim - 1, entities)
         return np.asarray(self.cells.cell_facets[table.cells[rows, 0] + first_cell, table.local[rows, 0]])
@@ -167,7 +167,7 @@ class StructureCells:
                 self.is_free[facets, component] = True
 
     def _component_along(self, facets: IntArray, place: str) -> int:
-        """Return the index of the axis along which the normals of all `facets` are."""
+        """Return the index of the coordinate axis that is normal to all `facets`."""
         x = self.cells.points[self.cells.facets[facets]]
         spans = np.ptp(x, axis=1) / np.ptp(x, axis=1).max(axis=1, keepdims=True, initial=1e-300)
         flat = np.flatnonzero((spans < SHAPE_TOLERANCE).all(axis=0))
@@ -278,8 +278,9 @@ class _Density:
         x, probes = cells.element.points, CELL_PROBES[cells.d]
         vertex = lagrange(cells.cell_type, 1).tabulate(0, np.vstack([x, probes]))[0, :, :, 0]
         values = self._values(vertex @ corners, np.zeros((len(corners), len(vertex), cells.d)))
-        low = vertex @ values[:, : cells.corners.shape[1]] if cells.degree == 2 else values.mean(axis=1, keepdims=True)
-        _require_degree(values, low, cells.degree - 1, "volume")
+        corner_values = values[:, : cells.corners.shape[1]]
+        fitted = vertex @ corner_values if cells.degree == 2 else values.mean(axis=1, keepdims=True)
+        _require_degree(values, fitted, cells.degree - 1, "volume")
         return values[:, : len(x)]
 
     def moments(self, structure: StructureCells, facets: IntArray) -> Array:
@@ -317,7 +318,7 @@ def _require_degree(values: Array, polynomial: Array, degree: int, where: str) -
 
 
 def _tangent(law: BulkLaw, region: str, n: Array) -> Array:
-    """Return the stiffness (6, 6) in Mandel's order of a law, stress; `n` (d,) is the normal of the layer."""
+    """Return the stiffness (6, 6) of a law in Mandel's order (unit: stress); `n` (d,) is the normal of the layer."""
     traits = law.traits
     if law.fields or traits.varies:
         raise refusal("moduli", f"moduli of {region} are functions of the place", "give numbers, or more regions")

@@ -18,7 +18,7 @@ MIN_FORCE_RATIO = 1e-12  # force on a node, over that of its displacement alone,
 
 @dataclass(frozen=True)
 class CellLoads:
-    """Loads on straight cells, and the facets where supports leave tractions free.
+    """Loads on straight cells. Letters in shapes are those of `StraightCells`.
 
     Attributes:
         body_force: (nc, n, d) force per volume at each cell's nodes.
@@ -62,9 +62,9 @@ class TractionBalance:
         self._is_free = np.repeat(is_free, cells.facet_nodes.shape[1], axis=0)
         self._projections: list[_Projection] = []  # one for each component
         for component, mask in enumerate(self._is_free.T):
-            alike = [k for k in range(component) if (self._is_free[:, k] == mask).all()]
-            new = self._projections[alike[0]] if alike else _Projection(self._sums[:, mask], weight[mask])
-            self._projections.append(new)
+            equal = [k for k in range(component) if (self._is_free[:, k] == mask).all()]
+            projection = self._projections[equal[0]] if equal else _Projection(self._sums[:, mask], weight[mask])
+            self._projections.append(projection)
 
     def moments(self, stress: Array, loads: CellLoads, U: Array) -> tuple[Array, float]:
         """Return the moments that balance each cell, near those of stresses (nc, k, nv) at `stress_points`.
@@ -77,21 +77,20 @@ class TractionBalance:
         cells, unbalanced = self._cells, 0.0
         forces = cells.nodal_forces(stress) - cells.nodal_loads(loads.body_force)
         size = float(np.abs(forces).max())
-        if (
-            size <= MIN_FORCE_RATIO * (cells.node_stiffness * np.abs(U).max(axis=(1, 2))).max()
-        ):  # a motion without strain
+        largest = float((cells.node_stiffness * np.abs(U).max(axis=(1, 2))).max())
+        if size <= MIN_FORCE_RATIO * largest:  # a motion without strain
             return np.where(self._is_free, 0.0, loads.moments), 0.0
         moments = np.where(self._is_free, self._mean_moments(stress), loads.moments)
         for component, projection in enumerate(self._projections):
-            mask, needed = self._is_free[:, component], forces[:, :, component].ravel()[self._rows]
+            mask, cell_forces = self._is_free[:, component], forces[:, :, component].ravel()[self._rows]
             for _ in range(2):  # the second solve removes rounding errors of the first
-                change = projection.change(needed - self._sums @ moments[:, component])
+                change = projection.change(cell_forces - self._sums @ moments[:, component])
                 moments[mask, component] += change
-            unbalanced = max(unbalanced, float(np.abs(needed - self._sums @ moments[:, component]).max()))
+            unbalanced = max(unbalanced, float(np.abs(cell_forces - self._sums @ moments[:, component]).max()))
         return moments, unbalanced / size
 
     def _mean_moments(self, stress: Array) -> Array:
-        """Return mean moments (nf m, d) of stresses (nc, k, nv) on both sides of facets."""
+        """Return the weighted means (nf m, d) of the moments that stresses (nc, k, nv) have on both sides of facets."""
         cells, mass = self._cells, mass_matrix(self._cells.facet_type, self._cells.degree)
         cell_moments = np.empty((*cells.moment_rows.shape, cells.d))
         for facet in range(cells.sign.shape[1]):

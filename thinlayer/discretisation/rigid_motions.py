@@ -83,9 +83,9 @@ def motion_factors(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
     The factors (k,) multiply the k unit motions: d translations, then rotations about the centre. Factors of rotations
     are divided by the size of the structure, so that rotations are as large as translations.
 
-    Translations come first in the result. In axisymmetry only that along the axis is left. In periodic joints rotations
-    would move one periodic side against the other. The only exception is a rotation about the direction of a single
-    period in 3D.
+    Translations come first in the result. In axisymmetry only that along the axis is left. Periodic joints have no
+    rotations, which would move one periodic side against the other. The only exception is a rotation about the
+    direction of a single period in 3D.
     """
     d, size, basis = joint.dim, joint.size, np.eye(kinematics.motion_count(joint.dim))
     names, motion = kinematics.components(d), kinematics.quantities.motion
@@ -127,10 +127,11 @@ def model_motions(model: Model, kinematics: Kinematics | None = None) -> dict[st
     """
     n_dofs = len(model.node_coordinates) * model.n_components
     values = model_motion_values(model, np.arange(n_dofs), kinematics)
-    modes = {name: fem.Function(model.V) for name in motion_factors(model.domain.joint, kinematics or model.kinematics)}
-    for f, column in zip(modes.values(), values.T, strict=True):
+    names = motion_factors(model.domain.joint, kinematics or model.kinematics)
+    motions = {name: fem.Function(model.V) for name in names}
+    for f, column in zip(motions.values(), values.T, strict=True):
         f.x.array[:] = column
-    return modes
+    return motions
 
 
 def resistance_matrix(model: Model, resistances: Sequence[ResistanceFunction]) -> Array:
@@ -229,7 +230,7 @@ class Flow:
     """Resultant of a scalar field's fluxes: for heat the power that enters the structure; in 2D per unit thickness.
 
     Attributes:
-        flow: flux times area.
+        flow: integral of the flux over the area.
     """
 
     flow: float
@@ -293,9 +294,7 @@ def load_resultants(model: Model, t: float, work: Callable[[Expr], Mapping[str, 
 def resultant(model: Model, motion_works: Array) -> Any:
     """Return the `Resultant` of forces from their work in the k unit rigid motions about the model's centre.
 
-    For a scalar field it is a `Flow`.
-
-    Components that vanish by axisymmetry are set to zero.
+    For a scalar field it is a `Flow`. Components that vanish by axisymmetry are set to zero.
 
     Args:
         model: the model.

@@ -1,8 +1,8 @@
 """Bounds of goals against the continuum: the errors of interface laws and of all cells in a single interval.
 
-Let U be displacements of bodies and layers that are continuous and fit the supports, and s a stress in equilibrium
-with the loads. With d = s - C e(U), the energy norm g of d, and the same of a goal's adjoint problem (Z, d_z, g_z),
-the goal of the continuum is within (Prager and Synge 1947)
+Let U be displacements of bodies and layers that are continuous and fit the supports, e(U) their strains, C the
+stiffness, and s a stress in equilibrium with the loads. Let g be the energy norm of d = s - C e(U), and Z, d_z and g_z
+the same for the adjoint problem of a goal Q. The goal of the continuum is within (Prager and Synge 1947)
 
     Q(U) + f . Z - a(U, Z) + <d, d_z>/2 -+ g g_z/2.
 
@@ -34,7 +34,7 @@ from thinlayer.estimating.goals import Compliance, Functional, Goal, Reaction
 from thinlayer.solving.layer_subproblem import LayerSubproblem
 
 MAX_IMBALANCE = 1e-7  # largest unbalanced force on a node of a cell, over the largest force on a node
-IMBALANCE_FACTOR = 10  # by this times the imbalance, over the energies' size, bounds are widened
+IMBALANCE_FACTOR = 10  # bounds are widened by this times the imbalance and the geometric mean of both energies
 DEFAULT_STEPS = 8  # number of conjugate-gradient steps on tractions
 
 
@@ -59,9 +59,9 @@ class ContinuumBounds:
     Attributes:
         value: the goal with the interface laws, in the state passed to `estimate`.
         lower, upper: bounds of the goal of the continuum.
-        bodies, layer, law: parts of the interval that the cells of the bodies, those of the layers, and the steps from
-            the interface laws to meshed layers cause; their sum is 1.
-        by_cell: (nc,) parts of `upper - lower` that the nc cells cause, in the order of the cells of
+        bodies, layer, law: shares of the interval, with the sum 1: from the cells of the bodies, from those of the
+            layers, and from the difference between interface laws and meshed layers.
+        by_cell: (nc,) parts of `upper - lower` from the nc cells, in the order of the cells of
             `estimate.inside.model.inflated_joint`: refine where they are large.
         imbalance: largest unbalanced force on a node of a cell, over the largest force on a node: rounding.
     """
@@ -97,7 +97,8 @@ class _Field(NamedTuple):
         loads: the loads.
         difference: stress in equilibrium minus stress of the displacements.
         squares: (nc,) squared energy norms of the difference in each cell.
-        law_square: squared norm of the difference between layers under the face forces and face displacements.
+        law_square: squared energy norm of the stress of the layers under face forces, minus that under face
+            displacements.
         imbalance: see `ContinuumBounds`.
     """
 
@@ -119,7 +120,7 @@ class Continuum:
         steps: number of conjugate-gradient steps that improve tractions; more steps give narrower bounds.
 
     Raises:
-        InputError: a structure without such bounds, with a key.
+        InputError: the structure has no such bounds; the error's `key` names the condition.
     """
 
     def __init__(self, model: InterfaceModel, layers: LayerSubproblem, t: float, steps: int = DEFAULT_STEPS) -> None:
@@ -148,8 +149,8 @@ class Continuum:
         w = layers.dirichlet_displacements(iterate.face_u, iterate.load, iterate.side_u)
         r = iterate.F - layers.dirichlet_reactions(iterate.face_u, iterate.load, iterate.side_u)
         U = self.structure.displacements(iterate.u, w)
-        moved = w + layers.neumann_displacements(layers.free_face_values(r))
-        stress = self.structure.stress(iterate.u, moved)
+        w_of_forces = w + layers.neumann_displacements(layers.free_face_values(r))
+        stress = self.structure.stress(iterate.u, w_of_forces)
         moments, imbalance = self._balance.moments(stress, loads, U)
         if not imbalance <= MAX_IMBALANCE:
             reason = f"forces on nodes of cells are not in balance: {imbalance:.1g} of them is left"

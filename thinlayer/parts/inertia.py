@@ -1,4 +1,4 @@
-"""Inertia: mass of bodies and layers as a part of the balance of forces, and states from which motions start."""
+"""Inertia: mass of bodies and layers as a part of the balance of forces, and velocities at the start of marches."""
 
 from __future__ import annotations
 
@@ -22,15 +22,14 @@ from thinlayer.system.ranks import destroy
 if TYPE_CHECKING:
     from thinlayer.discretisation.state import State
 
-JUMP_SHARE = (
-    1 / 12
-)  # mean square of displacements that are linear through a layer, minus that of their mean, over [u]^2
+# over [u]^2: mean square of displacements that are linear through a layer, minus the square of their mean
+JUMP_SHARE = 1 / 12
 KINEMATIC_DEGREE = 2  # increase of quadrature degrees for the area of a curved S, or 2 pi r
 
 
 @dataclass(frozen=True)
 class Inertia(PartDefinition):
-    """Mass of bodies and layers, with which structures vibrate, and `march` follows their motion.
+    """Mass of bodies and layers: with it structures have `modes`, and `march` computes how they move.
 
     A layer on S has the kinetic energy eps rho (|<u>'|^2 + |[u]'|^2/12)/2 per area, for the mean <u> and the jump [u] of
     the displacement. `solve` leaves mass out. Units must be consistent: with mm and MPa, densities are in t/mm^3.
@@ -38,7 +37,8 @@ class Inertia(PartDefinition):
     Attributes:
         density: name of each body, and of each seam with a layer -> mass per volume; > 0 in bodies, >= 0 in layers. For
             laws without a thickness it is mass per area of S.
-        velocity: name of a body -> its uniform velocity (d,) at the start of a march from rest. None: zero.
+        velocity: name of a body -> its uniform velocity (d,) at the start of a march that begins from a model, not from
+            a state. None: zero.
         key: name of the kinetic energy in `State.energies`, "inertia".
 
     Raises:
@@ -91,8 +91,8 @@ class Inertia(PartDefinition):
 
         Args:
             model: the model.
-            a: accelerations.
-            v: virtual displacements.
+            a: accelerations (d,), UFL.
+            v: virtual displacements (d,), UFL.
             names: names of bodies and of seams whose mass counts; None: all.
         """
         rho = {name: fem.Constant(model.domain.mesh, float(value)) for name, value in self.density.items()}
@@ -135,7 +135,7 @@ class Inertia(PartDefinition):
         return InertiaPart(self, model)
 
     def initial_velocity(self, model: HostModel) -> fem.Function:
-        """Return the velocities at the start of a march from rest, as a function on the mesh."""
+        """Return the velocities at the start of a march that begins from a model, as a function on the mesh."""
         v = fem.Function(model.V)
         values, dofs = v.x.array.reshape(-1, model.joint.dim), np.asarray(model.V.dofmap.list)
         for name in model.body_laws if model.broken else ():
@@ -146,14 +146,15 @@ class Inertia(PartDefinition):
 
 
 class InertiaPart(Part):
-    """Forces M (v1 - v0)/dt with velocities such that u1 - u0 = dt ((1 - theta) v0 + theta v1); theta = 1/2: midpoint.
+    """Inertia forces M (v1 - v0)/dt of a time step, with the velocities v0 at its start and v1 at its end.
 
-    The memory has the velocities "v" and accelerations "a" at the ends of steps, as functions on the mesh. In a step
-    without duration both keep their values.
+    Displacements are u1 = u0 + dt ((1 - theta) v0 + theta v1); theta = 1/2 is the midpoint rule. The memory has the
+    velocities "v" and accelerations "a" at the ends of steps, as functions on the mesh. In a step without duration both
+    keep their values.
 
     Attributes:
         M: the mass matrix.
-        keeps_motion: whether also steps of some duration leave the velocities and accelerations unchanged.
+        keeps_motion: whether steps with a duration, too, leave velocities and accelerations unchanged.
     """
 
     traits = PartTraits(inert=True, remembers=True)
@@ -169,7 +170,7 @@ class InertiaPart(Part):
 
     def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
-        # as in the solver's test whether a factor serves again: differences of times grow inexact as the time does
+        # 12 digits, as in the solver's test whether steps can share a factor: differences of late times are inexact
         self._dt = 0.0 if self.keeps_motion else float(f"{interval.dt:.12g}")
         self._motion = {name: f.copy() for name, f in interval.old.memory[self.key].items()}
 

@@ -26,15 +26,16 @@ from thinlayer.parts.form_part import FormPart
 class JouleHeat(PartDefinition):
     """Heat of an electric current: a source of flux times gradient of the potential, in bodies and in layers.
 
-    In a layer on S the source is at the heights at which its law is evaluated. Structure and layers of the current have
-    the joint of those of heat. Flows out of the structure balance it, but `State.applied` does not contain it.
+    In a layer on S the source is at the heights at which its law is evaluated. The structures of current and heat have
+    the same joint. Flows out of the structure balance it, but `State.applied` does not contain it.
 
     Attributes:
         current: state of the electric potential, whose laws have conductivities that are numbers.
 
     Raises:
-        InputError: no state of a potential; when a model is made: another joint or `plane`, bodies kept and extended,
-            a seam without a layer that has a thickness, or conductivities that vary.
+        InputError: no state of a potential; when a model is made: another joint, `plane=`
+            or `bodies=` than in the model of the current; in that model a seam without a layer that has a thickness, or
+            conductivities that vary.
 
     Example:
         >>> from forms import Conduction

@@ -18,7 +18,7 @@ from typing import Any, NoReturn, TypeGuard
 
 from forms.base import InputError, is_finite, unknown_name_message
 
-KeyPath = tuple[str, ...]
+KeyPath = tuple[str, ...]  # keys of nested tables, the outermost first
 Schema = Mapping[str, Any]  # JSON schema, draft 7, of values or tables
 
 
@@ -270,7 +270,7 @@ class Reader:
 
     Attributes:
         read: function of the table and the key.
-        schema: the schema, draft 7. The function may refuse more values than it, but not accept more.
+        schema: the schema, draft 7. It allows all values that the function accepts, and perhaps others.
     """
 
     read: Callable[[TomlTable, str], Any]
@@ -294,14 +294,14 @@ class Keys:
     hints: Mapping[str, str] = field(default_factory=dict)
 
     def schema(self, texts: Mapping[str, str] | None = None) -> Schema:
-        """Return the JSON schema of such a table; `texts` describes some of its keys, which editors show."""
-        words = {key: {"description": text} for key, text in (texts or {}).items()}
-        properties = {key: {**reader.schema, **words.get(key, {})} for key, reader in self.readers.items()}
+        """Return the JSON schema of such a table; editors show `texts`, descriptions of some of its keys."""
+        descriptions = {key: {"description": text} for key, text in (texts or {}).items()}
+        properties = {key: {**reader.schema, **descriptions.get(key, {})} for key, reader in self.readers.items()}
         return {"type": "object", "properties": properties, "required": [*self.hints], "additionalProperties": False}
 
 
 def attribute_texts(described: type) -> dict[str, str]:
-    """Return attribute -> its description in the docstring of a class."""
+    """Return the descriptions of attributes in the docstring of a class, by attribute."""
     section = cleandoc(described.__doc__ or "").partition("\nAttributes:\n")[2].partition("\n\n")[0]
     texts = re.findall(r"^    (\w[\w, ]*): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
     return {name: " ".join(text.split()) for names, text in texts for name in names.split(", ")}
@@ -333,8 +333,8 @@ def variants_schema(key: str, variants: Mapping[str, Schema], default: str) -> S
         condition = {"properties": {key: {"const": name}}, "required": [key] if name != default else []}
         allowed = {**variant, "properties": dict.fromkeys([key, *variant["properties"]], True)}
         schema = {"if": condition, "then": allowed, "else": schema}
-    needed = [] if default in variants else [key]
-    return {"type": "object", "properties": {**properties, key: {"enum": [*variants]}}, "required": needed, **schema}
+    required = [] if default in variants else [key]
+    return {"type": "object", "properties": {**properties, key: {"enum": [*variants]}}, "required": required, **schema}
 
 
 def names_reader(item_reader: Reader, content: str) -> Reader:

@@ -13,7 +13,7 @@ from forms.base import Array, InputError, require
 from thinlayer.errors import SolveError
 
 MAX_UNSTABLE = 5  # number of successive iterates with s > 1 after which the equilibrium counts as unstable
-MIN_INDEPENDENT = 0.05  # part of a change that earlier changes do not explain, over its norm, to count as a new one
+MIN_INDEPENDENT = 0.05  # least part of a change, over its norm, that newer changes do not span, for it to be used
 
 
 class Coupled(NamedTuple):
@@ -22,8 +22,8 @@ class Coupled(NamedTuple):
     Attributes:
         first, second: what the two functions returned: states or histories.
         value: the exchanged values, which both solutions have in common.
-        s: measured derivative of the values that come out by those that go in; of several values its eigenvalue with
-            the largest modulus. NaN: a single solution of each model was sufficient.
+        s: measured derivative d(out)/d(in) of the values that come out of a step by those that go in; of several values
+            its eigenvalue with the largest modulus. NaN: a single solution of each model was sufficient.
         steps: number of solutions of both models.
     """
 
@@ -45,10 +45,11 @@ def coupled(
 ) -> Coupled:
     """Solve two models in turn until the values agree that one takes from the other. Collective.
 
-    A step is `exchange(second(first(values)))`. From steps before, it is measured how the values that come out depend
-    on those that go in: s = d(out)/d(in). The next values are those at which both would be equal: for a single value
-    the change is multiplied by 1/(1 - s). So solutions are found also for s < -1, where solving in turn alone diverges.
-    With s > 1 they run away from an equilibrium, which is unstable: another one is found, or an error has s.
+    A step is `exchange(second(first(values)))`. Earlier steps tell how the values that come out depend on those that
+    go in: s = d(out)/d(in). The next values are those at which both would be equal: for a single value the change is
+    multiplied by 1/(1 - s). So solutions are found also for s < -1, where solving in turn alone diverges. An
+    equilibrium with s > 1 is unstable, and the values run away from it: the result is another equilibrium, or an error
+    with s in its message.
 
     Marches are coupled as a whole: both functions march with the same times, and the values are those at all times,
     such as `[surface.jump(state)[1] for state in history]`.
@@ -134,7 +135,7 @@ def _next_values(inputs: list[Array], outputs: list[Array]) -> tuple[Array, Arra
         inputs, outputs: values (n,) that went in and came out in the steps before; the last ones are the newest.
     """
     basis, columns = np.zeros((len(inputs[-1]), 0)), list[tuple[Array, Array]]()
-    for x, y in zip(inputs[-2::-1], outputs[-2::-1], strict=True):  # newest first; what these explain is left out
+    for x, y in zip(inputs[-2::-1], outputs[-2::-1], strict=True):  # newest first: they tell best how it is now
         dx, dy = x - inputs[-1], y - outputs[-1]
         rest = dx - basis @ (basis.T @ dx)
         if np.linalg.norm(rest) > MIN_INDEPENDENT * np.linalg.norm(dx):

@@ -32,7 +32,7 @@ class HarmonicResponse:
     """Complex amplitudes of a structure under harmonic loads.
 
     Attributes:
-        omega: (n,) angular frequencies.
+        omega: (n,) angular frequencies, rad per time.
         values: name of an observed quantity -> (n,) complex amplitudes a. The quantity is Re(a exp(i omega t)), so that
             its largest value is |a|, and it lags behind the loads by minus the angle of a.
     """
@@ -54,7 +54,7 @@ def harmonic(
 
     Args:
         model: a model with `Inertia` among its parts, of linear elastic laws but for such layers.
-        omegas: angular frequencies, > 0.
+        omegas: angular frequencies, > 0, rad per time.
         observe: name of a quantity -> function of a state that returns a real number, linear in the displacements and
             the same on all ranks. Reactions are not known.
         loss: name of a seam or body -> loss factor eta >= 0, for the complex stiffness (1 + i eta) K. None: no loss
@@ -108,7 +108,7 @@ def _viscous_layers(model: Model) -> dict[str, ThinLayer]:
 
 
 def _elastic(layer: ThinLayer, omega: float, kind: str) -> ThinLayer:
-    """Return a viscous layer with elastic moduli: of storage, or the sum of those of storage and of loss."""
+    """Return a viscous layer with elastic moduli: storage moduli or, for the `kind` "sum", storage plus loss moduli."""
     assert isinstance(layer.law, KelvinVoigt | Maxwell)
     if layer.law.fields:
         raise InputError(f"harmonic: {type(layer.law).__name__} has parameters that vary with the place")
@@ -119,7 +119,7 @@ def _elastic(layer: ThinLayer, omega: float, kind: str) -> ThinLayer:
 def _viscous_stiffnesses(
     pencil: Pencil, viscous: Mapping[str, ThinLayer], omega: float
 ) -> list[tuple[float, PETSc.Mat]]:
-    """Return the loss stiffness of viscous layers as sums of factors times matrices of all unknowns."""
+    """Return the loss stiffness of viscous layers, as factors and matrices of all unknowns: "sum" minus storage."""
     if not viscous:
         return []
     model = pencil.model
@@ -133,13 +133,13 @@ def _amplitudes(pencil: Pencil, omega: float, lossy: Sequence[tuple[float, PETSc
     equations, real = pencil.equations, [(1.0, pencil.K), (-(omega**2), pencil.M)]
     x, forces = equations.create_vector(), equations.forces_on_unknowns(equations.loads_at(0.0))
     x.array[equations.bc_dofs] = equations.prescribed
-    right = []
+    right_sides = []
     for terms, b in ((real, forces), (lossy, equations.create_vector())):
         for factor, A in terms:
             b.axpy(-factor, A * x)
-        right.append(b.array_r[pencil.free_dofs])
+        right_sides.append(b.array_r[pencil.free_dofs])
     free = [[(factor, pencil.without_supports(A)) for factor, A in terms] for terms in (real, lossy)]
-    z = solve_complex(free[0], free[1], right[0] + 1j * right[1])
+    z = solve_complex(free[0], free[1], right_sides[0] + 1j * right_sides[1])
     states = []
     for values, share in ((z.real, 1.0), (z.imag, 0.0), (z.real + z.imag, 1.0)):
         y = equations.create_vector()

@@ -1,4 +1,4 @@
-"""Vibrations about rest: natural modes, their loss factors, and the response to harmonic loads."""
+"""Vibrations about rest: natural modes of models with mass, and their loss factors."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ MODE_TOLERANCE = 1e-9  # relative residual of shapes; the error of omega^2 is ab
 MAX_BLOCKS = 60  # number of blocks of vectors after which the search for modes ends
 EXTRA_VECTORS = 4  # vectors in a block besides the modes that are wanted
 DEPENDENT_RATIO = 1e-24  # squared norm of a vector, over the largest of its block, below which it is rounding
-# shift of omega^2 below zero, over its largest value on the mesh, so that free bodies have a factor
+# shift of omega^2 below zero, over its largest value on the mesh: without it K of a free body could not be factored
 SHIFT_RATIO = 1e-10
-MAX_SPREAD = 1e3  # largest ratio of the distances of two modes from the shift; above it rounding hides the farther
+MAX_SPREAD = 1e3  # largest ratio of two modes' distances from the shift; above it rounding hides the farther one
 WARN_PHASE, MAX_PHASE = 0.5, math.pi / 2  # omega times the time in which a shear wave crosses a layer
 RIGID_RATIO = 1e-12  # omega^2, over its largest value on the mesh, that is rounding: of rigid motions
 MAX_LEVER = 0.02  # size of eps d<u_N>/ds, over that of [u], that order 0 may neglect
 
 
 class Pencil:
-    """Stiffness and mass matrix of a linear model, with and without the unknowns at supports. Collective.
+    """Stiffness and mass matrix, a matrix pencil, of a linear model, with and without unknowns at supports. Collective.
 
     Attributes:
         model, equations: the model and its equations, in a step without duration from rest.
@@ -92,7 +92,7 @@ class Pencil:
 
         Args:
             name: name of the body or seam.
-            other: a model of the family, with other laws of layers; None: the model.
+            other: a model on the same mesh, with other laws of layers; None: the model.
         """
         form = work(
             _terms_of(other or self.model, name), ufl.TrialFunction(self.model.V), ufl.TestFunction(self.model.V)
@@ -100,13 +100,13 @@ class Pencil:
         return self.equations.on_unknowns(assemble_plain_matrix(form))
 
     def state(self, x: Array, omega: float) -> State:
-        """Return the state with given values (n,) of the free unknowns, at the largest displacement of a vibration."""
+        """Return the state with values `x` (n,) of the free unknowns, at the largest displacement of a vibration."""
         self._x.set(0.0)
         self._x.array[self.free_dofs] = x
         return self.state_of(self._x, omega)
 
     def state_of(self, x: PETSc.Vec, omega: float) -> State:
-        """Return the state with all unknowns `x`, at the largest displacement of a vibration."""
+        """Return the state with all unknowns `x`; its accelerations are -omega^2 times the displacements."""
         equations, a = self.equations, fem.Function(self.model.V)
         equations.residual(x, self._r)
         end = equations.end_parts(equations.u, 0.0)[1]
@@ -199,10 +199,10 @@ class Modes:
         return np.sqrt(np.abs(real)), np.array([value.imag for value in values]) / np.where(real, real, 1.0)
 
     def _complex_value(self, v: Array, K: PETSc.Mat, M: PETSc.Mat, lossy: Sequence[tuple[float, PETSc.Mat]]) -> complex:
-        """Return the complex omega^2 of the mode that continues the mode `v` (n,) without loss.
+        """Return the complex omega^2 of the mode with losses that belongs to the mode `v` (n,) without losses.
 
-        One step of inverse iteration with the shift of `v`'s energies leaves an error of fourth order in the change of
-        the shape.
+        It takes one step of inverse iteration, with the Rayleigh quotient of `v` as shift. The error is of fourth order
+        in the change of the shape.
         """
         shift = self._quotient(v.astype(np.complex128), K, M, lossy)
         imaginary = [*lossy, (-shift.imag, M)]
@@ -280,7 +280,7 @@ def _nearest_pairs(model: Model, K: PETSc.Mat, M: PETSc.Mat, n: int, shift: floa
     """
     A = K.copy()
     A.axpy(-shift, M, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    ksp, n_local = _factor(A, "cholesky"), A.getLocalSize()[0]
+    ksp, n_local = _direct_solver(A, "cholesky"), A.getLocalSize()[0]
     block = ksp_solve(ksp, np.random.default_rng(model.comm.rank).standard_normal((n_local, n + EXTRA_VECTORS)))
     Q, MQ, W = (np.empty((n_local, 0)) for _ in range(3))
     for _ in range(MAX_BLOCKS):
@@ -316,7 +316,8 @@ def _nearest_pairs(model: Model, K: PETSc.Mat, M: PETSc.Mat, n: int, shift: floa
     raise SolveError(f"the {n} modes have not converged with {Q.shape[1]} vectors", advice="ask for fewer modes")
 
 
-def _factor(A: PETSc.Mat, kind: str) -> PETSc.KSP:
+def _direct_solver(A: PETSc.Mat, kind: str) -> PETSc.KSP:
+    """Return a solver that factors a symmetric matrix by MUMPS; `kind` is a type of PETSc's PC, such as "cholesky"."""
     A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     ksp = PETSc.KSP().create(A.comm)
     ksp.setOperators(A)
@@ -327,7 +328,7 @@ def _factor(A: PETSc.Mat, kind: str) -> PETSc.KSP:
 
 
 def ksp_solve(ksp: PETSc.KSP, B: Array) -> Array:
-    """Return the solutions (n, k) for k right-hand sides (n, k)."""
+    """Return the solutions (n, k) for k right-hand sides (n, k); n is the number of rows on this rank."""
     x, b = ksp.getOperators()[0].createVecs()
     columns = []
     for column in B.T:
@@ -339,7 +340,7 @@ def ksp_solve(ksp: PETSc.KSP, B: Array) -> Array:
 
 
 def _multiply(A: PETSc.Mat, X: Array) -> Array:
-    """Return the product (n, k) of a matrix and k vectors (n, k)."""
+    """Return the product (n, k) of a matrix and k vectors (n, k); n is the number of rows on this rank."""
     x, y = A.createVecs()
     out = np.empty((y.getLocalSize(), X.shape[1]))
     for k, column in enumerate(X.T):
@@ -351,7 +352,7 @@ def _multiply(A: PETSc.Mat, X: Array) -> Array:
 
 
 def _products(model: Model, X: Array, Y: Array) -> Array:
-    """Return the products (k, m) of k and m vectors, summed over all ranks."""
+    """Return the scalar products (k, m) of k vectors `X` (n, k) and m vectors `Y` (n, m), summed over all ranks."""
     return np.asarray(model.comm.allreduce(X.T @ Y), float)
 
 
@@ -367,14 +368,14 @@ def solve_complex(
     blocks += [Block(A, -factor, "imaginary", "imaginary", kept=True) for factor, A in real]
     blocks += [Block(A, -factor, *pair, kept=True) for pair in (keys, keys[::-1]) for factor, A in imaginary]
     pair = TangentMatrix(real[0][1].comm, dict.fromkeys(keys, n)).fill(blocks)
-    ksp = _factor(pair, "cholesky")
+    ksp = _direct_solver(pair, "cholesky")
     solution = ksp_solve(ksp, np.concatenate([b.real, -b.imag])[:, None])[:, 0]
     destroy(ksp, pair)
     return solution[:n] + 1j * solution[n:]
 
 
 def checked_factors(factors: Mapping[str, float]) -> dict[str, float]:
-    """Return loss factors by name of a seam or body; InputError if one is out of range."""
+    """Return the loss factors by name of a seam or body, as floats; raise InputError if one is out of range."""
     for name, eta in factors.items():
         require(is_finite(eta) and eta >= 0, f"the loss factor of {name!r}", eta, "allowed: >= 0")
     return {name: float(eta) for name, eta in factors.items()}

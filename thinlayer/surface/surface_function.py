@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 class SurfaceFunction:
     """A scalar on S, linear between nodes and in time, as `SurfaceMesh.function` makes it.
 
-    It is a numpy function of places on S and, optionally, the time: a parameter of a layer's law. It is also a source
-    in a layer, or a temperature of one.
+    It can be a parameter of a layer's law, a source in a layer, or the temperature of a layer. It can be called as a
+    numpy function of places on S and, optionally, the time.
 
     Args:
         surface: the surface.
@@ -65,14 +65,14 @@ class SurfaceFunction:
         """
         require(at.in_layers, "data of a body or its side", self, "values on S are data of layers")
         joint = at.domain.joint
-        drawn = self._surface.model.joint
-        is_same = np.array_equal((joint.band.drawn_joint if joint.band else joint).points, drawn.points)
-        require(is_same, "joint of the model", joint, f"values on S are of {drawn!r}")
-        at_vertices: Array = np.zeros((len(self._values), len(drawn.points)))
+        drawn_joint = self._surface.model.joint
+        is_same = np.array_equal((joint.band.drawn_joint if joint.band else joint).points, drawn_joint.points)
+        require(is_same, "joint of the model", joint, f"values on S are of {drawn_joint!r}")
+        at_vertices: Array = np.zeros((len(self._values), len(drawn_joint.points)))
         at_vertices[:, self._surface.vertices] = self._values
         corners = joint.corners
         if joint.band:  # vertices of layers come from those of S that have the same place
-            on_s = {tuple(drawn.points[k]): k for k in self._surface.vertices}
+            on_s = {tuple(drawn_joint.points[k]): k for k in self._surface.vertices}
             source = [on_s.get(tuple(place), -1) for place in joint.reference]
             at_vertices = np.hstack([at_vertices, np.zeros((len(at_vertices), 1))])[:, source]
         fields = [cellwise_function(at.domain, ("Lagrange", 1), row[corners][..., None]) for row in at_vertices]
