@@ -94,10 +94,10 @@ def balanced_changes(cells: StraightCells, is_free: BoolArray) -> scipy.sparse.c
         left, singular, _ = np.linalg.svd(motions[facets][:, mask])
         ranks = (singular > 1e-9 * singular[:, :1]).sum(axis=1)
         for rank in np.unique(ranks):
-            some = facets[ranks == rank]
+            group = facets[ranks == rank]
             null_space = left[ranks == rank][:, :, rank:]
-            rows = np.broadcast_to(facet_dofs[some].reshape(len(some), -1)[:, mask][:, :, None], null_space.shape)
-            numbers = some[:, None, None] * m * d + np.arange(null_space.shape[2])
+            rows = np.broadcast_to(facet_dofs[group].reshape(len(group), -1)[:, mask][:, :, None], null_space.shape)
+            numbers = group[:, None, None] * m * d + np.arange(null_space.shape[2])
             columns.add(rows, np.broadcast_to(numbers, null_space.shape), null_space)
     return columns.matrix(n_facets * m * d)
 

@@ -297,17 +297,17 @@ class _Density:
         mass = mass_matrix(cells.facet_type, cells.degree)
         probes = np.vstack([cells.facet_element.points, FACET_PROBES[cells.d]])
         for facet in range(cells.sign.shape[1]):
-            some = np.flatnonzero(local == facet)
+            positions = np.flatnonzero(local == facet)
             v = lagrange(cells.cell_type, 1).points[lagrange(cells.cell_type, 1).entity_closure_dofs[-2][facet]]
             vertex = lagrange(cells.cell_type, 1).tabulate(0, v[0] + probes @ (v[1:] - v[0]))[0, :, :, 0]
-            areas = cells.areas[facets[some]]
-            normals = cells.area_vectors[first[some], facet] / areas[:, None]
-            x = vertex @ corners[some]
+            areas = cells.areas[facets[positions]]
+            normals = cells.area_vectors[first[positions], facet] / areas[:, None]
+            x = vertex @ corners[positions]
             values = self._values(x, np.broadcast_to(normals[:, None], x.shape))
             fitted = cells.facet_element.tabulate(0, probes)[0, :, :, 0] @ values[:, :m]
             _require_degree(values, fitted, cells.degree, "area")
-            rank = cells.moment_rows[first[some], facet] - facets[some, None] * m
-            out[some[:, None], rank] = areas[:, None, None] * (mass @ values[:, :m])
+            rank = cells.moment_rows[first[positions], facet] - facets[positions, None] * m
+            out[positions[:, None], rank] = areas[:, None, None] * (mass @ values[:, :m])
         return out
 
 
