@@ -150,12 +150,12 @@ class Modes:
 
     @property
     def hertz(self) -> Array:
-        """Frequencies (n,), cycles per time: in Hz if times are in seconds."""
+        """Frequencies (n,) in cycles per time, Hz if times are in seconds."""
         return np.asarray(self.omega / (2 * math.pi), float)
 
     @cached_property
     def shares(self) -> dict[str, dict[str, Array]]:
-        """Shares (n,) of each body and layer in the energies of the modes: "kinetic" and "strain" -> name -> shares.
+        """Shares (n,) of each body and layer in the energies of the modes, by "kinetic" or "strain", then by name.
 
         Other parts, such as springs, have what is missing to 1. The strain energy of a rigid motion is rounding.
         Collective.
