@@ -487,21 +487,75 @@ class Displacement(DirectedGoal):
 
 
 class PointValue(Displacement):
-    """Value of a scalar field at a point, such as a temperature, as a goal: PointValue(x, side=None, seam="S")."""
+    """Value of a scalar field at a point, such as a temperature, as a goal.
+
+    Args:
+        x: (d,) coordinates of the point, in the undeformed mesh of the interface model in d dimensions.
+        side: for a point on S the side, "lower" or "upper"; None elsewhere.
+        seam: for a point on S the name of the seam.
+
+    Example:
+        >>> from forms import Conduction
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, ThinLayer, estimate, goals, solve
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> plates = Structure(
+        ...     joint, body=Conduction(0.05), supports={"BOTTOM": 20, "LEFT/UPPER": 80}
+        ... )
+        >>> state = solve(plates.interface(ThinLayer(Conduction(2e-4), eps=0.1)))
+        >>> change = estimate(state, goals=[goals.PointValue((2, 1.5))])
+        >>> f"{next(iter(change.goals.values())).value:.2f}"
+        '74.49'
+    """
 
     def __init__(self, x: Sequence[float], side: str | None = None, seam: str = S) -> None:
         super().__init__(x, None, side, seam)
 
 
 class Inflow(Reaction):
-    """Flow that enters the structure where supports or a film hold a scalar field, as a goal: Inflow(place)."""
+    """Flow that enters the structure where supports or a film hold a scalar field, as a goal.
+
+    Args:
+        place: name of a facet set, or NAME/REGION, its part on one body; or the coordinates of a vertex.
+
+    Example:
+        >>> from forms import Conduction
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, ThinLayer, estimate, goals, solve
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> plates = Structure(
+        ...     joint, body=Conduction(0.05), supports={"BOTTOM": 20, "LEFT/UPPER": 80}
+        ... )
+        >>> state = solve(plates.interface(ThinLayer(Conduction(2e-4), eps=0.1)))
+        >>> change = estimate(state, goals=[goals.Inflow("BOTTOM")])
+        >>> f"{next(iter(change.goals.values())).value:.4f}"
+        '-0.4111'
+    """
 
     def __init__(self, place: Place) -> None:
         super().__init__(place)
 
 
 class MeanFlux(MeanTraction):
-    """Mean flux of a scalar field along the normal of a seam, as a goal: MeanFlux(seam="S", where=None)."""
+    """Mean flux of a scalar field along the normal of a seam, as a goal.
+
+    Args:
+        seam: name of the seam; "S": all seams with layers.
+        where: function of coordinates x (d, m) of m nodes of S that is true on a stretch of the seam; None: all of it.
+
+    Example:
+        >>> from forms import Conduction
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, ThinLayer, estimate, goals, solve
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> plates = Structure(
+        ...     joint, body=Conduction(0.05), supports={"BOTTOM": 20, "LEFT/UPPER": 80}
+        ... )
+        >>> state = solve(plates.interface(ThinLayer(Conduction(2e-4), eps=0.1)))
+        >>> change = estimate(state, goals=[goals.MeanFlux()])
+        >>> f"{next(iter(change.goals.values())).value:.6f}"
+        '0.102763'
+    """
 
     def __init__(self, seam: str = S, where: Callable[[Array], npt.ArrayLike] | None = None) -> None:
         super().__init__(None, seam, where)
