@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import count
+from typing import TypeAlias
 
 import basix.ufl
 import dolfinx
@@ -29,6 +30,7 @@ from geometry.seam import BASE, LAYER, FacetName, S
 from geometry.sheet import continued_ridge_keys
 from geometry.topology import FloatArray, Indices, IntArray, Scalar, facet_nodes, geometry_degree, positions, row_keys
 
+Element: TypeAlias = ufl.AbstractFiniteElement | tuple[str, int] | tuple[str, int, tuple[int, ...]]
 MESHES_PER_COLLECTION = 100  # number of meshes after which Python's garbage collector frees meshes in reference cycles
 _MESH_COUNT = count(1)
 
@@ -244,6 +246,18 @@ class Domain:
             Array whose first axis has one entry for each local cell.
         """
         return cell_values[self.original_cells]
+
+    def cellwise_function(self, element: Element, values: FloatArray) -> dolfinx.fem.Function:
+        """Return a DOLFINx function from its degrees of freedom on each cell of the undistributed joint.
+
+        Args:
+            element: element of the function's space.
+            values: (n_cells, dofs per cell, components) degrees of freedom of the function.
+        """
+        f = dolfinx.fem.Function(dolfinx.fem.functionspace(self.mesh, element))
+        dofs, n = f.function_space.dofmap.list.ravel(), values.shape[2]
+        f.x.array.reshape(-1, n)[dofs] = self.to_local(values).reshape(-1, n)
+        return f
 
     def region_tags(self, *regions: str) -> tuple[int, ...]:
         """Return the tags in `cell_tags` of the named `regions`, in the same order.

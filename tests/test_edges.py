@@ -25,8 +25,8 @@ from tests.orders import observed_orders
 from thinlayer import RigidPlate, Springs, Structure, Surface, ThinLayer, compare, estimate, solve
 from thinlayer.discretisation import applicability
 from thinlayer.discretisation.applicability import MIN_STIFFNESS_CONTRAST
+from thinlayer.discretisation.facet_weights import FacetWeights
 from thinlayer.discretisation.layer import SeamLayer
-from thinlayer.discretisation.sides import FacetWeights, side_kinds
 from thinlayer.running.record import Record
 
 pytestmark = pytest.mark.few(5)
@@ -193,7 +193,7 @@ def kinds(joint, supports, parts=(), **data):
     all_supports = {"BOTTOM": 0.0} | supports
     layer = ThinLayer(LinearElastic.young(1.0, 0.35), 0.1)
     seam_layer = SeamLayer("S", layer, Structure(joint, body=BODY, supports=all_supports, parts=parts, **data))
-    return side_kinds(seam_layer)[joint.points[seam_layer.sheet.rim.vertices].mean(axis=1)[:, 0].argsort()].tolist()
+    return seam_layer.side_kinds[joint.points[seam_layer.sheet.rim.vertices].mean(axis=1)[:, 0].argsort()].tolist()
 
 
 def test_supports_of_the_side_of_a_layer():

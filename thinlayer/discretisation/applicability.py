@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from forms.base import InputError
 from forms.elastic import MAX_FREE_END_NU, MODULUS_RATIO_TOLERANCE, LinearElastic, poisson_ratio
@@ -21,9 +20,9 @@ from geometry.refusals import place_text
 from geometry.sheet import Rim, straight_ends
 from geometry.topology import BoolArray, FloatArray
 from thinlayer.discretisation.boundary import can_shift_along
-from thinlayer.discretisation.layer import SeamLayer, ThinLayer, law_with_numbers
+from thinlayer.discretisation.facet_weights import FacetWeights
+from thinlayer.discretisation.layer import FLAT_SQUARED_COSINE, SeamLayer, ThinLayer, law_with_numbers
 from thinlayer.discretisation.prescribed_strains import SINGULARITY_TOLERANCE
-from thinlayer.discretisation.sides import FLAT_SQUARED_COSINE, FacetWeights, held_projectors, side_kinds
 from thinlayer.errors import Violation
 
 MIN_STIFFNESS_CONTRAST = 40.0  # least Young's modulus of the bodies over the layer's mu
@@ -92,14 +91,11 @@ class Applicability:
         """Return the ridges (vertices in 2D, edges in 3D) where the seam ends and the layer's side is of given kinds.
 
         The side is the layer's own boundary at the end of S, between its two faces. `kinds` are words that say how
-        supports constrain it: "free", "symmetric", "antisymmetric", "held" (clamped) or "oblique". `side_kinds` defines
+        supports constrain it: "free", "symmetric", "antisymmetric", "held" (clamped) or "oblique". `SeamLayer.side_kinds`
+        defines
         them.
         """
-        return self.layer.sheet.rim[np.isin(self._side_kinds, kinds)]
-
-    @cached_property
-    def _side_kinds(self) -> npt.NDArray[np.str_]:
-        return side_kinds(self.layer)
+        return self.layer.sheet.rim[np.isin(self.layer.side_kinds, kinds)]
 
     @cached_property
     def free_rim(self) -> Rim:
@@ -306,7 +302,7 @@ def _support_conditions(r: Applicability) -> Iterator[Violation]:
     The side is the layer's own boundary at an end of S. Such a support has a name of the kind "NAME/LAYER": the part of
     the facet set NAME on this side.
     """
-    sheet, layer_projectors = r.layer.sheet, held_projectors(r.layer) - held_projectors(r.layer, of_layer=False)
+    sheet, layer_projectors = r.layer.sheet, r.layer.held_projectors() - r.layer.held_projectors(of_layer=False)
     if len(ridges := sheet.rim.vertices[np.abs(layer_projectors).max(axis=(1, 2)) > FLAT_SQUARED_COSINE]):
         reason = f"a support holds the side of {r.layer} alone, at {place_text(sheet.joint.points[ridges[0, 0]])}"
         yield Violation("held alone", reason, "support the bodies too, or mesh the layer")

@@ -19,7 +19,7 @@ from forms.kinematics import KINEMATICS_BY_NAME, SCALAR_KINEMATICS_BY_NAME, Kine
 from forms.law import BulkLaw
 from forms.traction import TractionLaw
 from forms.work import Interface, Term, s_terms
-from geometry.domain import create_connectivity
+from geometry.domain import Element, create_connectivity
 from geometry.refusals import unknown_name_message
 from geometry.seam import Seam
 from geometry.topology import Indices, turned_towards
@@ -27,7 +27,7 @@ from thinlayer.discretisation.boundary import AXIS_TOLERANCE
 from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.form_compilation import law_with_expressions
 from thinlayer.discretisation.layer import InitialTangents, ThinLayer, law_of_terms, law_with_numbers
-from thinlayer.discretisation.mesh_functions import Element, SharedDofs, broken_space
+from thinlayer.discretisation.mesh_functions import SharedDofs, broken_space
 from thinlayer.system.compat import integration_entities, interpolate
 from thinlayer.system.ranks import communicator, errors_on_all
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from dataclasses import replace as changed
 from functools import cached_property, reduce, wraps
 from itertools import product
 from typing import Any, Protocol, Self, TypeAlias, TypeVar, runtime_checkable
+from weakref import WeakSet
 
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
+from dolfinx import fem, geometry
 from dolfinx.mesh import Mesh
 from ufl.algorithms.analysis import extract_coefficients, extract_constants
 from ufl.conditional import Condition
@@ -21,16 +23,15 @@ from ufl.constantvalue import ComplexValue, RealValue
 from ufl.corealg.traversal import unique_pre_traversal
 from ufl.geometry import GeometricQuantity
 
-from forms.base import Array, InputError, is_finite, require
+from forms.base import Array, InputError, is_finite, is_number, require
 from forms.tensors import Expr
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place_text as at_place
 from geometry.refusals import require_known
-from thinlayer.discretisation.mesh_functions import inflation_motion, interpolation_places, sampled_function
-from thinlayer.discretisation.time_functions import Clock, TimeConstant, time_constants
 from thinlayer.errors import FormerNames
 from thinlayer.system.compat import interpolate, interpolation_points, ufl_replace
+from thinlayer.system.ranks import communicator
 
 T = TypeVar("T")
 Value = float | Callable[[Expr, Expr], Expr]
@@ -40,12 +41,102 @@ ComponentArray = npt.NDArray[np.object_]  # numbers, or UFL scalars
 NestedComponents: TypeAlias = "Expr | float | npt.NDArray[np.object_] | Sequence[NestedComponents]"  # or rows of them
 
 SYMBOL_VALUE_TOLERANCE = 1e-9  # largest relative difference of a function's values for symbols and for numbers
+INWARD_SHIFT = 1e-6  # shift of a place towards the middle of its cell, to one side of S, over its distance from there
 NUMPY_DEGREE = 2  # degree of interpolants of numpy functions
 COMPARISON_TIMES = (0.37, 0.0, 1.0, 2.0)  # times at which a function's values for symbols and for numbers are compared
 NUMPY_HINT = (
     "x and t are symbols for all places and times, not numbers: use ufl.sin(t), ufl.conditional(ufl.gt(t, 1), a, b), "
     "..., and piecewise({time: value, ...}) for a table"
 )
+
+
+class Clock:
+    """The time of a model, as a constant in UFL forms.
+
+    The constant has a value only inside the context `at`, which sets a time. Otherwise it is NaN, so that no form reads
+    an old time unnoticed. Forms that contain several times use `TimeLevel`.
+
+    Attributes:
+        symbol: the time, a UFL constant.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.symbol = TimeConstant(mesh)
+
+    @contextmanager
+    def at(self, t: float) -> Iterator[None]:
+        """Return a context in which forms are assembled at the time t."""
+        old_time = float(self.symbol)
+        self._set_time(t)
+        try:
+            yield
+        finally:
+            self._set_time(old_time)
+
+    def _set_time(self, t: float) -> None:
+        for constant in self.symbol.time_constants:
+            set_value(constant, constant.at(t))
+
+
+class TimeDependent:
+    """A constant or function in UFL forms whose values depend on the time of a clock, `symbol.time_constants` of it.
+
+    Attributes:
+        kinks: times at which the slope of its values changes, as far as they are known.
+    """
+
+    kinks: Collection[float] = frozenset()
+
+    def at(self, t: float) -> float | Array:
+        """Return the value, or the degrees of freedom on this rank, at the time t."""
+        raise NotImplementedError
+
+    def copy_at(self, t: float) -> fem.Constant | fem.Function:
+        """Return a constant or function with the values at the time t."""
+        raise NotImplementedError
+
+
+class TimeConstant(TimeDependent, fem.Constant):
+    """The time of a clock as a constant in UFL forms, or a constant that depends on this time alone.
+
+    Attributes:
+        mesh: the mesh.
+        time_constants: all constants and functions of the same clock.
+    """
+
+    def __init__(self, mesh: Mesh, value: float | Array = math.nan) -> None:
+        super().__init__(mesh, value)
+        self.mesh, self.time_constants = mesh, WeakSet[TimeDependent]([self])
+
+    def __eq__(self, other: object) -> bool:
+        if is_number(other):  # UFL would return False, and the load would never see its time
+            raise TypeError(f"t == {other!r} asks a symbol for its value")
+        return bool(super().__eq__(other))
+
+    __hash__ = fem.Constant.__hash__
+
+    def at(self, t: float) -> float | Array:
+        """Return the value at the time t."""
+        return t
+
+    def copy_at(self, t: float) -> fem.Constant:
+        """Return a constant with the value at the time t."""
+        return fem.Constant(self.mesh, np.array(self.at(t), float))
+
+
+def time_constants(expression: Expr) -> list[TimeDependent]:
+    """Return what an expression or a form has of clocks: constants and fields in time; none if it has no time."""
+    return [
+        c for c in (*extract_constants(expression), *extract_coefficients(expression)) if isinstance(c, TimeDependent)
+    ]
+
+
+def set_value(target: fem.Constant | fem.Function, value: float | Array) -> None:
+    """Set the value of a constant, or the degrees of freedom of a function."""
+    if isinstance(target, fem.Function):
+        target.x.array[:] = value
+    else:
+        target.value = value
 
 
 @dataclass(frozen=True)
@@ -83,8 +174,10 @@ class Coordinates(FormerNames):
         mesh, band = domain.mesh, domain.joint.band
         x, points = ufl.SpatialCoordinate(mesh), (band.drawn_joint if band else domain.joint).points
         sample_indices = {0, *(int(k) for c in points.T for k in (c.argmin(), c.argmax(), np.abs(c).argmin()))}
-        is_kept = band is not None and band.bodies != "extended"
-        return cls(domain, x - inflation_motion(domain) if is_kept else x, Clock(mesh), points[sorted(sample_indices)])
+        if band is not None and band.bodies != "extended":
+            joint, element = domain.joint, ("Lagrange", domain.joint.degree, (domain.joint.dim,))
+            x -= domain.cellwise_function(element, (joint.points - joint.reference)[joint.cells])
+        return cls(domain, x, Clock(mesh), points[sorted(sample_indices)])
 
     @property
     def mesh(self) -> Mesh:
@@ -153,6 +246,10 @@ class Coordinates(FormerNames):
         """
         self.planned_kinks[:] = [set[float]().union(*(coefficient.kinks for coefficient in self.cache.values()))]
         return self.planned_kinks[0]
+
+
+class HandedField(fem.Function):
+    """A scalar field of another model on the mesh of this one; on a rigid base it is zero."""
 
 
 @runtime_checkable
@@ -460,3 +557,59 @@ def evaluate_component(component: Expr, t: float, place: Sequence[float] = ()) -
         return float(component(tuple(map(float, place)), constant_values))
     except (ArithmeticError, ValueError, TypeError):
         return math.nan
+
+
+def sampled_function(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Function:
+    """Return the interpolant on a mesh of a function on another mesh. Collective.
+
+    Args:
+        f: the function on the other mesh.
+        mesh: the mesh of the interpolant.
+        x: (d,) UFL expression on `mesh`, the coordinates at which f is evaluated.
+        what: first words of error messages.
+
+    Returns:
+        A function that is a polynomial in each cell. At its interpolation points it has the values of f, but for 1e-6
+        of the change of f in a cell.
+
+    Raises:
+        InputError: a place lies outside the other mesh.
+    """
+    degree = min(2, f.function_space.element.basix_element.degree)
+    interpolant = fem.Function(fem.functionspace(mesh, ("DG", degree, f.ufl_shape)))
+    places = interpolation_places(interpolant.function_space, x)
+    places = (places + INWARD_SHIFT * (places.mean(axis=1, keepdims=True) - places)).reshape(-1, mesh.geometry.dim)
+    values = _evaluate_on_all_ranks(f, places)
+    outside_places = np.concatenate(communicator(mesh).allgather(places[np.isnan(values).any(axis=1)][:1]))
+    if len(outside_places):
+        raise InputError(f"{what}: a function is unknown at {at_place(outside_places[0])}; its mesh must cover all")
+    interpolant.x.array.reshape(values.shape)[np.asarray(interpolant.function_space.dofmap.list).ravel()] = values
+    return interpolant
+
+
+def interpolation_places(V: fem.FunctionSpace, x: Expr) -> Array:
+    """Return the values (cells, n, d) of UFL coordinates x (d,) at the n interpolation points of V in local cells."""
+    mesh, d = V.mesh, V.mesh.geometry.dim
+    cells = np.arange(len(V.dofmap.list), dtype=np.int32)
+    expression = fem.Expression(x + fem.Constant(mesh, np.zeros(d)), interpolation_points(V))
+    return np.asarray(expression.eval(mesh, cells).reshape(len(cells), -1, d))
+
+
+def _evaluate_on_all_ranks(f: fem.Function, x: Array) -> Array:
+    """Return the values (n, m) of a function with m components at n places x (n, d); NaN outside its mesh. Collective.
+
+    The values come from all ranks of the function's mesh. Every rank gets the places and values of all ranks, so that
+    its memory grows with the total number of cells.
+    """
+    mesh = f.function_space.mesh
+    comm = communicator(mesh)
+    x_of_ranks = comm.allgather(np.pad(x, ((0, 0), (0, 3 - x.shape[1]))))
+    places = np.concatenate(x_of_ranks)
+    bb_tree = geometry.bb_tree(mesh, mesh.topology.dim)
+    colliding = geometry.compute_colliding_cells(mesh, geometry.compute_collisions_points(bb_tree, places), places)
+    starts, has_cell = colliding.offsets[:-1], np.diff(colliding.offsets) > 0
+    values = np.full((len(places), int(np.prod(f.ufl_shape))), np.nan)
+    if has_cell.any():
+        values[has_cell] = f.eval(places[has_cell], colliding.array[starts[has_cell]]).reshape(-1, values.shape[1])
+    start = sum(map(len, x_of_ranks[: comm.rank]))
+    return np.asarray(np.fmax.reduce(comm.allgather(values))[start : start + len(x)])

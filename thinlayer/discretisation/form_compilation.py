@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import chain
-from typing import TYPE_CHECKING
 
 import numpy as np
 import ufl
@@ -16,6 +15,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.base import Array, InputError, require
+from forms.kinematics import Kinematics
 from forms.law import BulkLaw
 from forms.tensors import Expr
 from forms.traits import restore_warnings
@@ -23,28 +23,24 @@ from forms.work import Term
 from geometry.domain import Domain
 from geometry.inflating.inflation import offset_to_middle, points_on_middle
 from geometry.partition import column_numbers
-from thinlayer.discretisation.coefficient import Coordinates, has_finite_numbers
+from thinlayer.discretisation.coefficient import Coordinates, has_finite_numbers, time_constants
 from thinlayer.discretisation.key import BODY_KIND, LAYER_KIND, Key
-from thinlayer.discretisation.mesh_functions import cellwise_function, law_with_constants
-from thinlayer.discretisation.time_functions import time_constants
 from thinlayer.pointwise.quadrature import MEASURE_NAMES, MeshOrigin, Quadrature, assemble_matrix
 from thinlayer.system.compat import compiled, integrals_by_domain
 from thinlayer.system.ranks import errors_on_all
-
-if TYPE_CHECKING:
-    from thinlayer.discretisation.model import Model
 
 restore_warnings()  # users' warnings too
 
 TAGS_TEXT_OF_MEASURE = {"dx": "model.domain.region_tags(name)", "dS": "dS(k + 1) is the k-th of joint.seams"}
 
 
-def checked_user_form(form: ufl.Form, model: Model, what: str = "a form") -> ufl.Form:
+def checked_user_form(form: ufl.Form, domain: Domain, kinematics: Kinematics, what: str = "a form") -> ufl.Form:
     """Check a user's form on a model's mesh, and return it with the factor 2 pi r in axisymmetry. Collective.
 
     Args:
         form: the form.
-        model: the model.
+        domain: the model's distributed mesh.
+        kinematics: the model's kinematics, on this mesh.
         what: first words of error messages.
 
     Raises:
@@ -66,21 +62,23 @@ def checked_user_form(form: ufl.Form, model: Model, what: str = "a form") -> ufl
         if name == "dS" and ids == ["everywhere"] and integral.subdomain_data() is not None:
             raise InputError(f"{what} integrates over all inner facets; seams: {TAGS_TEXT_OF_MEASURE[name]}")
         data = form.subdomain_data()[integral.ufl_domain()][kind]
-        present = model.comm.allgather({"everywhere", "otherwise"}.union(*(_tags(item, kind, model) for item in data)))
+        present = domain.comm.allgather(
+            {"everywhere", "otherwise"}.union(*(_tags(item, kind, domain.mesh) for item in data))
+        )
         if missing := ", ".join(str(tag) for tag in ids if tag not in set[object]().union(*present)):
             tags_text = TAGS_TEXT_OF_MEASURE.get(name, "model.domain.values(name)")
             raise InputError(f"{what} integrates over {name}({missing}), which is nothing here; tags: {tags_text}")
-    factor = model.kinematics.factor
+    factor = kinematics.factor
     return ufl.Form([part.reconstruct(integrand=factor * part.integrand()) for part in form.integrals()])
 
 
-def _tags(data: MeshTags | Iterable[tuple[object, Array]] | None, kind: str, model: Model) -> set[object]:
+def _tags(data: MeshTags | Iterable[tuple[object, Array]] | None, kind: str, mesh: Mesh) -> set[object]:
     """Return the tags that cells or facets of this rank have in the subdomain data of a measure.
 
     Args:
         data: the subdomain data: tags of a mesh, or pairs of a tag and its entities; None: no tags.
         kind: type of the measure's integral in UFL. For "exterior_facet" (ds) only facets on the boundary count.
-        model: the model, on whose mesh the tags are.
+        mesh: the mesh of the tags.
     """
     if data is None:
         return set()
@@ -88,7 +86,7 @@ def _tags(data: MeshTags | Iterable[tuple[object, Array]] | None, kind: str, mod
         return {tag for tag, entities in data if len(entities)}
     tags = data.values
     if kind == "exterior_facet":
-        topology = model.domain.mesh.topology
+        topology = mesh.topology
         topology.create_connectivity(topology.dim - 1, topology.dim)
         tags = tags[np.isin(data.indices, exterior_facet_indices(topology))]
     return {*tags.tolist()}
@@ -152,7 +150,7 @@ def mesh_origin(domain: Domain) -> MeshOrigin:
     find_columns = partial(column_numbers, joint)
     if joint.parted is None:
         return MeshOrigin(domain.comm, x, domain.numbers, find_columns)
-    x_on_s = x + cellwise_function(domain, ("DG", joint.degree, (joint.dim,)), offset_to_middle(joint))
+    x_on_s = x + domain.cellwise_function(("DG", joint.degree, (joint.dim,)), offset_to_middle(joint))
     return MeshOrigin(domain.comm, x, domain.numbers, find_columns, x_on_s, points_on_middle(joint))
 
 
@@ -203,3 +201,14 @@ def compiled_terms(terms: Iterable[Term]) -> dict[str, Term]:
     for name, group in by_key.items():
         numbered |= {str(Key.parse(name).numbered(k)) if len(group) > 1 else name: p for k, p in enumerate(group, 1)}
     return numbered
+
+
+def law_with_constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:
+    """Return a law whose parameters are DOLFINx Constants, so that forms are compiled once for all their values.
+
+    A compiled law is returned unchanged. So is a law with parameters that are functions, as `checked_term` evaluates
+    them.
+    """
+    if law.fields or law.traits.compiled:
+        return law
+    return law.mapped(lambda value, _: fem.Constant(mesh, np.asarray(value, float)))

@@ -15,6 +15,8 @@ from scipy.spatial import cKDTree
 from forms import work as forms
 from forms.base import InputError, is_finite, require
 from forms.law_tangents import depends_on_normal
+from forms.tensors import Expr
+from geometry.domain import Domain
 from geometry.inflating.dividing import RefinedLayers, refined_towards_ends
 from geometry.inflating.inflation import inflate, without_bodies
 from geometry.inflating.layering import check_layering
@@ -23,9 +25,9 @@ from geometry.parallel import on_root
 from geometry.refusals import require_known
 from thinlayer.discretisation.boundary import require_normal_shifts, require_revolution
 from thinlayer.discretisation.forces import LoadRegion
-from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.discretisation.form_compilation import law_with_constants
 from thinlayer.discretisation.layer import Layers, SeamLayer, SurfaceSource, ThinLayer, law_with_numbers
-from thinlayer.discretisation.mesh_functions import band_of, director, law_with_constants
+from thinlayer.discretisation.mesh_functions import band_of
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import Violation
@@ -163,7 +165,7 @@ class LayerModel(FullModel):
     refined_layers: RefinedLayers | None = None
 
     def __init__(
-        self, model: InterfaceModel, layers: Mapping[str, ThinLayer], cells_through: int, at_ends: float | None = None
+        self, model: Model, layers: Mapping[str, ThinLayer], cells_through: int, at_ends: float | None = None
     ) -> None:
         structure, joint = model.structure.with_layers_only(layers), model.joint
         if at_ends is not None:
@@ -215,3 +217,15 @@ def why_not_alone(joint: Joint, seams: Iterable[str]) -> Violation | None:
     reason = f"{', '.join(seams)} meets {', '.join(other_seams)}, where bodies part without a layer among these"
     remedy = "take all seams that meet, or mesh the layers: structure.full, with a Gap in an open seam"
     return Violation("beside", f"layers by themselves: {reason}", remedy)
+
+
+def director(domain: Domain) -> Expr:
+    """Return the unit normal (d,) of S, in UFL, from the lower to the upper body in the meshed layer's cells.
+
+    It is not defined in the bodies.
+    """
+    joint, directors = domain.joint, band_of(domain.joint).director
+    cell_directors = np.zeros((*joint.corners.shape, joint.dim))
+    cell_directors[-len(directors) :] = directors
+    n = domain.cellwise_function(("DG", 1, (joint.dim,)), cell_directors)
+    return n / ufl.sqrt(ufl.dot(n, n))

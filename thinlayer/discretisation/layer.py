@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
 from forms.base import Array, InputError, is_finite, is_number, require
@@ -15,22 +16,26 @@ from forms.contact import ContactLaw
 from forms.kinematics import Kinematics, ScalarField
 from forms.law import BulkLaw, Law
 from forms.law_tangents import declared_or_computed_tangent, is_checked_at_rest, require_stable, tangent_after
-from forms.tensors import Expr, average_lame
+from forms.tensors import average_lame
 from forms.traction import TractionLaw
-from geometry.joint import Profile
-from geometry.seam import S
-from geometry.sheet import Sheet
-from thinlayer.discretisation.coefficient import Coordinates, LoadInput
+from geometry.joint import Joint, Profile
+from geometry.seam import FacetName, S
+from geometry.sheet import Rim, Sheet, continued_ridge_keys
+from geometry.topology import FloatArray, ridge_keys
+from thinlayer.discretisation.boundary import AXIS_NAMES, nodes_on_axis, side_normals
+from thinlayer.discretisation.coefficient import LoadInput
+from thinlayer.discretisation.form_compilation import law_with_constants
 from thinlayer.discretisation.key import CONTACT_KIND, LAYER_KIND, Key
-from thinlayer.discretisation.mesh_functions import law_with_constants
-from thinlayer.discretisation.prescribed_strains import EigenstrainContext, EigenstrainInput
+from thinlayer.discretisation.prescribed_strains import EigenstrainInput
 from thinlayer.errors import Violation
 from thinlayer.system.fingerprint import describe
 
 if TYPE_CHECKING:
-    from thinlayer.discretisation.model import Model
     from thinlayer.discretisation.structure import Structure
 
+SQUARED_COSINE_TOLERANCE = 1e-6  # tolerance of squared cosines between directions
+FLAT_SQUARED_COSINE = 1e-3  # squared cosine up to which directions count as orthogonal: within 2 degrees
+CURVED_SQUARED_COSINE = 0.03  # the same for curved S, from which straight facets deviate by 10 degrees
 BODIES = "bodies"  # name of all bodies together, among the names of seams
 EDGE_CHOICES = (None, "free", "plain")
 SurfaceLaw = TractionLaw | ContactLaw  # laws without a thickness: of jumps, or at nodes
@@ -342,6 +347,59 @@ class SeamLayer:
         """The seam, divided into straight segments in 2D or triangles in 3D."""
         return Sheet(self.structure.joint, self.name)
 
+    @cached_property
+    def side_kinds(self) -> npt.NDArray[np.str_]:
+        """Words for each of the n ridges where the seam ends: how the layer's side is constrained there.
+
+        The side is the layer's own boundary, between its two faces. Its displacement has a component along m, outward
+        along S, and one along n, across S. Supports, multi-point constraints and an axis of revolution may constrain
+        them. The words (n,) are:
+
+            - "free": neither component is constrained
+            - "held": both are
+            - "symmetric": only that along m is, as in a plane of symmetry
+            - "antisymmetric": only that along n is
+            - "oblique": a direction between m and n is constrained.
+
+        Constraints along the end itself do not matter.
+        """
+        sheet, projectors = self.sheet, self.held_projectors()
+        normals = sheet.joint.interface_normals[sheet.rim.facet]
+        sq_cosines = np.stack(
+            [np.einsum("ni,nij,nj->n", e, projectors, e) for e in (sheet.rim.outward, normals)], axis=1
+        )
+        tolerance = FLAT_SQUARED_COSINE if sheet.planar else CURVED_SQUARED_COSINE
+        m_held, n_held = (sq_cosines > tolerance).T
+        kinds = np.array([["free", "antisymmetric"], ["symmetric", "held"]])[m_held.astype(int), n_held.astype(int)]
+        return np.where(((sq_cosines <= tolerance) | (sq_cosines >= 1 - tolerance)).all(axis=1), kinds, "oblique")
+
+    def held_projectors(self, of_layer: bool = True) -> FloatArray:
+        """Return projections (n, d, d) onto the directions in which the layer's side cannot move, at the n ridges.
+
+        The side is the layer's own boundary at a ridge where S ends.
+
+        Args:
+            of_layer: whether constraints of facet sets "NAME/LAYER" count too; such a set is the part of the facet set
+                NAME on the layer's own side.
+        """
+        structure, rim, joint = self.structure, self.sheet.rim, self.sheet.joint
+        d, rim_keys, axes = joint.dim, ridge_keys(rim.vertices), AXIS_NAMES[: joint.dim]
+        dyads = np.zeros((len(rim_keys), d, d))
+        dyads[nodes_on_axis(structure.kinematics, joint)[rim.vertices].all(axis=1)] = np.eye(d)
+        entries = [
+            (place, [*value] if isinstance(value, Mapping) else axes) for place, value in structure.supports.items()
+        ]
+        mpc_parts = [part for part in structure.parts if part.has_constraint]
+        for place, components in [*entries, *((part.place, part.components or axes) for part in mpc_parts)]:
+            name = FacetName.parse(place).continued_set if isinstance(place, str) else S
+            if name in (S, *joint.seams) or name not in joint.facets or (name != place and not of_layer):
+                continue  # a vertex, the side of one body, or that of the layer
+            on_rim = np.isin(rim_keys, continued_ridge_keys(joint, joint.facets[name]))
+            for axis in components:
+                direction = np.eye(d)[axes.index(axis)] if axis in axes else _rim_normals(joint, rim, name)
+                dyads += np.where(on_rim[:, None], direction, 0.0)[:, :, None] * direction[..., None, :]
+        return np.asarray(dyads @ np.linalg.pinv(dyads, rcond=SQUARED_COSINE_TOLERANCE, hermitian=True))
+
     @property
     def samples(self) -> list[SeamLayer]:
         """Layers with numbers as parameters, for checks of a layer whose parameters are functions of the place.
@@ -365,17 +423,6 @@ class SeamLayer:
         """
         return InitialTangents(law_with_numbers(self.layer, self.structure.kinematics), self.sheet.mean_normal)
 
-    def prescribed_strain(self, at: Coordinates) -> Expr | None:
-        """Return minus the eigenstrain of the layer, (3, 3) in UFL, which is added to the strain of displacements.
-
-        Return None if there is no eigenstrain. `at` has the place and the time as arguments of functions.
-        """
-        if self.thin_layer is None:
-            return None
-        kinematics, n = self.structure.kinematics, self.sheet.mean_normal
-        context = EigenstrainContext(str(self), law_with_numbers(self.layer, kinematics), n, kinematics, at)
-        return context.prescribed_strain(self.thin_layer.eigenstrain)
-
     @property
     def described_profile(self) -> object:
         """Description of the thickness profile, as JSON; None for a uniform thickness."""
@@ -395,25 +442,39 @@ class SeamLayer:
         return {"eps": eps, "order": order, "profile": self.described_profile, **optional}
 
 
-def loads_of_layers(model: Model) -> dict[str, LoadInput]:
+def loads_of_layers(
+    structure: Structure, layers: Mapping[str, SeamLayer], bonds: Sequence[str]
+) -> dict[str, LoadInput]:
     """Return the forces per volume of a model's loaded layers, by the name of the seam.
 
-    Seams with bonds are left out.
+    Args:
+        structure: the structure.
+        layers: name of a seam -> its layer.
+        bonds: names of seams with bonds, which are left out.
 
     Raises:
         InputError: a load on a seam without a layer, or whose layer has no thickness; a `SurfaceSource` on a bond.
     """
-    force, layers = model.structure.body_force, model.layers
+    force, joint, kinematics = structure.body_force, structure.joint, structure.kinematics
     loads_by_name = force if isinstance(force, Mapping) else {}
     for name in (name for name, load in loads_by_name.items() if isinstance(load, SurfaceSource)):
-        bonded = [seam for seam in model.bonds if name in (S, seam)]
+        bonded = [seam for seam in bonds if name in (S, seam)]
         require(not bonded, "SurfaceSource on the seam", name, "it is bonded; a source needs a layer, or Conductance")
-    seams = [seam for seam in model.joint.seams if seam not in model.bonds]
+    seams = [seam for seam in joint.seams if seam not in bonds]
     loads = {seam: loads_by_name[name] for name in loads_by_name for seam in seams if name in (S, seam)}
-    if model.n_components > 1 and any(isinstance(load, SurfaceSource) for load in loads.values()):
+    if kinematics.unknown != ScalarField.unknown and any(isinstance(load, SurfaceSource) for load in loads.values()):
         raise InputError("a SurfaceSource is a source of a scalar field; the bodies have laws of displacements")
     is_per_volume = {seam: not isinstance(load, SurfaceSource) for seam, load in loads.items()}
     for seam in (seam for seam in loads if seam not in layers or (is_per_volume[seam] and not layers[seam].thin_layer)):
-        load = model.kinematics.quantities.body_force
+        load = kinematics.quantities.body_force
         raise InputError(f"{load} in the layer {seam!r}: it has no layer with a thickness, so no weight is known")
     return loads
+
+
+def _rim_normals(joint: Joint, rim: Rim, name: str) -> FloatArray:
+    """Return mean outer unit normals (n, d) of the facet set `name` at the n ridges of `rim`.
+
+    At ridges without a facet of this set the result is the outward direction along S.
+    """
+    normals = side_normals(joint, name, rim.vertices)
+    return np.where(np.isnan(normals), rim.outward, normals)

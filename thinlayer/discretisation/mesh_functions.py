@@ -1,73 +1,23 @@
-"""Spaces with jumps or periodicity, and functions on a model's mesh from cells of the joint or from other meshes."""
+"""Spaces with jumps or periodicity on the mesh of a model."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import basix.ufl
 import numpy as np
-import ufl
-from dolfinx import fem, geometry
+from dolfinx import fem
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from forms.base import Array, InputError
-from forms.law import BulkLaw
-from forms.tensors import Expr
-from forms.work import Interface
-from geometry.domain import Domain, index_map
-from geometry.inflating.inflation import offset_to_middle
-from geometry.joint import InflatedBand, Joint, Profile
-from geometry.refusals import place_text
-from geometry.seam import S
+from geometry.domain import Domain, Element, index_map
+from geometry.joint import InflatedBand, Joint
 from geometry.topology import Indices, IntArray, Splitting
-from thinlayer.system.compat import interpolation_points, space_with_dofmap
-from thinlayer.system.ranks import communicator, query
+from thinlayer.system.compat import space_with_dofmap
+from thinlayer.system.ranks import query
 
-Element: TypeAlias = ufl.AbstractFiniteElement | tuple[str, int] | tuple[str, int, tuple[int, ...]]
 EntityKeys = Sequence[IntArray | Indices]
-INWARD_SHIFT = 1e-6  # shift of a place towards the middle of its cell, to one side of S, over its distance from there
-
-
-def cellwise_function(domain: Domain, element: Element, values: Array) -> fem.Function:
-    """Return a DOLFINx function from its degrees of freedom on each cell of the undistributed joint.
-
-    Args:
-        domain: the distributed mesh.
-        element: element of the function's space.
-        values: (n_cells, dofs per cell, components) degrees of freedom of the function.
-    """
-    f = fem.Function(fem.functionspace(domain.mesh, element))
-    dofs = f.function_space.dofmap.list
-    f.x.array.reshape(-1, values.shape[2])[dofs.ravel()] = domain.to_local(values).reshape(-1, values.shape[2])
-    return f
-
-
-def law_with_constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:
-    """Return a law whose parameters are DOLFINx Constants, so that forms are compiled once for all their values.
-
-    A compiled law is returned unchanged. So is a law with parameters that are functions, as `checked_term` evaluates
-    them.
-    """
-    if law.fields or law.traits.compiled:
-        return law
-    return law.mapped(lambda value, _: fem.Constant(mesh, np.asarray(value, float)))
-
-
-def relative_thickness(domain: Domain, profile: Profile, name: str = S) -> fem.Function:
-    """Return the thickness of a layer, divided by `ThinLayer.eps`, as a function of degree 1 on the mesh.
-
-    Values away from the seam have no meaning.
-
-    Args:
-        domain: the distributed mesh.
-        profile: function of the place, from the user, whose values at the vertices are taken.
-        name: name of the seam; "S" for all seams.
-    """
-    joint = domain.joint
-    return cellwise_function(domain, ("Lagrange", 1), joint.relative_thickness(profile, name)[joint.corners][..., None])
 
 
 def band_of(joint: Joint) -> InflatedBand:
@@ -77,108 +27,6 @@ def band_of(joint: Joint) -> InflatedBand:
     """
     assert joint.band is not None
     return joint.band
-
-
-def director(domain: Domain) -> Expr:
-    """Return the unit normal (d,) of S, in UFL, from the lower to the upper body in the meshed layer's cells.
-
-    It is not defined in the bodies.
-    """
-    joint, directors = domain.joint, band_of(domain.joint).director
-    cell_directors = np.zeros((*joint.corners.shape, joint.dim))
-    cell_directors[-len(directors) :] = directors
-    n = cellwise_function(domain, ("DG", 1, (joint.dim,)), cell_directors)
-    return n / ufl.sqrt(ufl.dot(n, n))
-
-
-def inflation_motion(domain: Domain) -> fem.Function:
-    """Return the displacement (d,) of each place of the mesh when S was opened to the layer's thickness.
-
-    Kept bodies move as rigid bodies. Places in the layer come from the place on S from which the layer was made.
-    """
-    joint = domain.joint
-    displacements = (joint.points - joint.reference)[joint.cells]
-    return cellwise_function(domain, ("Lagrange", joint.degree, (joint.dim,)), displacements)
-
-
-class MidSurface:
-    """S midway between the faces of bodies that gave up room for the layer, which has no cells.
-
-    Args:
-        domain: the distributed mesh.
-
-    Attributes:
-        offset: (d,) UFL vector from places on the face of either body to S, in d dimensions.
-    """
-
-    def __init__(self, domain: Domain) -> None:
-        joint = domain.joint
-        self.offset = cellwise_function(domain, ("DG", joint.degree, (joint.dim,)), offset_to_middle(joint))
-
-    def thickness(self, sides: Interface) -> Expr:
-        """Return the thickness of the layer in UFL: the distance between the bodies' faces along the normal n of S."""
-        return -2 * ufl.dot(sides.upper(self.offset), sides.n)
-
-    def eps_gradient(self, sides: Interface) -> Expr:
-        """Return the gradient (d,) of the thickness along S, in UFL."""
-        gradient = -2 * ufl.dot(sides.n, sides.upper.gradient(self.offset))
-        return gradient - ufl.dot(gradient, sides.director) * sides.n
-
-
-def sampled_function(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Function:
-    """Return the interpolant on a mesh of a function on another mesh. Collective.
-
-    Args:
-        f: the function on the other mesh.
-        mesh: the mesh of the interpolant.
-        x: (d,) UFL expression on `mesh`, the coordinates at which f is evaluated.
-        what: first words of error messages.
-
-    Returns:
-        A function that is a polynomial in each cell. At its interpolation points it has the values of f, but for 1e-6
-        of the change of f in a cell.
-
-    Raises:
-        InputError: a place lies outside the other mesh.
-    """
-    degree = min(2, f.function_space.element.basix_element.degree)
-    interpolant = fem.Function(fem.functionspace(mesh, ("DG", degree, f.ufl_shape)))
-    places = interpolation_places(interpolant.function_space, x)
-    places = (places + INWARD_SHIFT * (places.mean(axis=1, keepdims=True) - places)).reshape(-1, mesh.geometry.dim)
-    values = _evaluate_on_all_ranks(f, places)
-    outside_places = np.concatenate(communicator(mesh).allgather(places[np.isnan(values).any(axis=1)][:1]))
-    if len(outside_places):
-        raise InputError(f"{what}: a function is unknown at {place_text(outside_places[0])}; its mesh must cover all")
-    interpolant.x.array.reshape(values.shape)[np.asarray(interpolant.function_space.dofmap.list).ravel()] = values
-    return interpolant
-
-
-def interpolation_places(V: fem.FunctionSpace, x: Expr) -> Array:
-    """Return the values (cells, n, d) of UFL coordinates x (d,) at the n interpolation points of V in local cells."""
-    mesh, d = V.mesh, V.mesh.geometry.dim
-    cells = np.arange(len(V.dofmap.list), dtype=np.int32)
-    expression = fem.Expression(x + fem.Constant(mesh, np.zeros(d)), interpolation_points(V))
-    return np.asarray(expression.eval(mesh, cells).reshape(len(cells), -1, d))
-
-
-def _evaluate_on_all_ranks(f: fem.Function, x: Array) -> Array:
-    """Return the values (n, m) of a function with m components at n places x (n, d); NaN outside its mesh. Collective.
-
-    The values come from all ranks of the function's mesh. Every rank gets the places and values of all ranks, so that
-    its memory grows with the total number of cells.
-    """
-    mesh = f.function_space.mesh
-    comm = communicator(mesh)
-    x_of_ranks = comm.allgather(np.pad(x, ((0, 0), (0, 3 - x.shape[1]))))
-    places = np.concatenate(x_of_ranks)
-    bb_tree = geometry.bb_tree(mesh, mesh.topology.dim)
-    colliding = geometry.compute_colliding_cells(mesh, geometry.compute_collisions_points(bb_tree, places), places)
-    starts, has_cell = colliding.offsets[:-1], np.diff(colliding.offsets) > 0
-    values = np.full((len(places), int(np.prod(f.ufl_shape))), np.nan)
-    if has_cell.any():
-        values[has_cell] = f.eval(places[has_cell], colliding.array[starts[has_cell]]).reshape(-1, values.shape[1])
-    start = sum(map(len, x_of_ranks[: comm.rank]))
-    return np.asarray(np.fmax.reduce(comm.allgather(values))[start : start + len(x)])
 
 
 @dataclass(frozen=True)

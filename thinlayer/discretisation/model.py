@@ -28,7 +28,13 @@ from thinlayer.discretisation.applicability import Applicability
 from thinlayer.discretisation.coefficient import Coordinates, LoadInput, Pressure, Value
 from thinlayer.discretisation.constraints import Constraints
 from thinlayer.discretisation.forces import BodyForce, Forces, LoadRegion
-from thinlayer.discretisation.form_compilation import checked_term, compiled_functionals, compiled_terms, mesh_origin
+from thinlayer.discretisation.form_compilation import (
+    checked_term,
+    compiled_functionals,
+    compiled_terms,
+    law_with_constants,
+    mesh_origin,
+)
 from thinlayer.discretisation.key import BODY_KIND, Key
 from thinlayer.discretisation.layer import (
     BODIES,
@@ -39,9 +45,10 @@ from thinlayer.discretisation.layer import (
     SeamLayer,
     SurfaceSource,
     ThinLayer,
+    law_with_numbers,
     loads_of_layers,
 )
-from thinlayer.discretisation.mesh_functions import law_with_constants, mesh_cut_at_faces, vector_space
+from thinlayer.discretisation.mesh_functions import mesh_cut_at_faces, vector_space
 from thinlayer.discretisation.part_definition import PartDefinition, check_part_definitions
 from thinlayer.discretisation.point_loads import ConcentratedLoad, check_loads
 from thinlayer.discretisation.prescribed_strains import (
@@ -248,7 +255,13 @@ class Model(ABC):
 
         Return None if there is no eigenstrain.
         """
-        return layer.prescribed_strain(self._coordinates_on(self.coordinates))
+        if layer.thin_layer is None:
+            return None
+        law, n = law_with_numbers(layer.layer, self.structure.kinematics), layer.sheet.mean_normal
+        context = EigenstrainContext(
+            str(layer), law, n, self.structure.kinematics, self._coordinates_on(self.coordinates)
+        )
+        return context.prescribed_strain(layer.thin_layer.eigenstrain)
 
     def _terms_of_bodies(self) -> list[forms.Term]:
         """Return the terms of the bodies' laws.
@@ -282,7 +295,7 @@ class Model(ABC):
     def _make_forces(self) -> Forces:
         at = self.coordinates.with_own_kinks
         forces = Forces(self.domain, self.kinematics, self.joint, at, self.structure)
-        for name, load in loads_of_layers(self).items():
+        for name, load in loads_of_layers(self.structure, self.layers, self.bonds).items():
             source = load if isinstance(load, SurfaceSource) else None
             region = self.load_region(self.layers[name], source)
             forces.add_layer_load(name, source.power if source else load, region, self._coordinates_on(at))

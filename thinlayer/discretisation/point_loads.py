@@ -19,7 +19,6 @@ from geometry.refusals import require_known
 from geometry.topology import Indices, IntArray, lagrange
 from thinlayer.discretisation.boundary import refuse_periodic
 from thinlayer.discretisation.coefficient import Coordinates, LoadInput
-from thinlayer.discretisation.mesh_functions import cellwise_function
 
 EDGE_GAUSS_POINTS = 4  # Gauss points on an edge: exact for degree 7
 
@@ -212,7 +211,7 @@ def concentrated_density(
     values, unit_weights = np.zeros((len(domain.joint.cells), len(points), 1)), np.ones(len(points))
     values[: len(weights), :, 0] = weights
     element = basix.ufl.quadrature_element(domain.mesh.basix_cell(), points=points, weights=unit_weights)
-    factor = cellwise_function(domain, element, values) / abs(ufl.JacobianDeterminant(domain.mesh))
+    factor = domain.cellwise_function(element, values) / abs(ufl.JacobianDeterminant(domain.mesh))
     rule = {"quadrature_points": points.tolist(), "quadrature_weights": unit_weights.tolist()}
     metadata = {"quadrature_rule": "custom", **rule}
     dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags, metadata=metadata)

@@ -20,8 +20,7 @@ from forms.temperature import finite_values
 from forms.tensors import MANDEL_PAIRS, SQRT2, Expr, scalar_strain, three_dimensional
 from forms.work import Term, sum_strains
 from geometry.joint import Joint
-from thinlayer.discretisation.coefficient import Coordinates, HandsOver, depends_on_place
-from thinlayer.discretisation.time_functions import time_constants
+from thinlayer.discretisation.coefficient import Coordinates, HandsOver, depends_on_place, time_constants
 from thinlayer.system.compat import compiled
 
 MEAN_STRAIN = "mean strain"  # key of the mean strain under a mean stress, in the fields of states

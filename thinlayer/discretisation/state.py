@@ -21,7 +21,7 @@ from forms.work import Term, energy, stress, with_added_strain
 from geometry.domain import Domain
 from geometry.seam import BASE, S
 from geometry.topology import IntArray
-from thinlayer.discretisation.coefficient import Coordinates
+from thinlayer.discretisation.coefficient import Coordinates, HandedField
 from thinlayer.discretisation.form_compilation import checked_user_form, compiled_functionals, unit_values
 from thinlayer.discretisation.key import BODY_KIND, LAYER_KIND, PRESSURE_KIND, Key
 from thinlayer.discretisation.layer import BODIES
@@ -29,7 +29,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.prescribed_strains import MEAN_STRAIN, VOIGT_POSITIONS_OF_DIM, from_voigt
 from thinlayer.discretisation.rigid_motions import Resultant, default_moment_point, load_resultants, resultant
 from thinlayer.discretisation.supports import Place, is_same_or_part
-from thinlayer.discretisation.time_functions import HandedField, TimeLevel, with_strains
+from thinlayer.discretisation.time_functions import TimeLevel, with_strains
 from thinlayer.errors import FormerNames
 from thinlayer.system.ranks import carry_cell_values
 
@@ -202,7 +202,7 @@ class State(Configuration):
             InputError: it is no form, or depends on the time; a number in it is not finite or not real; no cell or
                 facet has one of its tags.
         """
-        return self._integrate(checked_user_form(form, self.model))
+        return self._integrate(checked_user_form(form, self.model.domain, self.model.kinematics))
 
     def _integrate(self, form: ufl.Form) -> float:
         return float(self.model.comm.allreduce(sum(map(fem.assemble_scalar, compiled_functionals(form)))))

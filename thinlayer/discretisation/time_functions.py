@@ -1,21 +1,17 @@
-"""Clock of a model: the time as a constant in compiled forms, other time levels, and tables of values over time."""
+"""Functions of time: tables of values, fields between those of another march, and expressions at other times."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import ClassVar
-from weakref import WeakSet
 
 import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from ufl.algebra import Division, Product, Sum
-from ufl.algorithms.analysis import extract_coefficients, extract_constants
 from ufl.constantvalue import ConstantValue
 from ufl.core.multiindex import MultiIndex
 from ufl.core.terminal import Terminal
@@ -25,6 +21,14 @@ from forms.base import Array, InputError, is_number
 from forms.temperature import real_values
 from forms.tensors import Expr
 from forms.work import Term
+from thinlayer.discretisation.coefficient import (
+    Clock,
+    HandedField,
+    TimeConstant,
+    TimeDependent,
+    set_value,
+    time_constants,
+)
 from thinlayer.system.compat import ufl_replace
 
 # relative tolerance of equal times, such as a sum of steps and the end of a table, and of equal slopes
@@ -33,66 +37,24 @@ RATIONAL_OPERATORS = (Sum, Product, Division)
 TEST_TIMES = np.array([-2.5, 0.0, 1.0, 7.0])  # times at which a table's rational argument is tested for linearity
 
 
-class Clock:
-    """The time of a model, as a constant in UFL forms.
+class TableConstant(TimeConstant):
+    """Values of a table that depend on the time alone, as a constant of a clock in UFL forms.
 
-    The constant has a value only inside the context `at`, which sets a time. Otherwise it is NaN, so that no form reads
-    an old time unnoticed. Forms that contain several times use `TimeLevel`.
-
-    Attributes:
-        symbol: the time, a UFL constant.
+    Args:
+        time: the time of the clock.
+        argument: UFL expression of the time, at which the table is evaluated.
+        table: the table of m values.
     """
 
-    def __init__(self, mesh: Mesh) -> None:
-        self.symbol = TimeConstant(mesh)
-
-    @contextmanager
-    def at(self, t: float) -> Iterator[None]:
-        """Return a context in which forms are assembled at the time t."""
-        old_time = float(self.symbol)
-        self._set_time(t)
-        try:
-            yield
-        finally:
-            self._set_time(old_time)
-
-    def _set_time(self, t: float) -> None:
-        for constant in self.symbol.time_constants:
-            _set_value(constant, constant.at(t))
-
-
-class TimeConstant(fem.Constant):
-    """A constant of a clock in UFL forms: the time, or values of a table that depend on the time alone.
-
-    The m values of the table are evaluated at an argument, which is an expression of the time.
-
-    Attributes:
-        mesh: the mesh.
-        time_constants: all constants and fields in time of the same clock.
-    """
-
-    def __init__(
-        self, mesh: Mesh, time: TimeConstant | None = None, argument: Expr = None, table: PiecewiseLinear | None = None
-    ) -> None:
-        super().__init__(mesh, np.full(table.columns.shape[1], np.nan) if table else math.nan)
-        self.mesh, self._time, self._argument, self._table = mesh, time, argument, table
-        self.time_constants: WeakSet[TimeDependent] = WeakSet() if time is None else time.time_constants
+    def __init__(self, time: TimeConstant, argument: Expr, table: PiecewiseLinear) -> None:
+        super().__init__(time.mesh, np.full(table.columns.shape[1], np.nan))
+        self._time, self._argument, self._table = time, argument, table
+        self.time_constants = time.time_constants
         self.time_constants.add(self)
 
-    def __eq__(self, other: object) -> bool:
-        if is_number(other):  # UFL would return False, and the load would never see its time
-            raise TypeError(f"t == {other!r} asks a symbol for its value")
-        return bool(super().__eq__(other))
-
-    __hash__ = fem.Constant.__hash__
-
-    def at(self, t: float) -> float | Array:
-        """Return the value at the time t: the time itself, or the values (m,) of the table."""
-        return t if self._table is None else self._table.values_at(self._argument_at(t))
-
-    def copy_at(self, t: float) -> fem.Constant:
-        """Return a constant with the value at the time t."""
-        return fem.Constant(self.mesh, np.array(self.at(t), float))
+    def at(self, t: float) -> Array:
+        """Return the values (m,) of the table at the time t."""
+        return self._table.values_at(self._argument_at(t))
 
     def _argument_at(self, t: float) -> float:
         """Return the argument of the table at the time t; NaN where the expression is not defined."""
@@ -102,13 +64,11 @@ class TimeConstant(fem.Constant):
             return math.nan
 
     @property
-    def kinks(self) -> set[float]:
+    def kinks(self) -> set[float]:  # type: ignore[override]
         """Times at which the slope of the table's values changes.
 
         They are known only if the table's argument is linear in the time; otherwise the set is empty.
         """
-        if self._table is None:
-            return set()
         if not all(isinstance(node, (Terminal, *RATIONAL_OPERATORS)) for node in unique_pre_traversal(self._argument)):
             return set()
         y = np.array([self._argument_at(t) for t in TEST_TIMES])
@@ -117,22 +77,17 @@ class TimeConstant(fem.Constant):
         return {(t - start) / rate for t in self._table.kinks} if is_linear and rate else set()
 
 
-class HandedField(fem.Function):
-    """A scalar field of another model on the mesh of this one; on a rigid base it is zero."""
-
-
-class FieldInTime(HandedField):
+class FieldInTime(HandedField, TimeDependent):
     """A function on a mesh that is linear in time between fields at some times, and NaN before and after them.
 
-    Like a `TimeConstant` it has values only inside the context of its clock.
+    Like a `TimeConstant` it has values only inside the context of its clock. Steps need not end at the times of the
+    fields, which are those of another march.
 
     Args:
         fields: functions in one space at the times `times`, increasing.
         times: (n,) the times.
         clock: the clock of the model.
     """
-
-    kinks: ClassVar[frozenset[float]] = frozenset()  # steps need not end at the times of another march
 
     def __init__(self, fields: Sequence[fem.Function], times: Array, clock: Clock) -> None:
         super().__init__(fields[0].function_space)
@@ -150,24 +105,6 @@ class FieldInTime(HandedField):
         return copy
 
 
-TimeDependent = TimeConstant | FieldInTime
-
-
-def time_constants(expression: Expr) -> list[TimeDependent]:
-    """Return what an expression or a form has of clocks: constants and fields in time; none if it has no time."""
-    return [
-        c for c in (*extract_constants(expression), *extract_coefficients(expression)) if isinstance(c, TimeDependent)
-    ]
-
-
-def _set_value(target: fem.Constant | fem.Function, value: float | Array) -> None:
-    """Set the value of a constant, or the degrees of freedom of a function."""
-    if isinstance(target, fem.Function):
-        target.x.array[:] = value
-    else:
-        target.value = value
-
-
 class TimeLevel:
     """A time, besides that of the clock, at which expressions and forms are evaluated.
 
@@ -182,7 +119,7 @@ class TimeLevel:
         """Set the time of this level, and so the values of its constants in compiled forms."""
         self._t = t
         for time_constant, constant in self._constants.items():
-            _set_value(constant, time_constant.at(t))
+            set_value(constant, time_constant.at(t))
 
     def at_level(self, expression: Expr) -> Expr:
         """Return an expression or a form in which constants of this time level replace those of the clock."""
@@ -282,7 +219,7 @@ class PiecewiseLinear:
         else:
             t = ufl.as_ufl(t)
             now = _time_constant(t)
-            y = [self._line(c, t) for c in self.columns.T] if now is None else [*TimeConstant(now.mesh, now, t, self)]
+            y = [self._line(c, t) for c in self.columns.T] if now is None else [*TableConstant(now, t, self)]
         return y[0] if self.is_scalar else y
 
     def values_at(self, t: float) -> Array:
@@ -349,4 +286,4 @@ def _time_constant(expression: Expr) -> TimeConstant | None:
     terminals = [node for node in unique_pre_traversal(expression) if isinstance(node, Terminal)]
     non_constants = {node for node in terminals if not isinstance(node, (ConstantValue, MultiIndex))}
     terminal = non_constants.pop() if len(non_constants) == 1 else None
-    return terminal if isinstance(terminal, TimeConstant) and terminal._time is None else None
+    return terminal if type(terminal) is TimeConstant else None

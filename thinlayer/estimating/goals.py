@@ -603,7 +603,7 @@ class Functional(Goal):
             raise InputError(f"the goal {self.name!r}: its function (u, model) fails: {error}") from error
         is_valid = isinstance(form, ufl.Form) and not form.arguments()
         require(is_valid, f"the goal {self.name!r}", form, "it must be a UFL form without test functions")
-        return checked_user_form(form, model, f"the goal {self.name!r}")
+        return checked_user_form(form, model.domain, model.kinematics, f"the goal {self.name!r}")
 
     def value(self, state: State, model: InterfaceModel) -> float:
         form = self._form(displacements_of(state, model), model)

@@ -20,9 +20,8 @@ from geometry.refusals import refuse, require_known
 from geometry.seam import S
 from geometry.sheet import StraightEnd, straight_ends
 from thinlayer.discretisation.full_model import FullModel, LayerModel
-from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel, SideLoad
 from thinlayer.discretisation.layer import SeamLayer
-from thinlayer.discretisation.side_loads import SideLoad
 from thinlayer.discretisation.state import State
 from thinlayer.errors import Violation, warn
 from thinlayer.output.probe import Probe

@@ -87,7 +87,7 @@ class UflPart(PartDefinition):
             raise InputError(f"{subject} gives {form!r}; it must be a UFL form {requirement}")
         if not all(domain is model.V.mesh.ufl_domain() for domain in form.ufl_domains()):
             raise InputError(f"{subject} is a form on another mesh than the model's; use model.dx and model.ds")
-        checked_user_form(form, model, subject)
+        checked_user_form(form, model.domain, model.kinematics, subject)
         if form.arguments() != arguments or not multilinear(form):
             raise InputError(f"{subject} is {str(form)[:80]}; it must be a form {requirement}")
         forces = ufl.derivative(form, u, v) if self.energy else form
@@ -104,9 +104,9 @@ class UflPart(PartDefinition):
         If the user gave an energy, it is the derivative of the energy in the direction `v`.
         """
         if not self.energy:
-            return checked_user_form(self._form(model, u, v), model)
+            return checked_user_form(self._form(model, u, v), model.domain, model.kinematics)
         unknown = fem.Function(model.V)
-        energy = checked_user_form(self._form(model, unknown, v), model)
+        energy = checked_user_form(self._form(model, unknown, v), model.domain, model.kinematics)
         return ufl_replace(expand_derivatives(ufl.derivative(energy, unknown, v)), {unknown: u})
 
     def is_linear(self, model: HostModel) -> bool:
@@ -130,7 +130,11 @@ class _UserFormPart(FormPart):
     def __init__(self, part: UflPart, model: HostModel) -> None:
         u, v, linear = fem.Function(model.V), ufl.TestFunction(model.V), part.is_linear(model)
         K = assemble_plain_matrix(part.work(model, ufl.TrialFunction(model.V), v)) if linear else None
-        energy = checked_user_form(part.energy(u, model), model) if part.energy and not linear else None
+        energy = (
+            checked_user_form(part.energy(u, model), model.domain, model.kinematics)
+            if part.energy and not linear
+            else None
+        )
         super().__init__(part.key, u, K, None if linear else part.work(model, u, v), energy, kept=True)
         if K is not None and model.comm.allreduce(float(K.getDiagonal().array_r.min(initial=0.0)), min) < 0:
             raise InputError(f"the part {part.key!r} has a negative stiffness: its equilibria may be unstable")

@@ -11,11 +11,11 @@ import numpy as np
 
 from forms.base import Array, InputError, is_finite, require
 from forms.tensors import Expr
-from thinlayer.discretisation.coefficient import Coordinates
+from thinlayer.discretisation.coefficient import Coordinates, HandedField
 from thinlayer.discretisation.layer import BODIES
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, scalar_field_on
-from thinlayer.discretisation.time_functions import FieldInTime, HandedField
+from thinlayer.discretisation.time_functions import FieldInTime
 from thinlayer.surface.law_points import layer_shares, seams_with_shares, share_columns
 from thinlayer.system.table import Table
 

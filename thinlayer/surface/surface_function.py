@@ -9,7 +9,6 @@ import numpy as np
 from forms.base import Array, InputError, require
 from forms.tensors import Expr
 from geometry.topology import IntArray
-from thinlayer.discretisation.mesh_functions import cellwise_function
 from thinlayer.discretisation.time_functions import FieldInTime, PiecewiseLinear
 from thinlayer.system.fingerprint import describe
 
@@ -75,5 +74,5 @@ class SurfaceFunction:
             on_s = {tuple(drawn_joint.points[k]): k for k in self._surface.vertices}
             source = [on_s.get(tuple(place), -1) for place in joint.reference]
             at_vertices = np.hstack([at_vertices, np.zeros((len(at_vertices), 1))])[:, source]
-        fields = [cellwise_function(at.domain, ("Lagrange", 1), row[corners][..., None]) for row in at_vertices]
+        fields = [at.domain.cellwise_function(("Lagrange", 1), row[corners][..., None]) for row in at_vertices]
         return fields[0] if self._times is None else FieldInTime(fields, self._times, at.clock)
