@@ -15,8 +15,7 @@ from studies.delamination import ON_S, Beams
 from tests.meshes import drawing, stack
 from tests.on_ranks import on_ranks
 from thinlayer import ArcLength, Structure, Surface, march
-from thinlayer.output.tractions import match_law_points
-from thinlayer.surface.law_points import layer_points
+from thinlayer.surface.law_points import layer_points, match_law_points
 
 
 # ---------------------------------------------------------------- every step of the studies

@@ -18,7 +18,7 @@ from tests.documents import CLONE
 from tests.own_laws import Cubic
 from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, compare, drive, march
-from thinlayer.pointwise import kernels
+from thinlayer.pointwise import compiled_law
 from thinlayer.system import progress
 from thinlayer.system.compilation import lock_library
 
@@ -101,7 +101,7 @@ def test_steps_ask_for_nothing(build, law, modules):
 def test_what_was_made_before_does_not_matter(modules, monkeypatch):
     """UFL counts variables in a process; a law has the same name in the cache under any count."""
     for _ in range(2):
-        monkeypatch.setattr(kernels, "_COMPILED_BY_NAME", {})
+        monkeypatch.setattr(compiled_law, "_COMPILED_BY_NAME", {})
         drive(NORTON, [{"w_T": 0.01, "w_N": 0.02}], dt=0.1)
         ufl.variable(ufl.as_ufl(1.0))
     assert len(modules) == 2

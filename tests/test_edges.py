@@ -25,8 +25,7 @@ from tests.orders import observed_orders
 from thinlayer import RigidPlate, Springs, Structure, Surface, ThinLayer, compare, estimate, solve
 from thinlayer.discretisation import applicability
 from thinlayer.discretisation.applicability import MIN_STIFFNESS_CONTRAST
-from thinlayer.discretisation.facet_weights import FacetWeights
-from thinlayer.discretisation.layer import SeamLayer
+from thinlayer.discretisation.layer import FacetWeights, SeamLayer
 from thinlayer.running.record import Record
 
 pytestmark = pytest.mark.few(5)

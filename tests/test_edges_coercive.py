@@ -13,7 +13,7 @@ from forms.ends import FreeEnd, free_end
 from geometry import sandwich
 from geometry.sheet import straight_ends
 from thinlayer import Structure, ThinLayer
-from thinlayer.discretisation.facet_weights import FacetWeights
+from thinlayer.discretisation.layer import FacetWeights
 
 pytestmark = pytest.mark.few(5)
 

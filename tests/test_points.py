@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from forms import BulkLaw, KernelLaw, Stack
+from forms.traits import VARIABLE_SIZES
 from tests.at_points import DT, respond, situation, tensor, vector
 from tests.laws_at_points import BALANCED, EXACT, LAWS, QUADRATIC, ROUNDING, THETAS
 from tests.mohr_coulomb_points import LAWS as MOHR_COULOMB
 from tests.mohr_coulomb_points import METALS, SOILS
-from thinlayer.pointwise.kernels import VARIABLE_SIZES
 
 YIELDING = METALS | SOILS | {f"Mohr-Coulomb, {name}": law for name, law in MOHR_COULOMB.items()}
 ALL = LAWS | YIELDING

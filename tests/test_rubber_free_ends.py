@@ -13,7 +13,7 @@ from geometry import sandwich
 from tests.ranges_told import with_warnings
 from tests.test_order1 import relative_errors
 from thinlayer import Structure, ThinLayer, solve
-from thinlayer.parts import build_parts
+from thinlayer.solving import equations
 
 pytestmark = pytest.mark.few(5)
 
@@ -98,7 +98,7 @@ def test_coarse_ends_are_left_alone(width, wrong, monkeypatch):
 
     assert -5e-3 < error() < 0
     ends = lambda model, _: model.joint.points[model.applicability["S"].free_rim.vertices.ravel()]
-    monkeypatch.setattr(build_parts, "_zero_p_points", ends)
+    monkeypatch.setattr(equations, "_zero_p_points", ends)
     assert error() > wrong
 
 

@@ -10,9 +10,14 @@ import numpy as np
 
 from forms.base import InputError, require
 from geometry.inflating.band_cells import FacetLines, NodeCopies, NodeLines, band_cells, node_lines
-from geometry.inflating.corners import JunctionCorners, common_normals, junction_corners
 from geometry.inflating.extended_bodies import extended_motion, face_motion
-from geometry.inflating.filling import JunctionCells, junction_cells
+from geometry.inflating.junctions import (
+    JunctionCells,
+    JunctionCorners,
+    common_normals,
+    junction_cells,
+    junction_corners,
+)
 from geometry.inflating.kept_bodies import NOT_KEPT_MESSAGE, THICKNESS_TOLERANCE, body_translations, require_room
 from geometry.inflating.layering import Layering, Names, Profiles, Sizes, check_junctions, check_layering, moved_facets
 from geometry.joint import InflatedBand, Joint

@@ -20,8 +20,7 @@ from geometry.refusals import place_text
 from geometry.sheet import Rim, straight_ends
 from geometry.topology import BoolArray, FloatArray
 from thinlayer.discretisation.boundary import can_shift_along
-from thinlayer.discretisation.facet_weights import FacetWeights
-from thinlayer.discretisation.layer import FLAT_SQUARED_COSINE, SeamLayer, ThinLayer, law_with_numbers
+from thinlayer.discretisation.layer import FLAT_SQUARED_COSINE, FacetWeights, SeamLayer, ThinLayer, law_with_numbers
 from thinlayer.discretisation.prescribed_strains import SINGULARITY_TOLERANCE
 from thinlayer.errors import Violation
 

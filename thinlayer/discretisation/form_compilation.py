@@ -20,9 +20,8 @@ from forms.law import BulkLaw
 from forms.tensors import Expr
 from forms.traits import restore_warnings
 from forms.work import Term
-from geometry.domain import Domain
+from geometry.domain import Domain, column_numbers
 from geometry.inflating.inflation import offset_to_middle, points_on_middle
-from geometry.partition import column_numbers
 from thinlayer.discretisation.coefficient import Coordinates, has_finite_numbers, time_constants
 from thinlayer.discretisation.key import BODY_KIND, LAYER_KIND, Key
 from thinlayer.pointwise.quadrature import MEASURE_NAMES, MeshOrigin, Quadrature, assemble_matrix

@@ -31,10 +31,16 @@ from geometry.sheet import Rim, StraightEnd, straight_ends
 from geometry.topology import FloatArray, Splitting, ridge_keys
 from thinlayer.discretisation.boundary import require_revolution
 from thinlayer.discretisation.coefficient import Coordinates, HandedField, LoadInput, Pressure
-from thinlayer.discretisation.facet_weights import strip_shares
 from thinlayer.discretisation.forces import Forces, LoadRegion
 from thinlayer.discretisation.form_compilation import law_with_expressions
-from thinlayer.discretisation.layer import Layers, SeamLayer, SurfaceSource, law_of_terms, law_with_numbers
+from thinlayer.discretisation.layer import (
+    Layers,
+    SeamLayer,
+    SurfaceSource,
+    law_of_terms,
+    law_with_numbers,
+    strip_shares,
+)
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import Violation
 from thinlayer.pointwise.quadrature import quadrature_degree

@@ -18,9 +18,9 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, balance_errors, contact_values
 from thinlayer.output.layer_energies import dissipated_in_steps, mode_mix
-from thinlayer.output.tractions import consistent_tractions, layer_tractions, match_law_points
+from thinlayer.output.tractions import consistent_tractions, layer_tractions
 from thinlayer.solving.history import History
-from thinlayer.surface.law_points import LawPoints, layer_points, layer_shares
+from thinlayer.surface.law_points import LawPoints, layer_points, layer_shares, match_law_points
 from thinlayer.surface.lines import level_points
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.table import Row, Table

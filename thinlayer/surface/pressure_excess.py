@@ -18,7 +18,7 @@ from forms.tensors import average_lame, isotropic_tensor
 from geometry.topology import FloatArray
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.state import State
-from thinlayer.output.tractions import layer_tractions
+from thinlayer.surface.law_points import law_tractions
 from thinlayer.surface.surface_mesh import SurfaceMesh, surface_of
 
 # length of the pressure, over the thickness, up to which it has no effect along S; the length of nu = 3/8
@@ -230,7 +230,7 @@ class FaceDisplacements:
         turns = np.einsum("dfk,fqke,dfq->efq", self.sides.mean(axis=0), gradients, n)
         left_out = eps * (share * self.surface_divergence * n + turns)
         if [ply.decay_length for ply in sublayers] == [math.inf] and not len(applicability.uncorrected_rim.vertices):
-            p = surface.nodal((surface.at_points(layer_tractions(surface, self.state)) * n).sum(axis=0))
+            p = surface.nodal((surface.at_points(law_tractions(surface, self.state)) * n).sum(axis=0))
             flow = surface.stiffness(eps**3 / (12 * sublayers[0].mu)) @ p
             left_out += surface.at_points(flow / surface.areas) * n
         return surface.norm(left_out)
