@@ -18,7 +18,7 @@ from thinlayer.running.record import Record
 from thinlayer.solving.history import History
 from thinlayer.system.table import Row
 
-ELASTIC, PLASTIC = LinearElastic(3.0, 2.0), VonMises(3.0, 2.0, strength=0.4, hardening=1.0)
+ELASTIC, PLASTIC = LinearElastic(3.0, 2.0), VonMises(3.0, 2.0, strength=0.43, hardening=1.0)
 CELLS, ELEMENT = {2: 60, 3: SIZES[3][-1]}, {2: "P2", 3: "P1"}  # about 30,000 and 300,000 unknowns
 SMALL = 4
 FIRST, MORE = "S.eps", {"layer": "S.E", "body": "UPPER.E", "load": "load TOP"}
