@@ -15,7 +15,7 @@ from forms.elastic import LinearElastic
 from forms.flux import FluxLaw
 from forms.law import ORDER_0_REMEDY, BulkLaw, ChangeParameter
 from forms.parameter_fields import ParameterField, ParameterValue
-from forms.stations import GAUSS_HEIGHTS, AnyStation, Faces, Station
+from forms.stations import GAUSS_RULES, AnyStation, Faces, Station
 from forms.tensors import Expr, jump_strain, three_dimensional
 from forms.traits import Traits, require_valid_declarations
 
@@ -146,7 +146,7 @@ def conducting_stations(stack: Stack) -> list[AnyStation]:
 
         return Station(stack.laws[i], stack.fractions[i] / 2, strain, strain_laws=stack.laws)
 
-    return [station_at(i, z) for i in range(len(stack.laws)) for z in GAUSS_HEIGHTS]
+    return [station_at(i, z) for i in range(len(stack.laws)) for z, _ in GAUSS_RULES[2]]
 
 
 def upper_share(stack: Stack, laws: Sequence[FluxLaw], n: Expr) -> Expr:

@@ -12,7 +12,11 @@ import ufl
 from forms.tensors import Expr, three_dimensional
 
 LawType = TypeVar("LawType")  # a law of strains, `forms.law.BulkLaw`
-GAUSS_HEIGHTS = (-(12**-0.5), 12**-0.5)  # Gauss points of the interval from -1/2 to 1/2, through the thickness
+# heights and weights of the Gauss points of the interval from -1/2 to 1/2, through the thickness, by their number
+GAUSS_RULES = {
+    2: ((-(12**-0.5), 1 / 2), (12**-0.5, 1 / 2)),
+    3: ((-(0.15**0.5), 5 / 18), (0.0, 4 / 9), (0.15**0.5, 5 / 18)),
+}
 # lmbda/mu at which linear displacements through the layer raise the jump's error of order 1 by a third
 LOCKING_RATIO = 12.0
 
@@ -122,18 +126,22 @@ class Station(Generic[LawType]):
 AnyStation = Station[Any]  # of a law of any class; a list of stations may have laws of several
 
 
-def gauss_stations(law: LawType, difference: Callable[[LawType, Faces], Expr] | None = None) -> list[Station[LawType]]:
-    """Return two stations at the Gauss points through the thickness, for a strain linear in the height.
+def gauss_stations(
+    law: LawType, difference: Callable[[LawType, Faces], Expr] | None = None, count: int = 2
+) -> list[Station[LawType]]:
+    """Return `count` stations, 2 or 3, at the Gauss points through the thickness, for a strain linear in the height.
 
     Args:
         law: the law.
         difference: function that returns the strain (3, 3) at the upper face minus that at the lower face. Its
             arguments are those of `Station.strain`: the law and the displaced faces. None: displacements are linear in
             the height (`Faces.strain_change`), which locks for lmbda/mu > `LOCKING_RATIO`.
+        count: number of stations.
     """
     strain_change = difference or (lambda law, faces: faces.strain_change)
 
     def at(z: float) -> Callable[[LawType, Faces], Expr]:
         return lambda law, faces: faces.strain_across() + faces.mean_strain_s + z * strain_change(law, faces)
 
-    return [Station(law, 1 / 2, at(z), max_lame_ratio=math.inf if difference else LOCKING_RATIO) for z in GAUSS_HEIGHTS]
+    max_ratio = math.inf if difference else LOCKING_RATIO
+    return [Station(law, weight, at(z), max_lame_ratio=max_ratio) for z, weight in GAUSS_RULES[count]]

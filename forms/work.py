@@ -5,6 +5,7 @@ S is the surface that replaces a layer in an interface model. A `Term` is the vi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,7 +17,7 @@ from forms.base import InputError
 from forms.ends.weights import EndWeights
 from forms.kinematics import PLANE_STRAIN, Kinematics, ScalarField
 from forms.law import BulkLaw, Step, checked_stress
-from forms.stations import AnyStation, Faces
+from forms.stations import GAUSS_RULES, AnyStation, Faces, gauss_stations
 from forms.tensors import Expr, three_dimensional
 
 
@@ -170,6 +171,20 @@ class Interface:
         e_mean = along((grad_upper + grad_lower) / 2, (self.upper(u) + self.lower(u)) / 2)
         return Faces(self.n, eps, self.jump(u), grad_upper - grad_lower, e_mean, across, along, grad_eps)
 
+    def bubble_strain(self, b: Expr, z: float, eps: Expr, grad_eps: Expr | None = None) -> Expr:
+        """Return the strain (3, 3) at a height of a layer whose unknown is b times 6 (1/4 - z^2), with the mean b.
+
+        Args:
+            b: values on S, UFL on the mesh: those of the upper side are meant.
+            z: height over the thickness, from -1/2 to 1/2.
+            eps, grad_eps: thickness of the layer, and its gradient along S, as for `faces`.
+        """
+        value, shape = self.upper(b), 6 * (1 / 4 - z**2)
+        gradient = ufl.dot(self.upper.gradient(b), ufl.Identity(len(self.n)) - ufl.outer(self.director, self.n))
+        normal = self.n if grad_eps is None else self.n - z * grad_eps  # of the surface at this height
+        along = self.kinematics.strain_along(shape * gradient, shape * value)
+        return self.kinematics.strain_across(-12 * z * value, normal) / eps + along
+
 
 def _inverse_gradient(to_s: Expr) -> Expr:
     return ufl.inv(ufl.Identity(len(to_s)) + ufl.grad(to_s))
@@ -194,6 +209,8 @@ class Term:
             (B-bar). It applies to compiled laws over cells. None: no projection.
         traction: on S, function of a stress (3, 3) that returns the traction (c,) with the same virtual work on [u].
             None: stress times n.
+        bubble_strain: in laws of order 2, function that returns the strain (3, 3), UFL, of the layer's own unknown on S,
+            see `Interface.bubble_strain`; it adds to that of displacements. None: there is none.
         mobility: flux along S per gradient of the pressure, for laws of order 1 with a pressure on S; 0 for others. It
             is eps^3/(12 mu) with the thickness eps and the shear modulus mu.
     """
@@ -209,6 +226,7 @@ class Term:
     bbar_degree: int | None = None
     mobility: Expr = 0
     traction: Callable[[Expr], Expr] | None = None
+    bubble_strain: Callable[[Expr], Expr] | None = None
 
     def step(self, u: Expr) -> Step:
         """Return the input of the law for a displacement `u`: a step that has only a strain and the normal."""
@@ -283,11 +301,14 @@ def s_terms(
     is quadratic in the strain, the two terms have the energies eps e0:C:e0/2 + eps/12 e1:C:e1/2. This is the integral
     over the thickness.
 
+    Order 2, of a scalar field alone: the field is quadratic through the thickness, by a bubble that is zero on both
+    faces. There are three Gauss points. The bubble's mean b through the thickness is a further unknown on S.
+
     Args:
         law: the law of the layer's material, with the parameters that it has at the thickness eps (`BulkLaw.scaled`).
         sides: the two sides of S.
         eps: the thickness, UFL.
-        order: order of the interface law in eps, 0 or 1.
+        order: order of the interface law in eps: 0, 1 or 2.
         prescribed_strain: strain (3, 3), uniform through the layer, that is added to that of the displacements; or two,
             at the lower and at the upper face, linear between them; None: zero.
         grad_eps: gradient (d,) of the thickness eps along S, UFL; None: eps is uniform.
@@ -305,7 +326,7 @@ def s_terms(
     term = partial(Term, measure=sides.measure, n=n, kinematics=kinematics)
     if order == 0 and not kinematics.has_value_in_strain:
         return [term(law, lambda u: across(sides.jump(u), n) / eps, weight, prescribed_strain=prescribed_strain)]
-    grad_eps = grad_eps if order == 1 else None
+    grad_eps = grad_eps if order else None
     fixed_faces = Faces(
         n, eps, ufl.zero(c), ufl.zero(c, d), prescribed_strain, across, lambda gradient, u: prescribed_change
     )
@@ -314,7 +335,7 @@ def s_terms(
         unit_jump, no_strain = ufl.as_vector([float(i == j) for j in range(c)]), ufl.zero(3, 3)
         return Faces(n, eps, unit_jump, ufl.zero(c, d), no_strain, across, lambda gradient, u: no_strain, grad_eps)
 
-    def term_at(station: AnyStation) -> Term:
+    def term_at(station: AnyStation, z: float = math.nan) -> Term:
         surface_laws = tuple(map(sides.law_on_surface, station.strain_laws))
         surface_law, station_weight = surface_laws or sides.law_on_surface(station.law), station.station_weight
         strain_of = partial(station.strain, surface_law)
@@ -324,13 +345,19 @@ def s_terms(
 
         prescribed = None if prescribed_strain is None else strain_of(fixed_faces)
         mobility = eps**3 * station.mobility(surface_law)
-        at_station = partial(term, prescribed_strain=prescribed, mobility=mobility, traction=traction)
+        bubble_strain = partial(sides.bubble_strain, z=z, eps=eps, grad_eps=grad_eps) if order == 2 else None
+        at_station = partial(
+            term, prescribed_strain=prescribed, mobility=mobility, traction=traction, bubble_strain=bubble_strain
+        )
 
         def strain(u: Expr) -> Expr:
             return strain_of(sides.faces(u, eps, grad_eps, uniform=order == 0))
 
         return at_station(station.law, strain, weight * station_weight)
 
+    if order == 2:
+        rule = GAUSS_RULES[3]
+        return [term_at(station, z) for station, (z, _) in zip(gauss_stations(law, count=3), rule, strict=True)]
     return [term_at(station) for station in (law.stations() if ends is None else law.stations_at_ends(ends))]
 
 

@@ -46,6 +46,7 @@ class LoadRegion:
         base_argument: function from a displacement of the bodies, in UFL, to what the rigid base adds to this mean if
             it moves with them. None: there is no rigid base.
         jump: for a layer without cells, function from a displacement, in UFL, to its jump; None: other regions.
+        bubble_factor: value with which the layer's own unknown at order 2 does work, over the mean through the layer.
     """
 
     measure: ufl.Measure
@@ -55,6 +56,7 @@ class LoadRegion:
     base_argument: Callable[[Expr], Expr] | None = None
     by_part: str = ""
     jump: Callable[[Expr], Expr] | None = None
+    bubble_factor: float = 1.0
 
 
 def _unchanged(f: Expr) -> Expr:
@@ -235,6 +237,12 @@ class Forces:
             if region.base_argument:
                 forms[name] = forms.get(name, ufl.Form([])) + ufl.inner(load, region.base_argument(v)) * region.measure
         return forms
+
+    def work_on_bubble(self, name: str, b: Expr) -> Expr:
+        """Return the virtual work of a layer's loads in its own unknown `b` at order 2, a UFL form linear in b."""
+        loads = [(load, region) for _, load, region, seam in self._loads if seam == name]
+        terms = (ufl.inner(load, r.bubble_factor * r.value_in_region(b)) * r.measure for load, r in loads)
+        return sum(terms, ufl.Form([]))
 
     def nodal_forces_at(self, V: fem.FunctionSpace, t: float, *, layers: bool = False) -> PETSc.Vec:
         """Return the nodal forces in V of the loads at the time t; the caller destroys the vector. Collective.

@@ -87,7 +87,7 @@ class InterfaceModel(Model):
     def _make_forces(self) -> Forces:
         forces = super()._make_forces()  # first, as it raises errors about bad data
         for layer in self.layers.values():
-            if layer.thin_layer and layer.thin_layer.order == 1:
+            if layer.thin_layer and layer.thin_layer.order:
                 add_side_loads(forces, self, layer, self.sides_of(layer.name))
         return forces
 
@@ -222,7 +222,9 @@ class InterfaceModel(Model):
                 finer_metadata = {"quadrature_degree": quadrature_degree(self.V, measure) + END_DEGREE_INCREASE}
                 sides = replace(sides, measure=measure.reconstruct(metadata=finer_metadata))
             terms = forms.s_terms(law, sides, eps, layer.thin_layer.order, self.layer_strains[layer.name], slope, ends)
-        return [replace(term, key=layer.key, law=law_of_terms(term.law, mesh)) for term in terms]
+        is_compiled = any(term.bubble_strain for term in terms)  # states then have the stresses, for all results
+        laws = [term.law.compiled_copy() if is_compiled else law_of_terms(term.law, mesh) for term in terms]
+        return [replace(term, key=layer.key, law=law) for term, law in zip(terms, laws, strict=True)]
 
     def _thickness(self, layer: SeamLayer, sides: Interface) -> Expr:
         if self._middle:
@@ -245,7 +247,8 @@ class InterfaceModel(Model):
         share. On a rigid base, the base carries the lower part.
         """
         sides, law = self.sides_of(layer.name), layer.thin_layer.law if layer.thin_layer else None
-        share: Expr | float = 0.5 + (source.height if source else 0.0)  # of the upper side
+        height = source.height if source else 0.0
+        share: Expr | float = 0.5 + height  # of the upper side
         if not source and isinstance(law, Stack) and law.unknown == ScalarField.unknown and law.traits.linear:
             on_surface = partial(_law_on_surface, self.domain, self.joint, layer.name, sides.upper)
             laws: list[Any] = [on_surface(sublayer) for sublayer in law.laws]
@@ -261,7 +264,10 @@ class InterfaceModel(Model):
         def work_argument(v: Expr) -> Expr:
             return share * sides.upper(v) + (1 - share) * sides.lower(v)
 
-        return LoadRegion(sides.measure, weight, sides.upper, work_argument, base_argument, jump=sides.jump)
+        return LoadRegion(
+            sides.measure, weight, sides.upper, work_argument, base_argument, jump=sides.jump,
+            bubble_factor=6 * (1 / 4 - height**2) if source else 1.0,
+        )  # fmt: skip
 
 
 def _law_on_surface(domain: Domain, joint: Joint, name: str, upper: InterfaceSide, law: BulkLaw) -> BulkLaw:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-LAYER_KIND, CONTACT_KIND, BODY_KIND, PRESSURE_KIND = "layer", "contact", "body", "pressure"
+LAYER_KIND, CONTACT_KIND, BODY_KIND, PRESSURE_KIND, BUBBLE_KIND = "layer", "contact", "body", "pressure", "bubble"
 
 
 @dataclass(frozen=True)
@@ -12,7 +12,7 @@ class Key:
     """Key of a law's memory, energy or pressure: in states and files a text "KIND", "KIND NAME" or "KIND NAME/MEMBER".
 
     Attributes:
-        kind: "layer", "contact", "body" or "pressure"; or the key of a user-defined part.
+        kind: "layer", "contact", "body", "pressure" or "bubble"; or the key of a user-defined part.
         name: name of the seam or body. In joints with one seam it is "", or the number of a sublayer as in "layer 1".
         member: number of a sublayer as in "layer BED/1", or "forms" for all laws in UFL forms together; "": the key is
             that of the whole.
@@ -37,6 +37,11 @@ class Key:
         """Key of the pressure in a layer, made from the key of the layer's law."""
         return replace(self, kind=PRESSURE_KIND)
 
+    @property
+    def bubble_key(self) -> Key:
+        """Key of the layer's own unknown at order 2, made from the key of the layer's law."""
+        return replace(self, kind=BUBBLE_KIND)
+
     def numbered(self, k: int) -> Key:
         """Return the key of the law number `k`, from 1, of several laws with this key.
 
@@ -45,8 +50,8 @@ class Key:
         return Key(self.kind, str(k)) if self in (Key(LAYER_KIND), Key(BODY_KIND)) else Key.parse(f"{self}/{k}")
 
     def belongs_to(self, layer: Key) -> bool:
-        """Return whether this key is that of a layer, or of the layer's sublayers, UFL forms or pressure.
+        """Return whether this key is that of a layer, or of the layer's sublayers, forms or own unknowns.
 
         `layer` is the key of the layer.
         """
-        return self == layer.pressure_key or (self.kind == layer.kind and layer.name in ("", self.name))
+        return self in (layer.pressure_key, layer.bubble_key) or (self.kind == layer.kind and layer.name in ("", self.name))

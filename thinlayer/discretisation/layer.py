@@ -65,7 +65,8 @@ class ThinLayer:
             layer are on rollers, and away from free ends that are corrected, see `edges`. Order 1 needs elements of
             degree 2, and bodies="extended" where S is curved or the thickness varies. All sublayers of a Stack must be
             `LinearElastic`. Other laws than `LinearElastic` and `Rubber` need lmbda/mu <= 12 under small strains from
-            rest.
+            rest. Order 2 exists for laws of a scalar field alone, see `Conduction`: the mean value through the layer is
+            a further unknown.
         profile: shape of a thickness that varies along S, a numpy function of coordinates x (d, n) that returns n
             numbers > 0. The thickness at the vertices of S is eps * profile(x), linear in between. The law's parameters
             do not vary with it.
@@ -113,9 +114,13 @@ class ThinLayer:
         if self.at is not None:
             _check_thickness("thickness at which the law's parameters hold, at,", self.at)
         order = self.law.default_order if self.order is None else self.order
-        require(is_number(order) and order in (0, 1), "the order of the interface law", order, "allowed: 0, 1")
+        require(is_number(order) and order in (0, 1, 2), "the order of the interface law", order, "allowed: 0, 1, 2")
         object.__setattr__(self, "order", int(order))
-        if self.order == 1:
+        if self.order == 2:
+            hint = "order 2 is of laws of a scalar field without sublayers; use order=1, or mesh the layer"
+            is_single = self.law.unknown == ScalarField.unknown and not self.fractions
+            require(is_single, "order=2 of the law", self.law, hint)
+        elif self.order == 1:
             self.law.stations()  # raises errors of laws without order 1
         require(self.profile is None or callable(self.profile), "the profile", self.profile, "give a function of x")
         require(self.edges in EDGE_CHOICES, "edges", self.edges, f"allowed: {', '.join(map(repr, EDGE_CHOICES))}")
@@ -338,6 +343,11 @@ class SeamLayer:
     def owns_key(self, key: str) -> bool:
         """Return whether the key of a memory or an energy belongs to a law of this layer, or to its pressure."""
         return Key.parse(key).belongs_to(Key.parse(self.key))
+
+    @property
+    def bubble_key(self) -> str:
+        """Key of the layer's own unknown in states, if its interface law is of order 2."""
+        return str(Key.parse(self.key).bubble_key)
 
     @property
     def as_thin_layer(self) -> ThinLayer:

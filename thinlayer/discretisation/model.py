@@ -594,13 +594,13 @@ class Model(ABC):
     def uniform_strain_in(self, term: forms.Term, strain: Expr) -> Expr | None:
         """Return the part (3, 3) of a uniform strain, UFL, that a term has besides that of jumps; None: it has none.
 
-        On S only laws of a scalar field have a part: along S at order 1, and across S where bodies give up the layer's
+        On S only laws of a scalar field have a part: along S from order 1 on, and across S where bodies give up the layer's
         thickness.
         """
         if term.measure.integral_type() == "cell":
             return strain
         layer = next(layer for layer in self.layers.values() if layer.owns_key(term.key))
-        has_along = self.n_components == 1 and layer.as_thin_layer.order == 1
+        has_along = self.n_components == 1 and layer.as_thin_layer.order > 0
         has_across = self.n_components == 1 and self.domain.joint.parted is not None
         if not (has_along or has_across):
             return None

@@ -229,7 +229,11 @@ class State(Configuration):
     def load_work(self) -> float:
         """Return the work of the loads at the state's time in its displacements. Collective."""
         part_work = sum(part.load_work(self.model, self) for part in self.model.parts)
-        return self._integrate(self.model.external_work(self.u, self.t)) + part_work
+        work = self.model.external_work(self.u, self.t)
+        for name, layer in self.model.layers.items():
+            if (b := self.fields.get(layer.bubble_key)) is not None:
+                work += TimeLevel(self.t).at_level(self.model.forces.work_on_bubble(name, b))
+        return self._integrate(work) + part_work
 
     def reaction(self, place: Place, about: Sequence[float] | None = None) -> Resultant:
         """Return the reaction of a place: of its supports and springs, or of the rigid base of a layer. Collective.

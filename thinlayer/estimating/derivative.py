@@ -287,8 +287,7 @@ def _step_back(
     dual, g = goal.dual(adjoint) if goal else (equations.create_vector(), equations.create_vector())
     q.axpy(1.0, dual)
     if isinstance(goal, Compliance):  # whose weights leave out the loads on layers, which `estimate` takes apart
-        forces.array[:] = adjoint.layer_loads
-        q.axpy(1.0, equations.forces_on_unknowns(forces))
+        q.axpy(1.0, adjoint.layer_load_weights())
     z = adjoint.weights(q, g)
     step = AdjointStep(
         adjoint.state, adjoint.interval, z, later, residual.array_r.copy(), held_weights, goal is not None

@@ -115,12 +115,16 @@ class CompiledPart(Part):
         sudden, self._prescribed_strain = interval.old.at_rest and not self.law.traits.rate, self._strain_at(interval.t)
         old_prescribed = np.zeros_like(self._prescribed_strain) if sudden else self._strain_at(interval.old.t)
         self._e_increment = self._prescribed_strain - old_prescribed
-        self._e_old = self.points.strain(interval.old.u.x.petsc_vec) + old_prescribed
+        self._e_old = self._strain(interval.old.u, interval.old) + old_prescribed
         self._memory = interval.old.memory[self.key]
         self.set_time(interval.balance_time)
 
+    def _strain(self, u: fem.Function, state: Configuration | None = None) -> Array:
+        """Return the strains (points, m) without prescribed ones, of displacements `u` of a state; None: trial values."""
+        return self.points.strain(u.x.petsc_vec)
+
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
-        self._u, self._e = u, self.points.strain(u.x.petsc_vec) + self._prescribed_strain
+        self._e = self._strain(u) + self._prescribed_strain
         self._response = self.points.respond(self._e, self._e_old, self._memory, self.interval.dt, self.interval.theta)
         self.failed = self.comm.allreduce(self._response.n_failed)
 
@@ -172,10 +176,8 @@ class CompiledPart(Part):
         if self.points.material.varies:
             if interval.t != self._t:
                 after = self._stored_energy_at(interval.t)
-            change = self._u.x.petsc_vec - interval.old.u.x.petsc_vec
-            work_done = float(self.points.forces(response.stress).dot(change)) + supplied
-            remainder = work_done - (after - before) - dissipated
-            change.destroy()
+            works = self.points.weights @ (response.stress * (self._e - self._e_old)).sum(axis=1)
+            remainder = self.comm.allreduce(float(works)) - (after - before) - dissipated
         stress = self.points.projected(response.full_stress)
         if interval.theta < 1:  # extrapolate from old.t + theta dt to the end of the step
             stress = np.asarray((stress - (1 - interval.theta) * interval.old.stresses[self.key]) / interval.theta)
@@ -183,7 +185,7 @@ class CompiledPart(Part):
 
     def strain_in(self, state: Configuration) -> Array:
         """Return the strains (points, m) in a state, prescribed ones included, as Mandel components. Collective."""
-        return np.asarray(self.points.strain(state.u.x.petsc_vec) + self._strain_at(state.t))
+        return np.asarray(self._strain(state.u, state) + self._strain_at(state.t))
 
     def dissipated(self) -> Array:
         """Return the energies (points,) that are dissipated in the step around each point, for the last `evaluate`."""

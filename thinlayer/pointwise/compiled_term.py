@@ -85,8 +85,7 @@ class CompiledTerm(Quadrature):
         super().__init__(V, term, origin)
         self._V = V
         # assembled once, as strains are linear in the displacements
-        self.B = B = assemble_matrix(self.strain_form(self.term.strain(ufl.TrialFunction(V))))
-        B.diagonalScale(L=self._vector(np.repeat(1 / self._measure_weights, len(self.mandel))))
+        self.B = B = self.matrix_to_strains(self.term.strain(ufl.TrialFunction(V)))
         self._volume_projection = None if term.bbar_degree is None else VolumeProjection(self, term.bbar_degree)
         if self._volume_projection:
             self.B = self._volume_projection.projected_matrix(B)
@@ -96,6 +95,12 @@ class CompiledTerm(Quadrature):
         self.material = CompiledLaw(self.comm, term.law)
         self.switching = Switching(term.law, self.columns) if term.law.traits.switches else None
         self._C_rest = self.tangent_at_rest() if term.law.traits.singular else None
+
+    def matrix_to_strains(self, strain: Expr) -> PETSc.Mat:
+        """Return the matrix from unknowns to strains at the points, for a strain (3, 3), UFL, linear in a trial function."""
+        B = assemble_matrix(self.strain_form(strain))
+        B.diagonalScale(L=_vector_of_rows(B, np.repeat(1 / self._measure_weights, len(self.mandel))))
+        return B
 
     def strain_form(self, strain: Expr) -> fem.Form:
         """Compile a form from which `strain_values` computes the values of `strain`, (3, 3) in UFL, at the points."""
@@ -118,12 +123,6 @@ class CompiledTerm(Quadrature):
         same work in strains as stresses in projected strains.
         """
         return self._volume_projection(values) if self._volume_projection else values
-
-    def _vector(self, values: Array) -> PETSc.Vec:
-        """Return a PETSc vector with the numbers `values` of this rank, one for each row of B."""
-        out = self.B.createVecLeft()
-        out.array[:] = values
-        return out
 
     def strain(self, u: PETSc.Vec) -> Array:
         """Return the strains (points, m) of displacements `u`, as the m Mandel components `mandel`. Collective.
@@ -249,7 +248,7 @@ class CompiledTerm(Quadrature):
 
         The next call overwrites the vector.
         """
-        weighted = self._vector((stress * self.weights[:, None]).ravel())
+        weighted = _vector_of_rows(self.B, (stress * self.weights[:, None]).ravel())
         self.B.multTranspose(weighted, self._forces)
         weighted.destroy()
         return self._forces
@@ -276,20 +275,31 @@ class CompiledTerm(Quadrature):
             B: matrix from displacements to strains at the points, m rows for each point.
             into: an earlier result, which is overwritten; None: a new matrix.
         """
-        m, n_rows = len(self.mandel), self.count * len(self.mandel)
-        row_start = B.getOwnershipRange()[0]
-        indptr = np.arange(0, n_rows * m + 1, m, dtype=PETSc.IntType)
-        column_blocks = np.arange(n_rows, dtype=PETSc.IntType).reshape(self.count, 1, m)
-        indices = (row_start + np.broadcast_to(column_blocks, (self.count, m, m))).astype(PETSc.IntType).ravel()
-        values = (tangent * self.weights[:, None, None]).ravel()
-        D = PETSc.Mat().createAIJ((B.getSizes()[0],) * 2, csr=(indptr, indices, values), comm=self.comm)
+        D = self.point_matrix(tangent)
         A = D.ptap(B, result=into)
         D.destroy()
         return A
 
+    def point_matrix(self, tangent: Array) -> PETSc.Mat:
+        """Return the matrix of a block (m, m) for each point: a tangent (points, m, m) times the point's weight."""
+        m, n_rows = len(self.mandel), self.count * len(self.mandel)
+        row_start = self.B.getOwnershipRange()[0]
+        indptr = np.arange(0, n_rows * m + 1, m, dtype=PETSc.IntType)
+        column_blocks = np.arange(n_rows, dtype=PETSc.IntType).reshape(self.count, 1, m)
+        indices = (row_start + np.broadcast_to(column_blocks, (self.count, m, m))).astype(PETSc.IntType).ravel()
+        values = (tangent * self.weights[:, None, None]).ravel()
+        return PETSc.Mat().createAIJ((self.B.getSizes()[0],) * 2, csr=(indptr, indices, values), comm=self.comm)
+
     def destroy(self) -> None:
         """Free the PETSc matrices and vectors."""
         destroy(self.B, self._strain, self._forces)
+
+
+def _vector_of_rows(B: PETSc.Mat, values: Array) -> PETSc.Vec:
+    """Return a vector with the numbers `values` of this rank, one for each row of a matrix."""
+    out = B.createVecLeft()
+    out.array[:] = values
+    return out
 
 
 class Projection:

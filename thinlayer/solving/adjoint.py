@@ -18,6 +18,7 @@ from thinlayer.discretisation.form_compilation import compiled
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import Configuration, State
 from thinlayer.discretisation.supports import Place
+from thinlayer.parts.bubble_part import BubblePart
 from thinlayer.parts.part import DISPLACEMENT_KEY, Part, TimeStep
 from thinlayer.pointwise.quadrature import assemble_forces, set_owned_values
 from thinlayer.solving.equations import Equations
@@ -115,11 +116,19 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         """Return the vector q of nodal forces of the loads, for which q . u is their work in displacements u.
 
         Loads on rigid plates, and loads of parts on their own unknowns, are included. Loads on the layers are not, see
-        `layer_loads`.
+        `layer_load_weights`.
         """
-        loads = self.equations.loads.copy()
-        loads.array[:] -= self.layer_loads
-        return self.equations.forces_on_unknowns(loads, [part.load for part in self.equations.field_parts])
+        parts = self.equations.field_parts
+        weights = self.equations.forces_on_unknowns(self.equations.loads, [part.load for part in parts])
+        weights.axpy(-1.0, self.layer_load_weights())
+        return weights
+
+    def layer_load_weights(self) -> PETSc.Vec:
+        """Return the vector q of the loads on the layers, those on their own unknowns included."""
+        parts, forces = self.equations.field_parts, self.equations.u.x.petsc_vec.duplicate()
+        forces.array[:] = self.layer_loads
+        own_loads = [part.load * isinstance(part, BubblePart) for part in parts]
+        return self.equations.forces_on_unknowns(forces, own_loads)
 
     @cached_property
     def layer_loads(self) -> Array:
@@ -178,14 +187,15 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             x.axpy(factor, d)
             equations.residual(x, r)
             bc_work = self.model.comm.allreduce(float(r.array_r[bc_dofs] @ x.array_r[bc_dofs]))
-            shifted_state = replace(self.state, u=equations.u, reactions=equations.reactions(), prescribed_work=bc_work)
+            shifted = {"u": equations.u, "fields": equations.configuration(x).fields}
+            data = {"reactions": equations.reactions(), "prescribed_work": bc_work}
+            shifted_state = replace(self.state, **shifted, **data)
             goal_values.append(value(shifted_state, self.model))
             residuals.append(r.array_r.copy())
             destroy(x, r)
         after, before = residuals
-        layer_weights = equations.create_vector()
-        loads_on_y = self.model.constraints.forces_on_y(self.layer_loads)
-        layer_weights.array[: equations.n_displacements] = loads_on_y * on_layers
+        layer_weights = self.layer_load_weights()
+        layer_weights.scale(float(on_layers))
         change_terms = np.concatenate([(q.array_r + layer_weights.array_r) * d.array_r, g.array_r * (before - after)])
         destroy(d, layer_weights)
         expected, abs_sum = self.model.comm.allreduce(np.array([change_terms.sum(), np.abs(change_terms).sum()]))

@@ -18,11 +18,14 @@ from geometry.inflating.inflation import points_on_middle
 from geometry.topology import Indices, IntArray
 from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.form_compilation import compiled_terms
+from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.prescribed_strains import VaryingStrainIntegrals
 from thinlayer.discretisation.rigid_motions import model_motions
 from thinlayer.discretisation.state import Audit, Configuration, Report, State
 from thinlayer.errors import SolveError
+from thinlayer.parts.bubble_part import BubbledPart, BubblePart
 from thinlayer.parts.compiled_part import SAMPLED_STEP_FRACTIONS, CompiledPart
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.parts.form_part import LinearPart
@@ -501,7 +504,9 @@ def layer_parts(model: Model, bc_dofs: Indices, from_bodies: Sequence[Part]) -> 
     ufl_terms = [p for p in model.layer_terms if not p.law.traits.compiled]
     terms_by_key = {key: [p for p in ufl_terms if p.key == key] for key in dict.fromkeys(p.key for p in ufl_terms)}
     parts: list[Part] = [LinearPart(f"{key}/forms", model.V, key_terms) for key, key_terms in terms_by_key.items()]
-    parts += _compiled_parts(model, model.layer_terms)
+    for layer in model.layers.values():
+        parts += _bubbled_parts(model, layer)
+    parts += _compiled_parts(model, [p for p in model.layer_terms if not p.bubble_strain])
     if constrained := [p for p in model.layer_terms if p.law.traits.constrained]:
         scale = _largest_stiffness(model, parts) or _largest_stiffness(model, from_bodies) or 1.0
         joint = model.domain.joint  # its vertices are those of the mesh; `model.joint` is the joint before inflating
@@ -524,6 +529,15 @@ def _largest_stiffness(model: Model, parts: Sequence[Part]) -> float:
 def _compiled_parts(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:
     terms_by_key = compiled_terms(terms).items()
     return [CompiledPart(key, model.V, term, model.origin, symmetric=model.symmetric) for key, term in terms_by_key]
+
+
+def _bubbled_parts(model: Model, layer: SeamLayer) -> list[Part]:
+    terms = compiled_terms(p for p in model.layer_terms if p.bubble_strain and p.key == layer.key)
+    if not terms:
+        return []
+    assert isinstance(model, InterfaceModel)
+    bubble = BubblePart(model, layer)
+    return [*(BubbledPart(key, model, term, bubble) for key, term in terms.items()), bubble]
 
 
 def sum_diagonals_at_rest(parts: Sequence[Part], out: PETSc.Vec) -> PETSc.Vec:

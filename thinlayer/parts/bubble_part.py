@@ -1,0 +1,172 @@
+"""Own unknown of a layer of order 2: the amplitude on S of a bubble through the thickness, zero on both faces."""
+
+from __future__ import annotations
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from petsc4py import PETSc
+
+from forms.base import Array
+from forms.work import Term
+from geometry.topology import FACET_TYPES, BoolArray, IntArray, facet_nodes, vertex_weights
+from thinlayer.discretisation.form_compilation import compiled
+from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.discretisation.layer import SeamLayer
+from thinlayer.discretisation.mesh_functions import SharedDofs, broken_space
+from thinlayer.discretisation.state import Configuration
+from thinlayer.parts.compiled_part import CompiledPart
+from thinlayer.parts.part import DISPLACEMENT_KEY, Block, FieldPart, FileOrder, StepOutcome
+from thinlayer.pointwise.quadrature import assemble_matrix, assemble_values
+from thinlayer.system.ranks import destroy
+
+
+class BubblePart(FieldPart):
+    """Mean value of a scalar field through a layer, minus the mean of its faces, as unknowns b at nodes of S.
+
+    The field is <T> + z [T] + 6 (1/4 - z^2) b at the height z, from -1/2 to 1/2 of the thickness. The equation of b is
+    the balance of fluxes, sinks and sources in the layer, for virtual fields of the same shape. The nodes are those of
+    the upper side of S; b is zero where a support holds the side of the layer, and free where it is insulated.
+
+    Args:
+        model: the model.
+        layer: the layer, of order 2.
+
+    Attributes:
+        points: the layer's law at the heights at which it is evaluated.
+    """
+
+    on_S = True
+
+    def __init__(self, model: InterfaceModel, layer: SeamLayer) -> None:
+        self.key, self._model, self._name = layer.bubble_key, model, layer.name
+        space, self._cells, self._nodes, is_held = _nodes_on_upper_side(model, layer)
+        self.field, self.points = fem.Function(space), list[BubbledPart]()
+        dofs = np.asarray(space.dofmap.list)[self._cells[:, None], self._nodes]
+        is_free = np.zeros(len(self.field.x.array), bool)
+        is_free[dofs[~is_held]] = True
+        is_free[dofs[is_held]] = False
+        self._zero_dofs = np.flatnonzero(~is_free[: self.own_size])
+        work = model.forces.work_on_bubble(layer.name, ufl.TestFunction(space))
+        self._load = None if work.empty() else compiled(work)
+
+    def own_load_at(self, t: float) -> Array:
+        with self._model.forces.at.clock.at(t):
+            return assemble_values(self._load, self.own_size)
+
+    def own_prescribed(self, t: float | None) -> tuple[IntArray, Array]:
+        return self._zero_dofs, np.zeros(len(self._zero_dofs))
+
+    def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
+        """Do nothing: the parts `points` evaluate the law."""
+
+    def add_forces(self, out: PETSc.Vec) -> float:
+        return 0.0
+
+    def own_residual(self) -> Array:
+        return np.asarray(sum(part.bubble_forces() for part in self.points) - self.load)
+
+    def tangents(self, relative_residual: float) -> list[Block]:
+        return []
+
+    def commit(self) -> StepOutcome:
+        change = self.field.x.array[: self.own_size] - self.own_values_before(self.interval.old)
+        return StepOutcome(kept=False, supplied=float(self._model.comm.allreduce(float(self.load @ change))))
+
+    @property
+    def own_file_order(self) -> FileOrder:
+        """Order in which b is written to files: one row for each facet of S, by the places of its nodes."""
+        domain, V = self._model.domain, self._model.V
+        dofs = np.asarray(self.field.function_space.dofmap.list)[self._cells[:, None], self._nodes]
+        x = np.zeros((len(self.field.x.array), domain.joint.dim))
+        x[dofs] = self._model.node_coordinates[np.asarray(V.dofmap.list)[self._cells[:, None], self._nodes]]
+        joint, numbers = domain.joint, domain.original_cells[self._cells]
+        rows = joint.rows_of(self._name)
+        upper = joint.surface_cells[np.searchsorted(joint.surface_rows, rows), 1]
+        return FileOrder.by_place(rows[np.argsort(upper)][np.searchsorted(np.sort(upper), numbers)], dofs, x)
+
+
+class BubbledPart(CompiledPart):
+    """A layer's law of order 2 at one height: a compiled law whose strain also has a part of the layer's own unknown.
+
+    Args:
+        key: name of the part in states and files.
+        model: the model.
+        term: virtual work of the law.
+        bubble: the layer's own unknown.
+    """
+
+    def __init__(self, key: str, model: InterfaceModel, term: Term, bubble: BubblePart) -> None:
+        super().__init__(key, model.V, term, model.origin, symmetric=model.symmetric)
+        assert term.bubble_strain is not None
+        self._bubble, points, trial = bubble, self.points, ufl.TrialFunction(bubble.field.function_space)
+        self._B = points.matrix_to_strains(term.bubble_strain(trial))
+        self._b, self._own_forces, self._e_b = self._B.createVecRight(), self._B.createVecRight(), self._B.createVecLeft()
+        bubble.points.append(self)
+
+    def _strain(self, u: fem.Function, state: Configuration | None = None) -> Array:
+        bubble = self._bubble
+        b = bubble.field.x.array[: bubble.own_size] if state is None else bubble.own_values_before(state)
+        self._b.array[:] = b
+        self._B.mult(self._b, self._e_b)
+        return super()._strain(u) + self._e_b.array_r.reshape(self.points.count, -1)
+
+    def bubble_forces(self) -> Array:
+        """Return the forces on the layer's own unknowns on this rank, for the last call of `evaluate`."""
+        self._e_b.array[:] = (self._response.stress * self.points.weights[:, None]).ravel()
+        self._B.multTranspose(self._e_b, self._own_forces)
+        return np.asarray(self._own_forces.array_r.copy())
+
+    def tangents(self, relative_residual: float) -> list[Block]:
+        blocks, points, key = super().tangents(relative_residual), self.points, self._bubble.key
+        D = points.point_matrix(self._response.tangent)
+        for left, right, row, column in (
+            (points.B, self._B, DISPLACEMENT_KEY, key),
+            (self._B, points.B, key, DISPLACEMENT_KEY),
+            (self._B, self._B, key, key),
+        ):
+            product = D.matMult(right)
+            blocks.append(Block(left.transposeMatMult(product), row=row, column=column))
+            product.destroy()
+        D.destroy()
+        return blocks
+
+    def destroy(self) -> None:
+        super().destroy()
+        destroy(self._B, self._b, self._own_forces, self._e_b)
+
+
+def _nodes_on_upper_side(
+    model: InterfaceModel, layer: SeamLayer
+) -> tuple[fem.FunctionSpace, IntArray, IntArray, BoolArray]:
+    """Return a space with the element of a model's unknown, which has dofs at nodes on the upper side of a seam. Collective.
+
+    All other nodes share one dof, without effect on S.
+
+    Returns:
+        The space. For each of n facets of the seam the local number (n,) of its upper cell, and the positions (n, m) in
+        this cell of the m nodes of the facet. And a mask (n, m) of those where a support holds the layer's side.
+    """
+    domain, V, joint = model.domain, model.V, model.domain.joint
+    rows = joint.rows_of(layer.name)
+    upper = joint.surface_cells[np.searchsorted(joint.surface_rows, rows), 1]
+    is_local = domain.local_cells[upper] >= 0
+    cells, facets = domain.local_cells[upper[is_local]], joint.table.local_in(rows, upper)[is_local]
+    cell_dofs, cell_type, mesh = np.asarray(V.dofmap.list), joint.cell_type, domain.mesh
+    places = np.broadcast_to(np.arange(cell_dofs.shape[1]), cell_dofs.shape)
+    nodes = facet_nodes(places, cell_type, cells, facets)
+    keys = np.zeros(cell_dofs.shape, np.int64)
+    numbers = np.asarray(V.dofmap.index_map.local_to_global(cell_dofs[cells[:, None], nodes].ravel().astype(np.int32)))
+    keys[cells[:, None], nodes] = 1 + numbers.reshape(nodes.shape)
+    distinct, key_indices = np.unique(keys, return_inverse=True)
+    meeting_ranks = distinct * model.comm.size // (V.dofmap.index_map.size_global + 1)
+    space = fem.functionspace(mesh, V.ufl_element())
+    W = broken_space(model.comm, SharedDofs(space, distinct, meeting_ranks, key_indices.reshape(keys.shape)))
+    rim = layer.sheet.rim.vertices
+    loose = model.applicability[layer.name].rim_of_kinds("free").vertices
+    held_vertices = np.setdiff1d(rim, loose)
+    corners = facet_nodes(joint.corners[domain.original_cells], cell_type, cells, facets)
+    has_vertex = vertex_weights(FACET_TYPES[cell_type], 1 + (cell_dofs.shape[1] > joint.corners.shape[1])) > 0
+    at_held_rim = ~(~np.isin(corners, held_vertices)[:, None] & has_vertex[None, : nodes.shape[1]]).any(axis=2)
+    is_bc = np.isin(cell_dofs[cells[:, None], nodes], model.bc_dofs_in(V))
+    return W, cells, nodes, at_held_rim & is_bc
