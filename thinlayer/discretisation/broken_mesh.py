@@ -174,6 +174,8 @@ class BrokenMesh:
         if thin and (thin.edges == "free" or thin.eigenstrain is not None):
             option = "edges='free'" if thin.edges == "free" else "eigenstrain=..."
             raise InputError(f"{option} of a layer on a mesh of one's own is not known here; use it in a Model")
+        if order == 2:
+            raise InputError("order=2 has an unknown of its own on S; use it in a Model")
         if order and profile is not None:
             remedy = "use Structure.interface(layer, bodies='extended')"
             raise InputError(f"order=1 of a thickness that varies needs bodies at their true places; {remedy}")

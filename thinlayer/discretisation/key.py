@@ -54,4 +54,6 @@ class Key:
 
         `layer` is the key of the layer.
         """
-        return self in (layer.pressure_key, layer.bubble_key) or (self.kind == layer.kind and layer.name in ("", self.name))
+        return self in (layer.pressure_key, layer.bubble_key) or (
+            self.kind == layer.kind and layer.name in ("", self.name)
+        )

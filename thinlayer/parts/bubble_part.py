@@ -7,7 +7,7 @@ import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
-from forms.base import Array
+from forms.base import Array, InputError
 from forms.work import Term
 from geometry.topology import FACET_TYPES, BoolArray, IntArray, facet_nodes, vertex_weights
 from thinlayer.discretisation.form_compilation import compiled
@@ -17,7 +17,7 @@ from thinlayer.discretisation.mesh_functions import SharedDofs, broken_space
 from thinlayer.discretisation.state import Configuration
 from thinlayer.parts.compiled_part import CompiledPart
 from thinlayer.parts.part import DISPLACEMENT_KEY, Block, FieldPart, FileOrder, StepOutcome
-from thinlayer.pointwise.quadrature import assemble_matrix, assemble_values
+from thinlayer.pointwise.quadrature import assemble_values
 from thinlayer.system.ranks import destroy
 
 
@@ -101,7 +101,11 @@ class BubbledPart(CompiledPart):
         assert term.bubble_strain is not None
         self._bubble, points, trial = bubble, self.points, ufl.TrialFunction(bubble.field.function_space)
         self._B = points.matrix_to_strains(term.bubble_strain(trial))
-        self._b, self._own_forces, self._e_b = self._B.createVecRight(), self._B.createVecRight(), self._B.createVecLeft()
+        self._b, self._own_forces, self._e_b = (
+            self._B.createVecRight(),
+            self._B.createVecRight(),
+            self._B.createVecLeft(),
+        )
         bubble.points.append(self)
 
     def _strain(self, u: fem.Function, state: Configuration | None = None) -> Array:
@@ -131,6 +135,10 @@ class BubbledPart(CompiledPart):
         D.destroy()
         return blocks
 
+    def pullback(self, weights: Array, z: fem.Function) -> tuple[PETSc.Vec, Array]:
+        remedy = "use order=1, or the layer's mesh (structure.full)"
+        raise InputError(f"derivative: a march with the layer {self._bubble.key!r} of order 2 has none yet; {remedy}")
+
     def destroy(self) -> None:
         super().destroy()
         destroy(self._B, self._b, self._own_forces, self._e_b)
@@ -139,7 +147,7 @@ class BubbledPart(CompiledPart):
 def _nodes_on_upper_side(
     model: InterfaceModel, layer: SeamLayer
 ) -> tuple[fem.FunctionSpace, IntArray, IntArray, BoolArray]:
-    """Return a space with the element of a model's unknown, which has dofs at nodes on the upper side of a seam. Collective.
+    """Return a space with the element of the unknown, which has dofs at nodes on the upper side of a seam. Collective.
 
     All other nodes share one dof, without effect on S.
 
@@ -162,11 +170,9 @@ def _nodes_on_upper_side(
     meeting_ranks = distinct * model.comm.size // (V.dofmap.index_map.size_global + 1)
     space = fem.functionspace(mesh, V.ufl_element())
     W = broken_space(model.comm, SharedDofs(space, distinct, meeting_ranks, key_indices.reshape(keys.shape)))
-    rim = layer.sheet.rim.vertices
-    loose = model.applicability[layer.name].rim_of_kinds("free").vertices
-    held_vertices = np.setdiff1d(rim, loose)
+    held_rim = model.applicability[layer.name].rim_of_kinds("held", "symmetric", "antisymmetric", "oblique")
     corners = facet_nodes(joint.corners[domain.original_cells], cell_type, cells, facets)
     has_vertex = vertex_weights(FACET_TYPES[cell_type], 1 + (cell_dofs.shape[1] > joint.corners.shape[1])) > 0
-    at_held_rim = ~(~np.isin(corners, held_vertices)[:, None] & has_vertex[None, : nodes.shape[1]]).any(axis=2)
+    at_held_rim = ~(~np.isin(corners, held_rim.vertices)[:, None] & has_vertex[None, : nodes.shape[1]]).any(axis=2)
     is_bc = np.isin(cell_dofs[cells[:, None], nodes], model.bc_dofs_in(V))
     return W, cells, nodes, at_held_rim & is_bc

@@ -71,6 +71,9 @@ class JouleHeat(PartDefinition):
         require(is_linear and is_same, "current", self.current, hint)
         shapes = {(m.kinematics.has_axis, _is_extended(m.domain.joint)) for m in (electric, model)}
         require(len(shapes) == 1, "current", self.current, "the current needs plane= and bodies= of the model of heat")
+        hint = "where layers are of order 2, the heat of a current in them is not known; use order=1, or mesh them"
+        is_linear_through = all(not layer.thin_layer or layer.thin_layer.order < 2 for layer in model.layers.values())
+        require(is_linear_through, "current", self.current, hint)
         is_thick = all(layer.thin_layer for layer in electric.layers.values()) and not electric.bonds
         hint = "where current passes S it needs a layer with a thickness: ThinLayer(Conduction(h * eps), eps)"
         require(is_thick, "current", self.current, hint)

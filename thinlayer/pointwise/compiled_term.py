@@ -97,7 +97,7 @@ class CompiledTerm(Quadrature):
         self._C_rest = self.tangent_at_rest() if term.law.traits.singular else None
 
     def matrix_to_strains(self, strain: Expr) -> PETSc.Mat:
-        """Return the matrix from unknowns to strains at the points, for a strain (3, 3), UFL, linear in a trial function."""
+        """Return the matrix from unknowns to strains at the points, for a UFL strain linear in a trial function."""
         B = assemble_matrix(self.strain_form(strain))
         B.diagonalScale(L=_vector_of_rows(B, np.repeat(1 / self._measure_weights, len(self.mandel))))
         return B

@@ -88,6 +88,8 @@ class StepProblem(PartSum):
         for term in terms:
             if term.law.traits.constrained:
                 raise InputError(f"{type(term.law).__name__} needs a pressure of its own; use it in a Model")
+            if term.bubble_strain is not None:
+                raise InputError("order=2 has an unknown of its own on S; use it in a Model")
             _require_jumps(V, term)
         terms = [replace(term, law=term.law.compiled_copy()) if term.law.fields else term for term in terms]
         compiled = compiled_terms(terms)
