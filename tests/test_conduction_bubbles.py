@@ -1,0 +1,182 @@
+"""Layers of a scalar field of order 2: their own mean value on S, against closed forms, columns and meshed layers."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import AnisotropicConduction, Conduction, FluxLaw, Heat
+from geometry import sandwich
+from tests.on_ranks import on_ranks
+from tests.orders import observed_orders
+from tests.refused import refused
+from tests.test_conduction import K_LOWER, K_UPPER, LOWER, UPPER, _blocks
+from thinlayer import (
+    InputError,
+    Probe,
+    Structure,
+    Surface,
+    SurfaceSource,
+    ThinLayer,
+    derivative,
+    estimate,
+    goals,
+    march,
+    solve,
+)
+
+MEAN_HEIGHT = 12**-0.5  # where the bubble has its mean
+
+
+def _compliance(across, along, eps, law):
+    """Return the compliance under the flux cos(K x), K = pi, by the transfer of (T, q) through both blocks and layer."""
+    K = math.pi
+
+    def block(k, H):
+        return np.array([[math.cosh(K * H), math.sinh(K * H) / (k * K)], [k * K * math.sinh(K * H), math.cosh(K * H)]])
+
+    h, G = across / eps, eps * along * K**2
+    y = G / h  # (kappa eps)^2 k_T/k_n
+    mean, jump = {
+        "exact": (math.tanh(y**0.5 / 2) / (y**0.5 / 2), y**0.5 / 2 / math.tanh(y**0.5 / 2)),
+        "order 1": (1.0, 1 + y / 12),
+        "order 2": ((1 + y / 60) / (1 + y / 10), 1 + y / 12),
+    }[law]
+    G, h = G * mean, h * jump
+    layer = np.linalg.solve([[-G / 2, 1.0], [h, -0.5]], [[G / 2, 1.0], [h, 0.5]])
+    transfer = block(K_UPPER, UPPER) @ layer @ block(K_LOWER, LOWER)
+    return transfer[0, 1] / transfer[1, 1] / 2
+
+
+@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of a short length of variation
+def test_a_foil_converges_to_its_closed_form():
+    """It conducts 300 times as well along S as across: order 1 is off by 10 times the error of order 2."""
+    across, along, eps, sizes = 0.1, 30.0, 1 / 32, (1 / 4, 1 / 8)
+    closed = {law: _compliance(across, along, eps, law) for law in ("exact", "order 1", "order 2")}
+    foil, errors = ThinLayer(AnisotropicConduction.layered(along, across), eps, order=2), []
+    for h in sizes:
+        state = solve(_blocks(h).interface(foil))
+        errors.append(abs(state.load_work() - closed["order 2"]))
+    assert observed_orders(sizes, errors)[-1] > 3.8
+    assert errors[-1] < 0.05 * abs(closed["order 1"] - closed["exact"])
+    assert 10 * abs(closed["order 2"] - closed["exact"]) < abs(closed["order 1"] - closed["exact"])
+    energies = state.energies()
+    assert energies["bodies"] + energies["layer"] == pytest.approx(energies["loads"] / 2, rel=1e-9)
+
+
+@dataclass(frozen=True)
+class Reacting(FluxLaw):
+    """Conduction with the source Q exp(g T)."""
+
+    k: float
+    Q: float
+    g: float
+    symmetric = False
+
+    def flux(self, step):
+        return self.k * step.g
+
+    def sink(self, step):
+        return -self.Q * ufl.exp(self.g * step.T)
+
+
+def test_a_source_that_grows_with_the_value():
+    """Between blocks of resistance 1/2 to 0: means of faces and layer from the column's equation; order 1 misses both."""
+    eps, exact = 1 / 8, (0.30702920, 0.41042725)
+    plates = Structure(
+        sandwich(0.5, 0.5, 0.5, h=0.25, cell="quadrilateral"), body=Conduction(1.0), supports={"BOTTOM": 0, "TOP": 0}
+    )
+    values = {}
+    for order in (1, 2):
+        state = solve(plates.interface(ThinLayer(Reacting(eps, 1 / eps, 0.5), eps, order=order)))
+        surface = Surface(state.model)
+        values[order] = surface.displacements(state).mean(), surface.value_in_layer(state, MEAN_HEIGHT).mean()
+    assert values[2] == pytest.approx(exact, rel=2e-5)
+    assert values[2] != pytest.approx(exact, rel=1e-7)
+    assert abs(values[1][0] / exact[0] - 1) > 0.05
+    assert abs(values[1][1] / exact[1] - 1) > 0.25
+
+
+def test_sources_within_a_column():
+    """One uniform through the layer gives its parabola. One at a height gives the mean through the layer."""
+    Q, k, eps, z = 3.0, 0.05, 0.2, 0.3
+    joint = sandwich(1, 0.4, 0.6, h=0.2, cell="quadrilateral")
+    data = {"body": Conduction(1.3), "supports": {"BOTTOM": 0, "TOP": 1.0}}
+    plates, layer = Structure(joint, **data, sources={"S": Q}), ThinLayer(Conduction(k), eps, order=2)
+    state, full = (solve(model) for model in (plates.interface(layer), plates.full(layer)))
+    surface = Surface(state.model)
+    for height in (-0.5, -0.2, 0.3):
+        inside = Probe(full).value(Surface(full.model).in_layer([(0.4, 0.0)], [height]))
+        assert surface.value_in_layer(state, height) == pytest.approx(float(inside[0]), rel=1e-8)
+    assert state.load_work() == pytest.approx(full.load_work(), rel=1e-9)
+    error = estimate(state, goals=goals.Compliance()).goals["compliance"]
+    assert error.better == pytest.approx(error.value, rel=1e-9)
+    goal = goals.Compliance()
+    layers = [ThinLayer(Conduction(k * factor), eps, order=2) for factor in (1.001, 0.999)]
+    ends = [goal.value_in(solve(plates.interface(near))) for near in layers]
+    slope = derivative(state, goal, ["S.k"]).by["S.k"]
+    assert slope == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=1e-5)
+    at_height = solve(Structure(joint, **data, sources={"S": SurfaceSource(Q, z)}).interface(layer))
+    rise = surface.value_in_layer(at_height, MEAN_HEIGHT) - (surface.displacements(at_height)[:, 0].mean(axis=0))
+    rise -= MEAN_HEIGHT * surface.jump(at_height)[0]
+    assert rise == pytest.approx(Q * eps / k * (1 / 4 - z**2) / 2, rel=1e-9)
+    refused(InputError, "take Probe", surface.value_in_layer, full)
+    refused(InputError, "height is 0.6", surface.value_in_layer, state, 0.6)
+
+
+ROUGH = {
+    "taper": (
+        sandwich(1, 0.4, 0.6, h=0.25, cell="quadrilateral"),
+        {"plane": "axisymmetric"},
+        {"profile": lambda x: 1 + 0.4 * np.cos(2 * x[0])},
+        {"bodies": "extended"},
+    ),
+    "space": (sandwich(1, 0.4, 0.6, h=0.5, depth=0.5, cell="hexahedron"), {"supports": {"RIGHT": 0.5}}, {}, {}),
+}
+
+
+@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of a thick layer, and of short steps
+@pytest.mark.parametrize("case", ROUGH)
+def test_a_thick_layer_beside_its_mesh(case):
+    """Heat that is stored and set free in the layer, along a rim that is held, or in a taper: 1/17 of the error."""
+    joint, data, shape, bodies = ROUGH[case]
+    load = {"TOP": lambda x, t: 1 + ufl.cos(ufl.pi * x[0])}
+    data = {"supports": {}, "fluxes": load, "sources": {"S": 2.0}, "initial": 0.3} | data
+    plates, values = Structure(joint, body=Heat(1.0, 1.0), **data), []
+    for model, order in ((plates.full, 1), (plates.interface, 1), (plates.interface, 2)):
+        layer = ThinLayer(Heat(0.03, 1.3), 0.25, order=order, **shape)
+        last = march(model(layer, **bodies), [0.02, 0.06, 0.1], theta=0.5).last
+        surface = Surface(last.model)
+        values.append(surface.displacements(last).mean(axis=0)[0])
+    exact, *errors = values[0], *(surface.norm(value - values[0]) for value in values[1:])
+    assert errors[1] < 0.06 * errors[0]
+    assert errors[0] > 0.01 * surface.norm(exact)
+
+
+# ---------------------------------------------------------------- files and ranks
+JOINT, TIMES = sandwich(1, 0.4, 0.6, h=0.25), [0.1, 0.2, 0.3, 0.4]
+HEATED = {"body": Heat(1.0, 1.0), "supports": {"RIGHT": 0.5}, "sources": {"S": 2.0}, "initial": 0.3}
+LAYER = ThinLayer(Heat(0.3, 1.3), 0.25, order=2)
+
+
+def _resumed(folder):
+    """March to half of the times, go on from the files, and return norms of what the last state has."""
+    model = Structure(JOINT, **HEATED).interface(LAYER)
+    march(model, TIMES[:2], out=folder)
+    last = march(model, TIMES, out=folder, resume=True).last
+    surface = Surface(model)
+    fields = surface.displacements(last).mean(axis=0)[0], surface.value_in_layer(last, 0.1), surface.traction(last)
+    return [*map(surface.norm, fields), last.load_work()]
+
+
+@on_ranks(_resumed, 2)
+def test_marches_from_files_on_two_ranks(there, tmp_path):
+    values = _resumed(tmp_path)
+    assert there == pytest.approx(values, rel=1e-9)
+    plates = Structure(JOINT, **HEATED)
+    history = march(plates.interface(LAYER), TIMES)
+    surface = Surface(history.model)
+    assert surface.norm(surface.value_in_layer(history.last, 0.1)) == pytest.approx(values[1], rel=1e-10)
+    refused(InputError, "order 2 has none", derivative, history, goals.PointValue((0.5, 0.3)), ["S.k"])
