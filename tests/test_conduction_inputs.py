@@ -107,6 +107,11 @@ REFUSED = {
     "laws of different unknowns": lambda: plates(body={"LOWER": GLUE, "UPPER": ELASTIC}),
     "laws of one unknown": lambda: Stack((0.5, GLUE), (0.5, ELASTIC)),
     "Stressed has a method stress": lambda: Stressed(1.0),
+    r"order=2 of the law is Stack\(": lambda: ThinLayer(Stack((0.5, GLUE), (0.5, Conduction(1.0))), EPS, order=2),
+    "order 2 is of laws of a scalar field": lambda: ThinLayer(ELASTIC, EPS, order=2),
+    "of order 2, the heat of a current": lambda: plates(
+        parts=[JouleHeat(solve(plates().interface(LAYER)))]
+    ).interface(ThinLayer(GLUE, EPS, order=2)),
     "layered: along is": lambda: AnisotropicConduction.layered([1.0], 2.0),
     "drive is for laws of a displacement": lambda: drive(GLUE, [{"w_T": 1.0, "w_N": 0.0}]),
     "it is bonded; a source needs a layer": lambda: plates(sources={"S": SurfaceSource(1.0)}).bonded(),
