@@ -122,7 +122,8 @@ def conducting_stations(stack: Stack) -> list[AnyStation]:
 
     The field at a height is <T> + Phi [T], with the mean <T> and the jump [T] of the faces. Phi grows from -1/2 to 1/2,
     with a derivative proportional to 1/k, where k is the conductivity across the layer: the flux is uniform through
-    the layer, as in the law of order 0.
+    the layer, as in the law of order 0. Where conductivities vary along S, Phi does, and the gradient along S contains
+    [T] grad_S Phi.
 
     Args:
         stack: the law of the layer.
@@ -142,7 +143,9 @@ def conducting_stations(stack: Stack) -> list[AnyStation]:
             resistances = [a / k for a, k in zip(stack.fractions, conductivities, strict=True)]
             phi = sum(resistances[:i], (z + 0.5) * resistances[i]) / sum(resistances) - 0.5
             slope = resistances[i] / sum(resistances) / stack.fractions[i]
-            return slope * faces.strain_across(height) + faces.mean_strain_s + phi * faces.strain_difference
+            e = slope * faces.strain_across(height) + faces.mean_strain_s + phi * faces.strain_difference
+            is_varied = faces.gradient_along and stack.fields
+            return e + faces.across(faces.jump, faces.gradient_along(phi)) if is_varied else e
 
         return Station(stack.laws[i], stack.fractions[i] / 2, strain, strain_laws=stack.laws)
 

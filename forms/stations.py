@@ -38,6 +38,8 @@ class Faces(NamedTuple):
         along: function that gives the strain (3, 3) along S of the unknown on S. Its arguments are its gradient along S
             (c, d) and its values (c,) (`Kinematics.strain_along`).
         grad_eps: gradient (d,) of the thickness along S; None: the thickness is uniform.
+        gradient_along: function that gives the gradient (d,) along S of a scalar on S, UFL of parameters of laws there;
+            None: gradients along S count as zero.
     """
 
     n: Expr
@@ -48,6 +50,7 @@ class Faces(NamedTuple):
     across: Callable[[Expr, Expr], Expr]
     along: Callable[[Expr, Expr], Expr]
     grad_eps: Expr | None = None
+    gradient_along: Callable[[Expr], Expr] | None = None
 
     def strain_across(self, z: float = 0.0) -> Expr:
         """Return the strain (3, 3) across the layer that the jump [u] causes: sym([u] (x) (n - z grad_S eps))/eps.

@@ -169,7 +169,14 @@ class Interface:
             grad_upper = grad_lower = ufl.zero(len(self.jump(u)), d)
         across, along = self.kinematics.strain_across, self.kinematics.strain_along
         e_mean = along((grad_upper + grad_lower) / 2, (self.upper(u) + self.lower(u)) / 2)
-        return Faces(self.n, eps, self.jump(u), grad_upper - grad_lower, e_mean, across, along, grad_eps)
+        gradient = None if uniform else self.gradient_along
+        return Faces(self.n, eps, self.jump(u), grad_upper - grad_lower, e_mean, across, along, grad_eps, gradient)
+
+    def gradient_along(self, f: Expr) -> Expr:
+        """Return the gradient (d,) along S of a scalar `f` on S: UFL of functions that are restricted to the upper side."""
+        gradient, inverse = ufl.grad(f), self.upper.inverse_gradient
+        gradient = gradient if inverse is None else ufl.dot(gradient, inverse)
+        return gradient - ufl.dot(gradient, self.director) * self.n
 
     def bubble_strain(self, b: Expr, z: float, eps: Expr, grad_eps: Expr | None = None) -> Expr:
         """Return the strain (3, 3) at a height of a layer whose unknown is b times 6 (1/4 - z^2), with the mean b.

@@ -20,8 +20,10 @@ from forms import (
     Stack,
 )
 from forms.base import InputError
+from forms.work import Interface
 from geometry import block, bond_cell, periodic, sandwich, wall
 from tests.mpirun import CLONE
+from tests.orders import observed_orders
 from tests.refused import refused
 from thinlayer import (
     Bond,
@@ -218,6 +220,26 @@ def test_stacks_agree_with_meshed_ones(lower, upper, error):
     layer, structure = ThinLayer(Stack((0.5, lower), (0.5, upper)), 1 / 16), blocks()
     errors = compare(solve(structure.full(layer)), solve(structure.interface(layer)))
     assert max(errors["error_flux"], errors["error_jump"]) < error
+
+
+@pytest.mark.filterwarnings("ignore::thinlayer.RangeWarning")
+def test_stacks_whose_shares_of_the_jump_vary_along_s(monkeypatch):
+    """Flux and jump converge at rate 2 or more, and not at all without the jump times the gradient of the shares."""
+
+    def orders():
+        def errors(eps):
+            k = lambda factor, sign: lambda x: factor / eps * (1.6 + sign * np.cos(K * x[0]))
+            layer = ThinLayer(Stack((0.4, Conduction(k(1.3, -1))), (0.6, Conduction(k(0.3, 1)))), eps)
+            compared = compare(solve(structure.full(layer)), solve(structure.interface(layer)))
+            return compared["error_flux"], compared["error_jump"]
+
+        sizes = (1 / 4, 1 / 8)
+        return [observed_orders(sizes, of)[-1] for of in zip(*map(errors, sizes), strict=True)]
+
+    structure = blocks(1 / 12, fluxes={"TOP": lambda x, t: 1 + ufl.cos(K * x[0])})
+    assert min(orders()) > 2
+    monkeypatch.setattr(Interface, "gradient_along", lambda self, f: ufl.zero(2))
+    assert max(orders()) < 1
 
 
 @pytest.mark.parametrize("make", [plates, on_base], ids=["bodies", "rigid base"])

@@ -20,7 +20,7 @@ from forms.traits import VARIABLE_SIZES
 from forms.work import Term, stress
 from geometry.domain import cell_nodes
 from geometry.topology import IntArray, lagrange
-from thinlayer.discretisation.form_compilation import column_numbers
+from thinlayer.discretisation.form_compilation import column_numbers, law_with_expressions
 from thinlayer.discretisation.key import Key
 from thinlayer.discretisation.layer import SeamLayer, law_with_numbers
 from thinlayer.discretisation.model import Model
@@ -278,18 +278,18 @@ def _add_meshed_forces(corner_forces: Array, surface: SurfaceMesh, facets: IntAr
     t = points.term.kinematics.tractions(points.stress(), n)
     tangential_weight, normal_weight = _sublayer_weights(layer, points)
     t_N = np.einsum("pi,pi,pj->pj", t, n, n) if t.shape == n.shape else t  # a flux is that along n
-    t = tangential_weight * (t - t_N) + normal_weight * t_N
+    t = tangential_weight * (t - t_N) + np.reshape(normal_weight, (-1, 1)) * t_N
     np.add.at(corner_forces, facets, np.einsum("fq,fqa,fqd->fad", q.weights[point_ids] / point_eps, N, t[point_ids]))
 
 
-def _sublayer_weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float]:
+def _sublayer_weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float | Array]:
     """Return the weights of a sublayer's tangential and normal traction in the mean through the layer's thickness.
 
     A weight is the sublayer's fraction of the jump, divided by its fraction of the thickness. The work of this mean in
     the jump is then the sum of the sublayers' work. In elastic layers the fraction of the jump follows from the
     sublayers' compliances. In layers of one material, and in layers that are not elastic, both weights are 1.
 
-    Fluxes have the second weight, by the conductivities of the sublayers.
+    Fluxes have the second weight, by the conductivities of the sublayers; (points,) if these vary along S.
 
     Args:
         layer: the layer.
@@ -302,7 +302,9 @@ def _sublayer_weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float
     sublayers = law_with_numbers(layer.layer, model.kinematics).sublayers
     if model.n_components == 1:
         fractions, across, _ = layer.samples[0].initial_tangents.conductivities
-        return 1.0, float(1 / across[k] / (fractions @ (1 / across)))
+        if layer.law.fields and layer.law.traits.linear:
+            across = np.array([_conductivities_across(points, law) for _, law in sublayers])
+        return 1.0, 1 / across[k] / (fractions @ (1 / across))
     try:
         lame = [law.elastic_moduli() for _, law in sublayers]
     except InputError:
@@ -310,3 +312,12 @@ def _sublayer_weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float
     compliance = np.array([(a / mu, a / (lmbda + 2 * mu)) for (a, _), (lmbda, mu) in zip(sublayers, lame, strict=True)])
     tangential_weight, normal_weight = compliance[k] / compliance.sum(axis=0) / sublayers[k][0]
     return float(tangential_weight), float(normal_weight)
+
+
+def _conductivities_across(points: LawPoints, law: BulkLaw) -> Array:
+    """Return the conductivities (points,) across the layer of a sublayer's law, at points in its cells. Collective."""
+    q = points.quadrature
+    f = q.region_function(np.column_stack([q.n, *law.fields_at(q.joint_x).values()]))
+    parameters = {name: f[k] for k, name in enumerate(law.fields, 3)}
+    local = law_with_expressions(law, q.region.mesh, parameters)
+    return q.values(ufl.as_vector([local.conductivity_across(ufl.as_vector([f[i] for i in range(q.dim)]))]))[:, 0]
