@@ -28,6 +28,7 @@ class QuantityNames(NamedTuple):
         load_arguments: names of the arguments of `Structure` for loads on facet sets and in volumes.
         motion: change of the unknown without strain, with {} for the name of a component.
         unsupported: message if nothing prevents a motion without strain, with {} for this motion.
+        steady_remedy: what refusals of laws with rates add for who wants a state that does not change.
     """
 
     symbol: str = "u"
@@ -38,6 +39,7 @@ class QuantityNames(NamedTuple):
     load_arguments: tuple[str, str] = ("tractions", "body_force")
     motion: str = "translation {}"
     unsupported: str = "no support against rigid motion of the structure ({}); add supports"
+    steady_remedy: str = ""
 
 
 @dataclass(frozen=True)
@@ -274,6 +276,7 @@ class ScalarField(Kinematics):
         load_arguments=("fluxes", "sources"),
         motion="a change of {} everywhere",
         unsupported="nothing holds the field ({} costs nothing); add supports, or a Film",
+        steady_remedy="; for a steady state take Conduction in place of Heat, also in layers",
     )
     has_rigid_rotations = False
 

@@ -42,6 +42,7 @@ from thinlayer import (
     UflPart,
     compare,
     drive,
+    estimate,
     homogenised_conductivity,
     homogenised_stiffness,
     march,
@@ -68,6 +69,11 @@ def on_base(**data):
 def elastic(**data):
     data = {"body": ELASTIC, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, 1.0)}} | data
     return Structure(sandwich(40, 4, 6, 5, cell="quadrilateral"), **data)
+
+
+def heating(**data):
+    model = plates(**{"body": Heat(K_BODY, 2e-3), "initial": 20.0} | data)
+    return model.interface(ThinLayer(Heat(2e-4, 1e-3), EPS, order=0))
 
 
 @dataclass(frozen=True)
@@ -117,6 +123,14 @@ REFUSED = {
     "layered: along is": lambda: AnisotropicConduction.layered([1.0], 2.0),
     "drive is for laws of a displacement": lambda: drive(GLUE, [{"w_T": 1.0, "w_N": 0.0}]),
     "it is bonded; a source needs a layer": lambda: plates(sources={"S": SurfaceSource(1.0)}).bonded(),
+    "the flux on 'LEFT/LAYER' acts on the side.*use order=0, which leaves it out, or mesh": lambda: plates(
+        fluxes={"LEFT/LAYER": 0.1}
+    ).interface(LAYER),
+    "film LEFT/LAYER: this facet set is empty.*mesh it": lambda: plates(
+        parts=[Film("LEFT/LAYER", 1.0, 20.0)]
+    ).interface(LAYER),
+    "no equilibrium without time.*for a steady state take Conduction in place of Heat": lambda: solve(heating()),
+    "estimate: Heat remembers steps beside.*take Conduction in place of Heat": lambda: estimate(march(heating(), [1])),
     "homogenised_stiffness is for laws of a displacement": lambda: homogenised_stiffness(cell().interface(LAYER)),
 }
 

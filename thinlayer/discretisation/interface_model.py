@@ -339,7 +339,7 @@ class SideLoad:
             facet_set, value = FacetName.parse(name).continued_set, load.p if isinstance(load, Pressure) else load
             is_zero = not callable(value) and not np.any(np.asarray(value, float))
             if facet_set != name and not is_zero and (on_rim := rim.lies_on(model.joint.facets[facet_set])).any():
-                yield cls(f"traction on {name!r}", load, rim[on_rim])
+                yield cls(f"{model.kinematics.quantities.traction} on {name!r}", load, rim[on_rim])
 
 
 def add_side_loads(forces: Forces, model: Model, layer: SeamLayer, sides: Interface) -> None:
@@ -378,6 +378,7 @@ def add_side_loads(forces: Forces, model: Model, layer: SeamLayer, sides: Interf
             violation = None if layer.has_pressure_flow else r.why_not("ends")
             why = "a support holds the side" if not violation else violation.reason
             why = "its pressure of order 1 is zero at free ends" if layer.has_pressure_flow else why
+            why = "no law is known of the ends of a scalar field's layer" if model.n_components == 1 else why
             reason = f"the {load.what} acts on the side of {layer}, and how it reaches the faces is not known: {why}"
             raise Violation("loaded side", reason, "use order=0, which leaves it out, or mesh the layer").error()
         for force, region in _end_load(load, forces.at, model, layer, sides):

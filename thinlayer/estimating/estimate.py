@@ -279,7 +279,8 @@ def _require_subproblem(model: InterfaceModel, state: State | History, meshed_la
     try:
         dropped_parts = [part for part in equations.layers if any(layer.owns_key(part.key) for layer in meshed_layers)]
         others = PartSum(part for part in equations.parts if part not in dropped_parts)
-        reason = f"estimate: {{}} remembers steps beside the layers; {remedy}"
+        steady_remedy = model.kinematics.quantities.steady_remedy
+        reason = f"estimate: {{}} remembers steps beside the layers; {remedy}{steady_remedy}"
         others.refuse_traits(dict.fromkeys(("remembers", "rate"), reason))
         if isinstance(state, State):
             reason = "estimate: {} remembers, and steps in time have led to this state; give the history"

@@ -121,6 +121,7 @@ def solve(
             require(is_finite(t), "t", t, "it must be a finite number")
         require_same(model.comm, t=t)
         reason = "{} depends on rates: no equilibrium without time; use march(model, times)"
+        reason += model.kinematics.quantities.steady_remedy
         solver.equations.refuse_traits({"softens": f"solve: {SOFTENING_MESSAGE}", "rate": reason})
         warn_of_model(model)
         warn_of_no_time(model)
