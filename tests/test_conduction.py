@@ -1,6 +1,7 @@
 """Scalar fields: laws of conduction on S and in meshed layers against closed forms, in steady problems and in time."""
 
 import math
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from forms import Conduction, FluxLaw, Heat
 from geometry import sandwich
 from tests.orders import observed_orders
 from tests.refused import refused
-from thinlayer import InputError, Structure, Surface, ThinLayer, march, solve
+from thinlayer import InputError, RangeWarning, Structure, Surface, ThinLayer, march, solve
 
 LOWER, UPPER, K_LOWER, K_UPPER = 0.4, 0.7, 2.0, 0.5  # heights and conductivities of two unlike blocks, 1 wide
 
@@ -119,6 +120,46 @@ def test_a_sudden_flux_in_time():
         assert abs(column[-1]) < 5e-5
     no_capacity = march(_heated(Conduction(eps), eps)[1], times, theta=0.5).last.u.x.array.max()
     assert abs(no_capacity - exact[0]) > 1e-3
+
+
+def test_an_initial_field_is_a_function_of_places_or_of_places_and_time():
+    values = []
+    for initial in (
+        lambda x, t: 2 + ufl.sin(x[0]) * x[1],
+        lambda x: 2 + ufl.sin(x[0]) * x[1],
+        lambda x: 2 + np.sin(x[0]) * x[1],
+    ):
+        joint = sandwich(1, 0.5, 0.5, h=1 / 4, cell="quadrilateral")
+        plates = Structure(joint, body=Heat(1.0, 1.0), supports={"BOTTOM": 0}, initial=initial)
+        values.append(march(plates.full(ThinLayer(Heat(0.1, 1.0), 1 / 16)), [0.1]).last.u.x.array)
+    assert values[1] == pytest.approx(values[0], rel=1e-12)
+    assert values[2] == pytest.approx(values[0], rel=1e-12)
+    assert np.ptp(values[0]) > 0.1
+
+
+@pytest.mark.filterwarnings("ignore:.*body LOWER")
+def test_a_conductivity_that_is_negative_where_the_solution_is():
+    """A warning says where, how much, and what to do; there is none where it is positive."""
+
+    @dataclass(frozen=True)
+    class Falling(FluxLaw):
+        a: float
+        symmetric = False
+
+        def flux(self, step):
+            return (1 - self.a * step.T) * step.g
+
+    def heated(lower, upper):
+        joint = sandwich(1, 0.5, 0.5, h=1 / 4, cell="quadrilateral")
+        return Structure(joint, body=Falling(0.5), supports={"BOTTOM": lower, "TOP": upper}, initial=lower)
+
+    for kind in ("full", "interface"):
+        words = r"conductivity of body UPPER is -0.9\d* near .*, for the value 3.9.*: fluxes run.*other loads"
+        with pytest.warns(RangeWarning, match=words):
+            solve(getattr(heated(3, 4), kind)(ThinLayer(Conduction(0.1), 0.05)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        solve(heated(0, 1).interface(ThinLayer(Falling(0.1), 0.05)))
 
 
 @pytest.mark.parametrize("kind", ["full", "interface"])

@@ -28,6 +28,7 @@ WARNINGS = {  # key of a RangeWarning -> words of its message
     "layer time": "values even out inside",
     "lever": "plates bend about",
     "locking": "locks near 0.5",
+    "negative conductivity": "fluxes run against gradients",
     "no step error": "the error of the march's steps",
     "no time": "a solve knows no time",
     "other bodies": "the load is smaller than",

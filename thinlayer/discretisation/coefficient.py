@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from dataclasses import replace as changed
 from functools import cached_property, reduce, wraps
+from inspect import signature
 from itertools import product
 from typing import Any, Protocol, Self, TypeAlias, TypeVar, runtime_checkable
 from weakref import WeakSet
@@ -537,6 +538,14 @@ def has_finite_numbers(expression: Expr) -> bool:
     """Return whether all numbers in a UFL expression are finite and real, so that it can be compiled."""
     numbers = (node for node in unique_pre_traversal(expression) if isinstance(node, ComplexValue | RealValue))
     return all(isinstance(number, RealValue) and math.isfinite(float(number)) for number in numbers)
+
+
+def takes_place_only(value: object) -> bool:
+    """Return whether a value is a function of the place alone, with one argument; not one of place and time."""
+    try:
+        return callable(value) and len(signature(value).parameters) == 1
+    except (TypeError, ValueError):  # functions without a signature
+        return False
 
 
 def depends_on_place(expression: Expr) -> bool:

@@ -25,7 +25,7 @@ from geometry.seam import BASE
 from geometry.sheet import volume_of
 from geometry.topology import FloatArray, Indices, Splitting, is_tensor
 from thinlayer.discretisation.applicability import Applicability
-from thinlayer.discretisation.coefficient import Coordinates, LoadInput, Pressure, Value
+from thinlayer.discretisation.coefficient import Coordinates, LoadInput, Pressure, Value, takes_place_only
 from thinlayer.discretisation.constraints import Constraints
 from thinlayer.discretisation.forces import BodyForce, Forces, LoadRegion
 from thinlayer.discretisation.form_compilation import (
@@ -543,7 +543,8 @@ class Model(ABC):
         """Return the unknown before the first step, which begins at the time t: zero, or `initial`. Collective."""
         u = fem.Function(self.V)
         if self.structure.initial is not None:
-            value = self.coordinates.coefficient(self.structure.initial, "initial", ()).expression
+            value, at = self.structure.initial, self.coordinates
+            value = at.coefficient(value, "initial", (), place_only=takes_place_only(value)).expression
             field = ufl.as_vector([value]) + fem.Constant(self.domain.mesh, np.zeros(1))  # as value may be a number
             with self.coordinates.clock.at(t):
                 interpolate(u, fem.Expression(field, interpolation_points(self.V)))

@@ -83,8 +83,9 @@ class Structure:
             `ThermalExpansion`, `Prestress`, or a list of several that add up. A number multiplies the identity in three
             dimensions, so that in plane strain it also causes stress across the plane. Layers have their own
             eigenstrain, `ThinLayer(..., eigenstrain=...)`.
-        initial: for a scalar field, its value before a march, a number or a function (x, t), taken at the start. A
-            march with a capacity needs it. Non-linear steady problems are solved from it.
+        initial: for a scalar field, its value before a march, a number, a function of the place x in UFL or numpy, or
+            of (x, t), taken at the start. A march with a capacity needs it. Non-linear steady problems are solved from
+            it.
         comm: MPI communicator (default: the world).
 
     Attributes:

@@ -9,16 +9,20 @@ import numpy as np
 from dolfinx import fem
 
 from forms.base import is_number
+from forms.tensors import mandel_vector
 from geometry.refusals import place_text
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.solving.history import History
+from thinlayer.surface.law_points import law_points
 from thinlayer.surface.surface_mesh import surface_of
 
 # estimated error of variations along S above which there is a warning; in tests half to twice the error
 MAX_VARIATION_ERROR = 0.03
 MESH_REMEDY = "mesh the layer (structure.full)"
+MIN_GRADIENT_RATIO = 1e-2  # gradient, over the largest of a law, from which on its conductivity counts
+MIN_NEGATIVE_RATIO = 1e-3  # negative conductivity, over the largest of a law, that does not count as an error of steps
 
 
 class Conductivities(NamedTuple):
@@ -117,6 +121,36 @@ def _better_law(layer: SeamLayer) -> str:
     """Return the remedy for a layer whose law of order 1 or 2 leaves its range."""
     has_order_2 = layer.as_thin_layer.order < 2 and not layer.as_thin_layer.fractions
     return f"use order=2, or {MESH_REMEDY}" if has_order_2 else MESH_REMEDY
+
+
+def warn_of_negative_conductivities(states: Sequence[State]) -> None:
+    """Warn, once for each law, if the flux of a non-linear law runs against the field's gradient in a state. Collective.
+
+    Such a problem has no unique solution, and depends on the mesh.
+
+    Args:
+        states: states of one model.
+    """
+    model = states[0].model
+    for state in states:
+        for points in law_points(state):
+            if points.term.law.traits.linear:
+                continue
+            e = points.quadrature.values(mandel_vector(points.term.step(state.u).e))
+            power, squares = np.einsum("pii,pi->p", points.stress(), e[:, :3]), (e[:, :3] ** 2).sum(axis=1)
+            largest = model.comm.allreduce(float(squares.max(initial=0.0)), max)
+            counts = squares > MIN_GRADIENT_RATIO**2 * largest
+            k, T, x = power[counts] / squares[counts], e[counts, 3], points.quadrature.joint_x.T[counts]
+            most = model.comm.allreduce(float(np.abs(k).max(initial=0.0)), max)
+            worst = int(k.argmin()) if k.size else -1
+            rows = model.comm.allgather((float(k[worst]), float(T[worst]), x[worst].tolist()) if k.size else None)
+            least, value, place = min(row for row in rows if row) if any(rows) else (0.0, 0.0, [])
+            if least < -MIN_NEGATIVE_RATIO * most:
+                law = f"at t = {state.t:.4g} the conductivity of {points.term.key}"
+                effect = "fluxes run against gradients, and depend on the mesh"
+                text = f"{law} is {least:.3g} near {place_text(place)}, for the value {value:.4g}: {effect}"
+                remedy = "take other loads, or a law that is positive there, as by ufl.max_value"
+                model.warn("negative conductivity", f"{text}; {remedy}", points.term.key, states[-1].t)
 
 
 def _variation_error(state: State, layer: SeamLayer, k: Conductivities, delta: float) -> tuple[float, float]:

@@ -25,7 +25,7 @@ from thinlayer.discretisation.key import Key
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
-from thinlayer.solving.flux_ranges import warn_of_fluxes, warn_of_insulated_sides
+from thinlayer.solving.flux_ranges import warn_of_fluxes, warn_of_insulated_sides, warn_of_negative_conductivities
 from thinlayer.surface.law_points import layer_points, share_columns
 from thinlayer.surface.pressure_excess import (
     STIFFNESS_ERROR_LIMIT,
@@ -148,6 +148,7 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
     """
     model = states[0].model
     if model.n_components == 1:
+        warn_of_negative_conductivities(states)
         return warn_of_fluxes(states)
     warn_of_strains(states)
     warn_of_fracture_zones(states)
