@@ -80,10 +80,8 @@ class FluxLaw(BulkLaw):
     unknown = "scalar field"
     default_order = 1
     methods: ClassVar = ("flux", "evolve")
-    ignored: ClassVar = (
-        *("stress", "advance", "energy", "dissipation"),  # written as flux, evolve, potential and loss
-        *("elastic_moduli", "end_strips", "stations_at_ends", "plane_stress"),
-    )
+    renamed: ClassVar = {"stress": "flux", "advance": "evolve", "energy": "potential", "dissipation": "loss"}
+    ignored: ClassVar = (*renamed, "elastic_moduli", "end_strips", "stations_at_ends", "plane_stress")
 
     def _traits_of_methods(self) -> dict[str, bool]:
         return super()._traits_of_methods() | {"has_energy": type(self).potential is not FluxLaw.potential}

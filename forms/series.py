@@ -144,8 +144,8 @@ def conducting_stations(stack: Stack) -> list[AnyStation]:
             phi = sum(resistances[:i], (z + 0.5) * resistances[i]) / sum(resistances) - 0.5
             slope = resistances[i] / sum(resistances) / stack.fractions[i]
             e = slope * faces.strain_across(height) + faces.mean_strain_s + phi * faces.strain_difference
-            is_varied = faces.gradient_along and stack.fields
-            return e + faces.across(faces.jump, faces.gradient_along(phi)) if is_varied else e
+            gradient_along = faces.gradient_along if stack.fields else None
+            return e + faces.across(faces.jump, gradient_along(phi)) if gradient_along else e
 
         return Station(stack.laws[i], stack.fractions[i] / 2, strain, strain_laws=stack.laws)
 

@@ -178,8 +178,9 @@ def _require_used_methods(law: Law) -> None:
     defining_index = min(_mro_index(cls, attribute) for attribute in ("source", "ignored"))
     for method in cls.ignored:
         if _is_custom(cls, method) and _mro_index(cls, method) < defining_index:
-            remedy = f"the source, sublayers or the traction of {cls.__mro__[defining_index].__name__}"
-            raise InputError(f"{name} has a method {method} that is never called: change {remedy}, or write a BulkLaw")
+            remedy = f"change the source, sublayers or the traction of {cls.__mro__[defining_index].__name__}"
+            remedy = f"write {cls.renamed[method]}(step)" if method in cls.renamed else remedy
+            raise InputError(f"{name} has a method {method} that is never called: {remedy}, or write a BulkLaw")
     updates = [method for method in UPDATE_METHODS if _is_custom(cls, method)]
     if updates and not law.internal:
         raise InputError(f"{name} has a method {updates[0]} but no internal variables: internal = {{name: shape}}")

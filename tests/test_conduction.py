@@ -178,5 +178,8 @@ def test_a_structure_that_nothing_holds_keeps_its_heat(kind):
         surface = Surface(model)
         content += c * eps * surface.integral(surface.displacements(state).mean(axis=0)[0])
     assert content == pytest.approx(5 * (2.0 + c * eps) + 0.4 * 3.5, rel=1e-10)
+    uniform = Structure(joint, body=Heat(1.0, 2.0), supports={"BOTTOM": 5}, initial=5)
+    table = march(getattr(uniform, kind)(ThinLayer(Heat(0.1, c), eps)), [0.1, 0.2]).table
+    assert abs(table["imbalance"]).max() < 1e-8  # also where all energies are rounding
     steady = Structure(joint, body=Conduction(1.0), supports={}, fluxes=fluxes)
     refused(InputError, "nothing holds the field", steady.bonded)

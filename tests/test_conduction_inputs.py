@@ -41,8 +41,10 @@ from thinlayer import (
     ThinLayer,
     UflPart,
     compare,
+    derivative,
     drive,
     estimate,
+    goals,
     homogenised_conductivity,
     homogenised_stiffness,
     march,
@@ -84,6 +86,18 @@ class Stressed(FluxLaw):
         return self.k * step.mid
 
 
+@dataclass(frozen=True)
+class Ageing(FluxLaw):
+    k: float
+    internal = {"X": ()}
+
+    def flux(self, step):
+        return self.k * step.g
+
+    def advance(self, step):
+        return {"X": step["X"]}
+
+
 REFUSED = {
     "eigenstrain= is of a displacement": lambda: plates(eigenstrain=ThermalExpansion(1e-5, 20.0)),
     "eigenstrain is 0.01; it is of displacements": lambda: ThinLayer(GLUE, EPS, eigenstrain=0.01),
@@ -114,12 +128,17 @@ REFUSED = {
     "Incompressible is a law": lambda: plates().interface(ThinLayer(Incompressible(1.0), EPS)),
     "laws of different unknowns": lambda: plates(body={"LOWER": GLUE, "UPPER": ELASTIC}),
     "laws of one unknown": lambda: Stack((0.5, GLUE), (0.5, ELASTIC)),
-    "Stressed has a method stress": lambda: Stressed(1.0),
     r"order=2 of the law is Stack\(": lambda: ThinLayer(Stack((0.5, GLUE), (0.5, Conduction(1.0))), EPS, order=2),
     "order 2 is of laws of a scalar field": lambda: ThinLayer(ELASTIC, EPS, order=2),
     "of order 2, the heat of a current": lambda: plates(
         parts=[JouleHeat(solve(plates().interface(LAYER)))]
     ).interface(ThinLayer(GLUE, EPS, order=2)),
+    r"Stressed has a method stress that is never called: write flux\(step\)": lambda: Stressed(1.0),
+    "Ageing has a method advance that is never called: write evolve": lambda: Ageing(1.0),
+    "no field of a structure, nor values on S": lambda: Film("TOP", 1.0, Surface(plates().bonded()).function(1.0)),
+    "mean flux: a law of the bodies, or a part, is not linear or has a rate": lambda: derivative(
+        march(heating(), [1]), goals.MeanFlux(), ["S.k"]
+    ),
     "layered: along is": lambda: AnisotropicConduction.layered([1.0], 2.0),
     "drive is for laws of a displacement": lambda: drive(GLUE, [{"w_T": 1.0, "w_N": 0.0}]),
     "it is bonded; a source needs a layer": lambda: plates(sources={"S": SurfaceSource(1.0)}).bonded(),
@@ -344,8 +363,11 @@ def test_a_current_has_the_shape_of_the_model_of_heat():
         "bodies= of the model": current(bodies="extended"),
         "a layer with a thickness": current(Conductance(1e-3)),
         "needs a layer": current({"S": Bond()}),
+        "the same thickness": current(ThinLayer(GLUE, 2 * EPS)),
     }.items():
         refused(InputError, words, lambda state=state: solve(plates(parts=[JouleHeat(state)]).interface(LAYER)))
+    heated = plates(parts=[JouleHeat(current())])
+    refused(InputError, "in place of a bond", heated.bonded)
 
 
 def test_a_bond_conducts_as_its_bricks():

@@ -32,6 +32,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.estimating.global_local import BodyEquilibrium
 from thinlayer.estimating.goals import Compliance, Functional, Goal, Reaction
 from thinlayer.solving.layer_subproblem import LayerSubproblem
+from thinlayer.system.units import percent
 
 MAX_IMBALANCE = 1e-7  # largest unbalanced force on a node of a cell, over the largest force on a node
 IMBALANCE_FACTOR = 10  # bounds are widened by this times the imbalance and the geometric mean of both energies
@@ -43,11 +44,6 @@ def relative_errors_between(value: float, lower: float, upper: float) -> tuple[f
     errors = [abs(q - value) / abs(q) if q else math.inf for q in (lower, upper)]
     least = 0.0 if lower <= value <= upper else min(errors)
     return least, math.inf if lower < 0 < upper else max(errors)
-
-
-def percent(x: float) -> str:
-    """Return a fraction as text in per cent, with two digits."""
-    return f"{100 * x:.2g} %" if x < 0.995 else f"{100 * x:.0f} %"
 
 
 @dataclass(frozen=True, repr=False)

@@ -26,6 +26,7 @@ from thinlayer.solving.history import History, Solution, state_at
 from thinlayer.solving.solve import solve
 from thinlayer.system.progress import report
 from thinlayer.system.table import Table
+from thinlayer.system.units import percent
 
 NORMAL_QUANTILE = 1.96  # half-width of an interval of 95 %, over the standard deviation
 UNSEEN_DEVIATION = 1.0  # standard deviation of the logarithm of a parameter from which data do not see it
@@ -240,7 +241,7 @@ class Fit:
         for name, value, low, high, _, bias in self._rows():
             factor = "" if name in Parameters(self.model).values_in_model else " times its start"
             text = f"{value:.4g}{factor}, {low:.4g} to {high:.4g} (95 %)"
-            text += f"; with a meshed layer it would change by {100 * bias:+.2g} %"
+            text += f"; with a meshed layer it would change by {percent(bias, '+')}"
             text = f"{value:.4g}{factor}, without an interval" if np.isnan(low) else text
             lines.append(f"{name}: the data do not see it" if np.isnan(value) else f"{name} = {text}")
         for powers in self.unseen:

@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -96,8 +96,12 @@ class Goal(ABC):
 
     def value_in(self, state: State) -> float:
         """Return Q in a state of an interface model. Collective."""
-        assert isinstance(state.model, InterfaceModel)
-        return self.value(state, state.model)
+        model, remedy = (
+            state.model,
+            "with the layer meshed, take goal.value(state, an interface model of the structure)",
+        )
+        require(isinstance(model, InterfaceModel), f"{self.name}: the model", model, remedy)
+        return self.value(state, cast(InterfaceModel, model))
 
     def at_rest(self, state: State, model: InterfaceModel) -> float:
         """Return a linear goal's value at zero displacements, from prescribed strains and loads alone. Collective.
@@ -332,7 +336,8 @@ class MeanTraction(DirectedGoal):
         model = adjoint.model
         linear = all(term.law.traits.linear and not term.law.traits.compiled for term in model.bodies)
         if not linear or not all(part.is_linear(model) for part in model.parts):
-            raise InputError(f"{self.name}: a law of the bodies, or a part, is not linear; its weights are not known")
+            reason = "a law of the bodies, or a part, is not linear or has a rate, so its weights are not known"
+            raise InputError(f"{self.name}: {reason}; take sensitivity(solution).of(goal), or another goal")
         u, du, v = fem.Function(model.V), ufl.TestFunction(model.V), self._virtual_displacements(model)
         work_form = forms.work([replace(term, prescribed_strain=None) for term in model.bodies], du, v)
         if (parts_work := model.work_of_parts(u, v)).integrals():

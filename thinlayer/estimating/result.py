@@ -21,7 +21,6 @@ from thinlayer.estimating.continuum import (
     Continuum,
     ContinuumBounds,
     continuum_bounds,
-    percent,
     relative_errors_between,
 )
 from thinlayer.estimating.global_local import DEFAULT_WIDTH, BodyEquilibrium, GlobalLocal, GoalBounds
@@ -32,6 +31,7 @@ from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.layer_subproblem import DirichletLayers, LayerSubproblem
 from thinlayer.solving.petsc import Options
 from thinlayer.system.table import Table
+from thinlayer.system.units import percent
 
 ESTIMATED_FIELDS = ("traction", "flux", "jump")  # quantities that estimates have, besides goals
 ZERO_GOAL_TOLERANCE = 1e-6  # goal over its scale that counts as zero

@@ -28,6 +28,7 @@ from thinlayer.output.probe import Probe
 from thinlayer.output.surface import Surface
 from thinlayer.solving.layer_subproblem import DirichletLayers, LayerSubproblem
 from thinlayer.surface.surface_mesh import SurfaceMesh
+from thinlayer.system.units import percent
 
 # distance of two ends, over the thickness, within which the field of one end is disturbed by the other
 SINGLE_END_DISTANCE = 3.0
@@ -175,7 +176,7 @@ class Zoom:
         error = surface.norm(surface.traction(layer_state) - body_traction) / (surface.norm(body_traction) or 1.0)
         if error > MAX_TRACTION_DIFFERENCE:
             name = self.state.model.kinematics.quantities.traction
-            message = f"zoom into {self._seam_layer}: {name}s differ by {100 * error:.2g} % from those of the bodies"
+            message = f"zoom into {self._seam_layer}: {name}s differ by {percent(error)} from those of the bodies"
             warn("zoom", f"{message}; take Zoom(estimate(state).better), where they agree", surface.model.comm)
 
     # ---------------------------------------------------------------- stresses

@@ -13,7 +13,7 @@ from forms.base import Array, is_finite, require
 from forms.kinematics import ScalarField
 from forms.tensors import Expr
 from thinlayer.discretisation.boundary import boundary_tags
-from thinlayer.discretisation.coefficient import Value, times
+from thinlayer.discretisation.coefficient import HandsOver, Value, times
 from thinlayer.discretisation.form_compilation import unit_values
 from thinlayer.discretisation.part_definition import HostModel, PartDefinition
 from thinlayer.discretisation.rigid_motions import motion_expression
@@ -59,8 +59,9 @@ class Film(PartDefinition):
 
     def __post_init__(self) -> None:
         require(is_finite(self.h) and self.h > 0, f"film on {self.place!r}: h", self.h, "allowed: > 0")
-        is_value = callable(self.T) or is_finite(self.T)
-        require(is_value, f"film on {self.place!r}: T", self.T, "give a number or a function (x, t)")
+        is_value = is_finite(self.T) or (callable(self.T) and not isinstance(self.T, HandsOver))
+        wanted = "give a number or a function (x, t) for the surroundings, no field of a structure, nor values on S"
+        require(is_value, f"film on {self.place!r}: T", self.T, wanted)
         object.__setattr__(self, "key", f"film {self.place}")
 
     def check(self, model: HostModel) -> None:

@@ -33,9 +33,9 @@ class JouleHeat(PartDefinition):
         current: state of the electric potential, whose laws have conductivities that are numbers.
 
     Raises:
-        InputError: no state of a potential; when a model is made: another joint, `plane=`
-            or `bodies=` than in the model of the current; in that model a seam without a layer that has a thickness, or
-            conductivities that vary.
+        InputError: no state of a potential; when a model is made: another joint, `plane=`, `bodies=` or thickness than
+            in the model of the current; in that model a seam without a layer that has a thickness, or conductivities
+            that vary; a bond where the current has a layer.
 
     Example:
         >>> from forms import Conduction
@@ -61,22 +61,32 @@ class JouleHeat(PartDefinition):
 
     def __post_init__(self) -> None:
         is_potential = isinstance(self.current, State) and self.current.model.kinematics.has_value_in_strain
-        require(is_potential, "current", self.current, "give the state of an electric potential")
+        require(is_potential, "JouleHeat: current", self.current, "give the state of an electric potential")
 
     def check(self, model: HostModel) -> None:
         electric = self.current.model
-        hint = "the current needs the joint of the structure of heat, and conductivities that are numbers"
-        is_linear = all(p.law.traits.proportional and not p.law.traits.compiled for p in electric.terms)
-        is_same = np.array_equal(electric.joint.points, model.joint.points)
-        require(is_linear and is_same, "current", self.current, hint)
-        shapes = {(m.kinematics.has_axis, _is_extended(m.domain.joint)) for m in (electric, model)}
-        require(len(shapes) == 1, "current", self.current, "the current needs plane= and bodies= of the model of heat")
-        hint = "where layers are of order 2, the heat of a current in them is not known; use order=1, or mesh them"
-        is_linear_through = all(not layer.thin_layer or layer.thin_layer.order < 2 for layer in model.layers.values())
-        require(is_linear_through, "current", self.current, hint)
+        shapes = [(m.kinematics.has_axis, _is_extended(m.domain.joint)) for m in (model, electric)]
         is_thick = all(layer.thin_layer for layer in electric.layers.values()) and not electric.bonds
-        hint = "where current passes S it needs a layer with a thickness: ThinLayer(Conduction(h * eps), eps)"
-        require(is_thick, "current", self.current, hint)
+        pairs = [(layer, model.layers.get(name)) for name, layer in electric.layers.items()]
+        conditions = {
+            "make both structures from one joint": np.array_equal(electric.joint.points, model.joint.points),
+            "conductivities of the current must be numbers": all(
+                p.law.traits.proportional and not p.law.traits.compiled for p in electric.terms
+            ),
+            "the current needs plane= and bodies= of the model of heat": shapes[0] == shapes[1],
+            "where current passes S it needs a layer with a thickness: ThinLayer(Conduction(h * eps), eps)": is_thick,
+            "where current heats a layer, the structure of heat needs one, too, in place of a bond": all(
+                heated for _, heated in pairs
+            ),
+            "where layers are of order 2, the heat of a current in them is not known; use order=1, or mesh them": all(
+                not layer.thin_layer or layer.thin_layer.order < 2 for layer in model.layers.values()
+            ),
+            "layers of current and of heat need the same thickness": all(
+                layer.mesh_data[:2] == heated.mesh_data[:2] for layer, heated in pairs if heated and heated.thin_layer
+            ),
+        }
+        for hint, is_met in conditions.items():
+            require(is_met, "JouleHeat: current", self.current, hint)
 
     def work(self, model: HostModel, u: Expr, v: Expr) -> ufl.Form:
         electric = self.current.model

@@ -30,6 +30,7 @@ from thinlayer.solving.history import History
 from thinlayer.solving.solve import solve
 from thinlayer.system.folder import file_hash
 from thinlayer.system.table import Row, Table
+from thinlayer.system.units import percent
 from thinlayer.time.marching import march
 
 LAW, BOND = "law", "bond"  # replacements of the meshed layer
@@ -210,5 +211,5 @@ def _end_shares_text(estimate: Estimate, goal: str, density: Array) -> str:
         return ""
     for distance in np.array(END_DISTANCE_RATIOS) * max(layer.layer.eps for layer in estimate.layers.values()):
         end_change = surface.integral(surface.at_points(density) * (surface.distance_to_ends < distance))
-        texts.append(f"{100 * end_change / goal_change.change:.2g} % within {distance:.3g} of the ends of S")
+        texts.append(f"{percent(end_change / goal_change.change)} within {distance:.3g} of the ends of S")
     return f"of its change {' and '.join(texts)}"

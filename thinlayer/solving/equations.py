@@ -37,6 +37,7 @@ from thinlayer.solving.part_sum import ForceScale, PartSum, TangentMatrix, Unkno
 from thinlayer.solving.reactions import RigidMotions, SupportReactions
 from thinlayer.system.ranks import destroy
 
+ENERGY_ROUNDING = 1e-12  # relative change of the unknown whose energy counts as rounding
 TIME_LINEARITY_TOLERANCE = 1e-9  # relative deviation from a straight line in time that still counts as rounding
 
 
@@ -401,7 +402,9 @@ class Equations(PartSum):
         end = replace(end, reactions=self.reactions())
         energy_names = ("supplied", "before", "dissipated", "remainder", "after")
         added, before, lost, remainder, after = (sum(getattr(o, k) for o in outcomes.values()) for k in energy_names)
-        audit = Audit(supplied + added, after - before, lost, remainder, after)
+        energies = (supplied + added, after - before, lost, remainder)
+        noise = self.mean_stiffness * (ENERGY_ROUNDING * self._max_abs(self.u.x.array)) ** 2
+        audit = Audit(*energies, after) if any(not abs(E) < noise for E in energies) else Audit(total=after)
         state = State(**vars(end), model=self.model, report=report, audit=audit, prescribed_work=prescribed_work)
         dissipated = self.model.sums_by_seam_and_bodies({key: outcome.dissipated for key, outcome in outcomes.items()})
         return replace(state, sudden=self.interval.dt == 0 and self.interval.old.at_rest, dissipated=dissipated)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import basix
@@ -319,5 +320,5 @@ def _conductivities_across(points: LawPoints, law: BulkLaw) -> Array:
     q = points.quadrature
     f = q.region_function(np.column_stack([q.n, *law.fields_at(q.joint_x).values()]))
     parameters = {name: f[k] for k, name in enumerate(law.fields, 3)}
-    local = law_with_expressions(law, q.region.mesh, parameters)
+    local: Any = law_with_expressions(law, q.region.mesh, parameters)
     return q.values(ufl.as_vector([local.conductivity_across(ufl.as_vector([f[i] for i in range(q.dim)]))]))[:, 0]

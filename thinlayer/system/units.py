@@ -19,6 +19,11 @@ DIMENSIONS = {  # kind of a quantity -> its dimension in pint
 }  # fmt: skip
 
 
+def percent(x: float, sign: str = "") -> str:
+    """Return a fraction as text in per cent, with two digits; with "+" as `sign`, with its sign."""
+    return f"{100 * x:{sign}.2g} %" if abs(x) < 0.995 else f"{100 * x:{sign}.0f} %"
+
+
 @dataclass(frozen=True)
 class Units:
     """Units of all plain numbers of a model, by which texts with a unit become such numbers; needs the extra `units`.
