@@ -18,7 +18,7 @@ from tests.on_ranks import alone, on_ranks
 from tests.pictures import assert_drawn
 from tests.refused import refused
 from tests.test_cli import rows, thinlayer
-from thinlayer import Surface, estimate, solve
+from thinlayer import Inertia, Surface, estimate, modes, solve
 from thinlayer.estimating import goals
 from thinlayer.running.case import DescribedCase
 from thinlayer.running.description import Description
@@ -116,6 +116,29 @@ def test_bonded(lap, wanted, tmp_path):
     assert {path.name for path in tmp_path.glob("*.png")} == pictures
     assert (tmp_path / "previous-1" / "map_law_compliance.png").read_text() == "of the user"
     assert "May you ignore the layer altogether" in done.stdout
+
+
+@pytest.mark.filterwarnings("ignore:plates bend")
+def test_modes(lap, tmp_path):
+    """Frequencies are those of a script, and need no change of the estimate."""
+    density = {"LOWER": 7.8e-9, "UPPER": 2.7e-9, "S": 1.2e-9}
+    changes = ["modes=2", *(f"density.{name}={rho}" for name, rho in density.items())]
+    done = thinlayer("estimate", lap, *(word for change in changes for word in ("--set", change)), "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    structure = lap_files.structure()
+    structure.parts = (Inertia(density),)
+    written, meshed = rows(tmp_path / "modes.csv"), modes(structure.full(lap_files.layer()), 2)
+    for row, omega, law in zip(
+        written, meshed.omega, modes(structure.interface(lap_files.layer()), 2).omega, strict=True
+    ):
+        assert [float(row[key]) for key in ("omega", "better")] == pytest.approx([law, omega], rel=1e-6)
+        assert float(row["lower"]) <= omega <= float(row["upper"])
+        assert sum(float(row[f"kinetic {name}"]) for name in density) == pytest.approx(1.0)
+    assert "With the layer meshed, for these cells of the bodies:" in done.stdout
+    for change, text in (("modes=2", "it needs density"), ("density.S=1.2e-9", "it needs modes")):
+        refused(DescriptionError, text, lambda change=change: Description.read(lap, [change]))
+    case = DescribedCase.from_description(Description.read(lap, changes[:-1]))
+    refused(DescriptionError, "density: Inertia: the density of 'S'", lambda: case.modes(case.make_model()))
 
 
 def test_tolerance(lap, tmp_path):

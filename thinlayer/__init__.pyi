@@ -26,6 +26,8 @@ from thinlayer.estimating.fit import Fit as Fit
 from thinlayer.estimating.fit import Measurement as Measurement
 from thinlayer.estimating.fit import fit as fit
 from thinlayer.estimating.fit import read_measurements as read_measurements
+from thinlayer.estimating.frequencies import estimate_frequencies as estimate_frequencies
+from thinlayer.estimating.frequencies import frequency_derivatives as frequency_derivatives
 from thinlayer.estimating.sensitivity import sensitivity as sensitivity
 from thinlayer.estimating.strength import MohrCoulombCriterion as MohrCoulombCriterion
 from thinlayer.estimating.strength import QuadraticCriterion as QuadraticCriterion

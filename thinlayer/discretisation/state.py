@@ -275,6 +275,7 @@ class State(Configuration):
         if self.reactions is None:
             hint = "; ask estimate for goals.Reaction(place, direction)" * self.with_meshed_layers
             hint += "; observe it where state.t > 0" * self.at_rest
+            hint += "; vibrations have none" * (self.report.method == "modes")
             raise InputError(f"this state has no reactions: it was not solved for{hint}")
         part_reactions = [row for part in model.parts for row in part.reaction(model, self.u)]
         all_reactions = [*zip(model.held_places, self.reactions, strict=True), *part_reactions]

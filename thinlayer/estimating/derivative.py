@@ -222,6 +222,8 @@ def steps_of(solution: State | History) -> tuple[InterfaceModel, list[tuple[Stat
         if isinstance(solution, State) and not solution.sudden:
             reason = "derivative: {} remembers, and steps in time have led to this state; give the history"
             equations.refuse_traits(dict.fromkeys(("remembers", "rate"), reason))
+        if isinstance(solution, History):
+            equations.refuse_traits({"inert": "derivative: {} moves masses; take a static state, or modes"})
     finally:
         equations.destroy()
     if isinstance(solution, State):
@@ -274,7 +276,10 @@ def _step_back(
     equations.residual(adjoint.unknowns, residual)
     if not (error := equations.relative_norm(residual)) <= BALANCE_TOLERANCE:
         raise InputError(f"derivative: the state is out of balance by {error:.2g} of its forces; solve more accurately")
-    parts = [part for part in equations.parts if part.traits.remembers or part.traits.rate]
+    traits = [(part, part.traits) for part in equations.parts]
+    parts = [
+        part for part, t in traits if (t.remembers or t.rate) and not t.inert
+    ]  # `steps_of` refuses masses that move
     later = {part.key: later.get(part.key, np.zeros_like(part.rest())) for part in parts}
     forces = equations.u.x.petsc_vec.duplicate()
     forces.array[:] = moved

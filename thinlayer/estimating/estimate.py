@@ -99,14 +99,14 @@ def estimate(
         require(is_finite(width) and width > 0, "estimate: width", width, "allowed: > 0, over the change of a goal")
         named_goals = _checked_goals(goals)
     model = _with_layers(solution, layer)
-    seams = _checked_seams(model, solution.model.bonds, seam)
+    seams = checked_seams(model, solution.model.bonds, seam)
     with errors_on_all(model.comm):
-        _require_subproblem(model, state, [model.layers[name] for name in seams])
+        require_subproblem(model, state, [model.layers[name] for name in seams])
         for name in solution.model.bonds:
             model.applicability[name].require("bonded", "estimate: ")
         for goal in named_goals.values():
             goal.check(model)
-    order_1_layers = {name: _order_1_layer(model.applicability[name]) for name in seams}
+    order_1_layers = {name: order_1_layer(model.applicability[name]) for name in seams}
     meshed_layers = {name: replace(thin_layer, order=0, edges=None) for name, thin_layer in order_1_layers.items()}
     subproblem = LayerSubproblem(model, meshed_layers, solution.t)
     goal_values = {name: goal.value(solution, model) for name, goal in named_goals.items()}
@@ -149,7 +149,7 @@ def estimate(
     return Estimate(solution, last_state, errors, goal_errors, traction, jump, seconds, layer_state, energy, *data)
 
 
-def _checked_seams(model: InterfaceModel, bonds: Collection[str], seam: str) -> list[str]:
+def checked_seams(model: InterfaceModel, bonds: Collection[str], seam: str) -> list[str]:
     """Return the names of the seams whose layers are meshed for the estimate, and check them.
 
     Args:
@@ -257,7 +257,7 @@ def _advance_layers(earlier: Sequence[State], last: State, layers: LayerSubprobl
         layers.begin(layer_state, following.t)
 
 
-def _require_subproblem(model: InterfaceModel, state: State | History, meshed_layers: Sequence[SeamLayer]) -> None:
+def require_subproblem(model: InterfaceModel, state: State | History, meshed_layers: Sequence[SeamLayer]) -> None:
     """Raise InputError unless the layers of a model can be meshed without its bodies. Collective.
 
     Neither plates nor inclined supports may constrain nodes on S. If a law or part has a memory or a rate, the state
@@ -317,7 +317,7 @@ def _has_mpcs_on_S(model: InterfaceModel) -> bool:
     return bool(model.comm.allreduce(int(np.asarray(is_constrained)[dofs[dofs < constraints.n]].any()), max))
 
 
-def _order_1_layer(applicability: Applicability) -> ThinLayer:
+def order_1_layer(applicability: Applicability) -> ThinLayer:
     """Return the layer of `applicability` with its interface law of order 1, without correction at free ends.
 
     A layer that has no such law is returned as it is, for example if its sublayers are anisotropic. `applicability`

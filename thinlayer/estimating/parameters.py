@@ -16,6 +16,7 @@ from thinlayer.discretisation.coefficient import times
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.parts.film import Film
+from thinlayer.parts.inertia import Inertia
 
 # function of a model and a factor that returns the model in which a parameter is multiplied by the factor
 Change = Callable[[InterfaceModel, float], InterfaceModel]
@@ -129,6 +130,7 @@ class Parameters(dict[str, Datum]):
       "flux PLACE", "source", "source NAME", and "film PLACE.h", "film PLACE.T" of a `Film`.
     - "support PLACE AXIS": a displacement that is prescribed and not zero.
     - "eigenstrain NAME": of a body, or of the layer on a seam.
+    - "NAME.density": of a body or layer in `Inertia`, on which frequencies depend.
 
     Args:
         model: the model.
@@ -177,6 +179,12 @@ class Parameters(dict[str, Datum]):
             if isinstance(part, Film):
                 for name in ("h", "T"):
                     self._add_value(f"{part.key}.{name}", getattr(part, name), PARTS / entry(k) / attribute(name))
+            elif isinstance(part, Inertia):
+                density = PARTS / entry(k) / attribute("density")
+                for name, value in part.density.items():
+                    self._add_value(f"{name}.density", value, density / entry(name))
+                    if not value:
+                        self.reasons[f"{name}.density"] = "it is 0; a relative change of it is nothing"
         for k, (support, components) in enumerate(model.supports.user_entries):
             values = {axis: model.supports.values[k, axis] for axis in components}
             moved = [axis for axis, value in values.items() if value.varies or value.value != 0]

@@ -25,9 +25,11 @@ from thinlayer.estimating.goals import (
     Reaction,
 )
 from thinlayer.parts.film import Film
+from thinlayer.parts.inertia import Inertia
 from thinlayer.running.description import Arguments, Description
 from thinlayer.running.materials import MaterialEntry, Materials
 from thinlayer.running.toml_table import TimeSeries
+from thinlayer.solving.modes import Modes, modes
 from thinlayer.system.ranks import errors_on_all
 
 ResultType = TypeVar("ResultType")
@@ -90,6 +92,15 @@ class DescribedCase:
             with self.description.file_table.locate_errors("goals", name), errors_on_all(model.comm):
                 goal.check(model)
         return model
+
+    def modes(self, model: InterfaceModel) -> Modes | None:
+        """Return the natural modes that the input file asks for, of a `model` with its densities. Collective."""
+        if not self.description.modes:
+            return None
+        inertia = Inertia(self.description.density)
+        with self.description.file_table.locate_errors("density"):
+            inertia.check(model)
+        return modes(model.with_parts([*model.parts, inertia]), self.description.modes)
 
 
 def _make_structure(description: Description, joint: Joint) -> Structure:

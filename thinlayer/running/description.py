@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from forms.base import is_integer
 from thinlayer.running.materials import Materials, material_schema, materials_reader
 from thinlayer.running.quantities import UNITS, with_numbers, with_unit_texts
 from thinlayer.running.toml_table import (
@@ -85,6 +86,8 @@ class Description:
             thickness of the layer below which the change is smaller.
         bonded: whether to estimate, too, what changes if the layer is left out and the bodies are bonded.
         continuum: whether to bound the goals for any mesh, too, see `Estimate.continuum`.
+        density: name of each body and each seam with a layer -> mass per volume, for `modes`; see `Inertia`.
+        modes: number of natural modes whose frequencies are computed, and estimated with the layer meshed; 0: none.
         sensitivities: names of parameters by which the goals are differentiated, see `derivative`; True: all.
     """
 
@@ -109,6 +112,8 @@ class Description:
     tolerance: Mapping[str, float] = field(default_factory=dict)
     bonded: bool = False
     continuum: bool = False
+    density: Mapping[str, float] = field(default_factory=dict)
+    modes: int = 0
     sensitivities: Sequence[str] | bool = False
 
     @classmethod
@@ -132,6 +137,9 @@ class Description:
         if not (forces or flows or any(motions) or has_strain):
             file_table.refuse("nothing loads the structure; give tractions, body_force, loads, or supports that move")
         description._require_times()
+        if bool(description.density) != bool(description.modes):
+            what, key = ("density", "modes") if description.modes else ("modes", "density")
+            file_table.refuse(f"it needs {what}, too: modes = 6 and a table [density] of bodies and seams", key)
         if description.tolerance and None not in description.layer:
             file_table.refuse("a tolerance needs one layer for all seams; give [layer] without names", "tolerance")
         return description
@@ -329,6 +337,11 @@ ENTRY_READERS: dict[str, Reader] = {
     "tolerance": Reader(_read_tolerances, {**CHANGE, "type": ["number", "object"], "additionalProperties": CHANGE}),
     "bonded": SWITCH,
     "continuum": SWITCH,
+    "density": names_reader(NUMBER, "names of bodies and seams, such as S = 1.2e-9"),
+    "modes": Reader(
+        lambda file, key: file.checked(key, lambda n: is_integer(n, 1), "is not a whole number > 0"),
+        {"type": "integer", "minimum": 1},
+    ),
     "sensitivities": Reader(
         lambda file, key: file.checked(key, _is_names_or_switch, "is neither true, false nor a list of names"),
         {"type": ["boolean", "array"], "items": {"type": "string"}},

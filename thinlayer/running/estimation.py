@@ -19,6 +19,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.estimating.derivative import chosen_changes, derivative
 from thinlayer.estimating.estimate import estimate
+from thinlayer.estimating.frequencies import estimate_frequencies
 from thinlayer.estimating.goals import Goal
 from thinlayer.estimating.result import Estimate
 from thinlayer.estimating.thickness import thin_enough
@@ -27,6 +28,7 @@ from thinlayer.running.case import DescribedCase
 from thinlayer.running.description import Arguments, Description
 from thinlayer.running.record import Record
 from thinlayer.solving.history import History
+from thinlayer.solving.modes import Modes
 from thinlayer.solving.solve import solve
 from thinlayer.system.folder import file_hash
 from thinlayer.system.table import Row, Table
@@ -63,6 +65,7 @@ def run(record: Record, description: Description, path: Path) -> None:
     names = None if isinstance(chosen, bool) else chosen
     if chosen:
         chosen_changes(model, names, {})  # names are checked before anything is solved
+    natural_modes = case.modes(model)
     solution, law_estimate = _solve_and_estimate(record, case, model)
     estimates = {LAW: law_estimate}
     if description.bonded:
@@ -86,6 +89,8 @@ def run(record: Record, description: Description, path: Path) -> None:
     if thickness_rows:
         record.results["thin_enough"] = thickness_rows
         record.write("thin_enough.csv", Table(thickness_rows))
+    if natural_modes:
+        _write_modes(record, natural_modes)
     if description.sensitivities:
         _write_sensitivities(record, solution, case.goals, names)
     for instead, answer in estimates.items():
@@ -104,6 +109,20 @@ def _bound_goals(record: Record, instead: str, answer: Estimate) -> None:
             continue
         results[name] = {"lower": bounds.lower, "upper": bounds.upper}
         record.say(f"  {name}: {bounds.lower:.6g} to {bounds.upper:.6g}, {bounds}")
+
+
+def _write_modes(record: Record, natural_modes: Modes) -> None:
+    """Print frequencies, shares of energy, and estimates with the layer meshed, or why there are none; write a table."""
+    table = natural_modes.table
+    record.say(f"Natural modes, with shares of kinetic and strain energy:\n{table}\n")
+    try:
+        better = estimate_frequencies(natural_modes).table
+        record.say(f"With the layer meshed, for these cells of the bodies:\n{better}\n")
+        table = Table({**row, **estimated} for row, estimated in zip(table.rows, better.rows, strict=True))
+    except InputError as error:
+        record.say(f"{error}\n")
+    record.results["modes"] = table.rows
+    record.write("modes.csv", table)
 
 
 def _write_sensitivities(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -30,6 +31,7 @@ from thinlayer.solving.initial_state import inertia_part
 from thinlayer.solving.part_sum import TangentMatrix
 from thinlayer.solving.ranges import warn_of_model
 from thinlayer.system.ranks import destroy
+from thinlayer.system.table import Table
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -139,14 +141,32 @@ class Modes:
             for the mass matrix M, so that their energies are omega^2/2. Their reactions are not known.
         phases: name of a seam -> (n,) omega times the time in which a shear wave crosses the layer. An interface law
             has an error of about the square of the phase over 12, times the layer's share of the energy.
+        gaps: (n,) distance of omega^2 from that of the nearest other mode, over omega^2; also of modes beyond the n.
+        lowest: whether the n modes are the lowest ones.
     """
 
     model: Model
     omega: Array
     shapes: list[State]
     phases: dict[str, Array]
+    gaps: Array
+    lowest: bool
     _pencil: Pencil
     _vectors: Array
+
+    @property
+    def table(self) -> Table:
+        """A table with a row for each mode: frequencies, phases of layers, and shares of energy if all laws have them.
+
+        Collective.
+        """
+        columns = {"omega": self.omega, "hertz": self.hertz}
+        columns |= {f"phase {name}": values for name, values in self.phases.items()}
+        with suppress(InputError):  # of incompressible laws
+            columns |= {f"{kind} {name}": v for kind, shares in self.shares.items() for name, v in shares.items()}
+        return Table(
+            {"mode": k + 1} | {name: float(v[k]) for name, v in columns.items()} for k in range(len(self.omega))
+        )
 
     @property
     def hertz(self) -> Array:
@@ -165,13 +185,14 @@ class Modes:
         matrices = {"kinetic": {name: pencil.equations.on_unknowns(M) for name, M in mass_of.items()}}
         matrices["strain"] = {name: pencil.stiffness_of(name) for name in names}
         for kind, total in (("kinetic", pencil.M), ("strain", pencil.K)):
-            energies = self._energies(total)
-            out[kind] = {name: self._energies(A) / energies for name, A in matrices[kind].items()}
+            energies = self.quotients(total)
+            out[kind] = {name: self.quotients(A) / energies for name, A in matrices[kind].items()}
         return out
 
-    def _energies(self, A: PETSc.Mat) -> Array:
+    def quotients(self, A: PETSc.Mat) -> Array:
+        """Return v . A v (n,) for the shapes v, with v.Mv = 1, and a matrix `A` of all unknowns. Collective."""
         free = self._pencil.without_supports(A)
-        return _products(self.model, self._vectors, _multiply(free, self._vectors)).diagonal().copy()
+        return _products(self.model, self._vectors, multiply(free, self._vectors)).diagonal().copy()
 
     def loss(self, **factors: float) -> tuple[Array, Array]:
         """Return frequencies and loss factors (n,) of the modes, if the stiffness of layers or bodies is complex.
@@ -206,7 +227,7 @@ class Modes:
         """
         shift = self._quotient(v.astype(np.complex128), K, M, lossy)
         imaginary = [*lossy, (-shift.imag, M)]
-        z = solve_complex([(1.0, K), (-shift.real, M)], imaginary, _multiply(M, v[:, None])[:, 0].astype(np.complex128))
+        z = solve_complex([(1.0, K), (-shift.real, M)], imaginary, multiply(M, v[:, None])[:, 0].astype(np.complex128))
         return self._quotient(z, K, M, lossy)
 
     def _quotient(
@@ -216,7 +237,7 @@ class Modes:
         pair = np.stack([z.real, z.imag], axis=1)
 
         def product(A: PETSc.Mat) -> complex:
-            return complex(self.model.comm.allreduce(complex(z @ (_multiply(A, pair) @ np.array([1, 1j])))))
+            return complex(self.model.comm.allreduce(complex(z @ (multiply(A, pair) @ np.array([1, 1j])))))
 
         return (product(K) + 1j * sum(eta * product(A) for eta, A in lossy)) / product(M)
 
@@ -261,22 +282,25 @@ def modes(model: Model, n: int = 6, near: float = 0.0) -> Modes:
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.where(diagonals[1].array_r > 0, diagonals[0].array_r / diagonals[1].array_r, 0.0)
     largest = model.comm.allreduce(float(ratios.max(initial=0.0)), max)
-    values, vectors = _nearest_pairs(model, K, M, n, near**2 - SHIFT_RATIO * largest)
+    values, vectors, further = _nearest_pairs(model, K, M, n, near**2 - SHIFT_RATIO * largest)
     order = np.argsort(values)
     values, vectors = values[order], vectors[:, order]
+    distances = np.abs(values[:, None] - np.append(values, further)) + np.diag([math.inf] * (n + len(further)))[:n]
+    gaps = distances.min(axis=1, initial=math.inf) / np.maximum(np.abs(values), np.finfo(float).tiny)
     omega = np.sqrt(np.where(values < RIGID_RATIO * largest, 0.0, values))
     shapes = [pencil.state(v, w) for v, w in zip(vectors.T, omega, strict=True)]
     phases = {name: omega * crossing_time(pencil.inertia, layer) for name, layer in layers_on_s(model).items()}
     check_phases(model, phases)
     check_levers(shapes, omega)
-    return Modes(model, omega, shapes, phases, pencil, vectors)
+    return Modes(model, omega, shapes, phases, gaps, near == 0, pencil, vectors)
 
 
-def _nearest_pairs(model: Model, K: PETSc.Mat, M: PETSc.Mat, n: int, shift: float) -> tuple[Array, Array]:
+def _nearest_pairs(model: Model, K: PETSc.Mat, M: PETSc.Mat, n: int, shift: float) -> tuple[Array, Array, Array]:
     """Return the n values lambda and vectors v (n_unknowns, n) of K v = lambda M v that are nearest to a shift.
 
-    They are found in the space that the inverse of K - shift M spans from a block of random vectors (block Lanczos, all
-    vectors orthogonal). M may be singular. The blocks find values that are equal, as for rigid motions.
+    A third array has estimates of values that come next. All are found in the space that the inverse of K - shift M
+    spans from a block of random vectors (block Lanczos, all vectors orthogonal). M may be singular. The blocks find
+    values that are equal, as for rigid motions.
     """
     A = K.copy()
     A.axpy(-shift, M, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
@@ -286,25 +310,25 @@ def _nearest_pairs(model: Model, K: PETSc.Mat, M: PETSc.Mat, n: int, shift: floa
     for _ in range(MAX_BLOCKS):
         for _ in range(2):  # twice, as rounding leaves parts along earlier vectors
             block = block - Q @ _products(model, MQ, block)
-            squares, U = np.linalg.eigh(_products(model, block, _multiply(M, block)))
+            squares, U = np.linalg.eigh(_products(model, block, multiply(M, block)))
             is_new = squares > DEPENDENT_RATIO * squares.max(initial=np.finfo(float).tiny)
             block = block @ (U[:, is_new] / np.sqrt(squares[is_new]))
         if not block.shape[1]:
             break
-        M_block = _multiply(M, block)
+        M_block = multiply(M, block)
         image = ksp_solve(ksp, M_block)
         Q, MQ, W = (np.hstack(pair) for pair in ((Q, block), (MQ, M_block), (W, image)))
         projected = _products(model, MQ, W)
         inverses, Y = np.linalg.eigh((projected + projected.T) / 2)
-        nearest = np.argsort(-np.abs(inverses))[:n]
-        inverses, Y = inverses[nearest], Y[:, nearest]
+        order = np.argsort(-np.abs(inverses))
+        next_inverses, inverses, Y = inverses[order[n : n + EXTRA_VECTORS]], inverses[order[:n]], Y[:, order[:n]]
         R = W @ Y - Q @ (Y * inverses)
-        norms = np.sqrt(np.abs(_products(model, R, _multiply(M, R)).diagonal()))
-        if len(nearest) == n and (norms <= MODE_TOLERANCE * np.abs(inverses)).all():
+        norms = np.sqrt(np.abs(_products(model, R, multiply(M, R)).diagonal()))
+        if len(inverses) == n and (norms <= MODE_TOLERANCE * np.abs(inverses)).all():
             V = W @ (Y / inverses)  # without parts that have no mass
-            scale = np.sqrt(_products(model, V, _multiply(M, V)).diagonal())
+            scale = np.sqrt(_products(model, V, multiply(M, V)).diagonal())
             destroy(A, ksp)
-            return shift + 1 / inverses, V / scale
+            return shift + 1 / inverses, V / scale, shift + 1 / next_inverses[next_inverses != 0]
         values = shift + 1 / inverses
         elastic = values[values > MAX_SPREAD * abs(shift)]
         if shift < 0 and len(elastic) and abs(inverses[0]) > MAX_SPREAD * abs(inverses[-1]):
@@ -339,7 +363,7 @@ def ksp_solve(ksp: PETSc.KSP, B: Array) -> Array:
     return np.stack(columns, axis=1)
 
 
-def _multiply(A: PETSc.Mat, X: Array) -> Array:
+def multiply(A: PETSc.Mat, X: Array) -> Array:
     """Return the product (n, k) of a matrix and k vectors (n, k); n is the number of rows on this rank."""
     x, y = A.createVecs()
     out = np.empty((y.getLocalSize(), X.shape[1]))
