@@ -310,12 +310,13 @@ def _nearest_pairs(model: Model, K: PETSc.Mat, M: PETSc.Mat, n: int, shift: floa
     for _ in range(MAX_BLOCKS):
         for _ in range(2):  # twice, as rounding leaves parts along earlier vectors
             block = block - Q @ _products(model, MQ, block)
-            squares, U = np.linalg.eigh(_products(model, block, multiply(M, block)))
+            M_block = multiply(M, block)
+            squares, U = np.linalg.eigh(_products(model, block, M_block))
             is_new = squares > DEPENDENT_RATIO * squares.max(initial=np.finfo(float).tiny)
-            block = block @ (U[:, is_new] / np.sqrt(squares[is_new]))
+            U = U[:, is_new] / np.sqrt(squares[is_new])
+            block, M_block = block @ U, M_block @ U
         if not block.shape[1]:
             break
-        M_block = multiply(M, block)
         image = ksp_solve(ksp, M_block)
         Q, MQ, W = (np.hstack(pair) for pair in ((Q, block), (MQ, M_block), (W, image)))
         projected = _products(model, MQ, W)
@@ -353,26 +354,27 @@ def _direct_solver(A: PETSc.Mat, kind: str) -> PETSc.KSP:
 
 def ksp_solve(ksp: PETSc.KSP, B: Array) -> Array:
     """Return the solutions (n, k) for k right-hand sides (n, k); n is the number of rows on this rank."""
-    x, b = ksp.getOperators()[0].createVecs()
-    columns = []
-    for column in B.T:
-        b.array[:] = column
-        ksp.solve(b, x)
-        columns.append(x.array_r.copy())
-    destroy(x, b)
-    return np.stack(columns, axis=1)
+    right, X = (_dense_matrix(ksp.getOperators()[0], values) for values in (B, np.empty_like(B)))
+    ksp.matSolve(right, X)
+    return _copied_values(X, right)
 
 
 def multiply(A: PETSc.Mat, X: Array) -> Array:
     """Return the product (n, k) of a matrix and k vectors (n, k); n is the number of rows on this rank."""
-    x, y = A.createVecs()
-    out = np.empty((y.getLocalSize(), X.shape[1]))
-    for k, column in enumerate(X.T):
-        x.array[:] = column
-        A.mult(x, y)
-        out[:, k] = y.array_r
-    destroy(x, y)
-    return out
+    vectors = _dense_matrix(A, X)
+    return _copied_values(A.matMult(vectors), vectors)
+
+
+def _dense_matrix(A: PETSc.Mat, X: Array) -> PETSc.Mat:
+    """Return k vectors (n, k) on the rows of `A` as columns of a matrix: all together are faster than one by one."""
+    sizes = (A.getLocalSize()[0], None), (None, X.shape[1])
+    return PETSc.Mat().createDense(sizes, array=np.array(X, float, order="F"), comm=A.comm)
+
+
+def _copied_values(X: PETSc.Mat, *others: PETSc.Mat) -> Array:
+    values = np.array(X.getDenseArray(), float)
+    destroy(X, *others)
+    return values
 
 
 def _products(model: Model, X: Array, Y: Array) -> Array:
