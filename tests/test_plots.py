@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from forms.base import InputError
 from studies.problems import sliding_bar
 from tests.contact_bars import bar, coulomb
+from tests.refused import refused
 from thinlayer import Structure, Surface, Table, plotting, solve
+from thinlayer.solving.harmonic import HarmonicResponse
 
 
 def test_rates_have_the_slope_they_say():
@@ -19,6 +22,27 @@ def test_rates_have_the_slope_they_say():
     assert lines["jump"] == pytest.approx(np.column_stack([eps, table["error_jump"]]))
     slopes = np.diff(np.log(lines["slope 1.5"]), axis=0)
     assert slopes[:, 1] / slopes[:, 0] == pytest.approx(1.5)
+
+
+def test_responses_have_amplitudes_phases_and_resonances():
+    """Of two oscillators, in cycles per time; frequencies in any order."""
+    omega, answers, pairs = np.array([2.0, 0.5, 1.0, 4.0]), {}, {}
+    for label, (natural, loss) in {"soft": (1.0, 0.2), "hard": (3.0, 0.1)}.items():
+        answers[label] = HarmonicResponse(omega, {"tip": 1 / (natural**2 * (1 + 1j * loss) - omega**2)})
+        pairs[label] = np.array([natural, 7.0]), np.array([loss, 0.3])
+    amplitude, phase = plotting.response(answers, "tip", "f (Hz)", "u (mm)", resonances=pairs).axes
+    lines = {axes: {line.get_label(): line.get_xydata().T for line in axes.lines} for axes in (amplitude, phase)}
+    order = np.argsort(omega)
+    for label, answer in answers.items():
+        for axes, values in (
+            (amplitude, abs(answer.values["tip"])),
+            (phase, np.degrees(np.angle(answer.values["tip"]))),
+        ):
+            assert lines[axes][label] == pytest.approx(np.array([omega / (2 * np.pi), values])[:, order])
+    assert [text.get_text() for text in amplitude.texts] == ["loss 0.2", "loss 0.1"]  # 7 is out of range
+    assert [text.xy[0] for text in amplitude.texts] == pytest.approx(np.array([1.0, 3.0]) / (2 * np.pi))
+    assert amplitude.get_yscale() == "log"
+    refused(InputError, "observed quantity 'top'", lambda: plotting.response(answers, "top", "", ""))
 
 
 def test_symbols_are_written_as_mathematics(tmp_path):

@@ -8,14 +8,17 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator
+from matplotlib.ticker import LogLocator, MultipleLocator
 
 from forms.base import Array, InputError, require
+from geometry.refusals import require_known
 from thinlayer.output.plotting.picture import GivenAxes, Picture, entry_by_label, finish_picture, make_panels, typeset
 from thinlayer.output.sweep import needed_columns
+from thinlayer.solving.harmonic import HarmonicResponse
 from thinlayer.solving.history import History
 from thinlayer.system.table import Table
 
@@ -223,6 +226,85 @@ def load_displacement(
     styles = {label: ".-" if isinstance(path, History) else "-" for label, path in sources.items()}
     lines = panels if isinstance(load, Mapping) else panels[""]
     return curves(lines, xlabel, ylabel, **{"styles": styles, **options})
+
+
+def response(
+    responses: Mapping[str, HarmonicResponse] | HarmonicResponse,
+    quantity: str,
+    xlabel: str,
+    ylabel: str,
+    *,
+    resonances: Mapping[str, tuple[Array, Array]] | tuple[Array, Array] | None = None,
+    save: str | Path | None = None,
+    title: str = "",
+    ax: GivenAxes = None,
+    **options: Any,
+) -> Picture | None:
+    """Draw how large an observed quantity is under harmonic loads of each frequency, and by how much it lags behind.
+
+    Amplitudes have a logarithmic axis; phases, below them, are in degrees, and negative where the quantity lags.
+
+    Args:
+        responses: what `harmonic` returns; for several, label of a curve -> response.
+        quantity: name of an observed quantity of all of them.
+        xlabel: label of the frequencies, in cycles per time: "frequency (Hz)" if times are in seconds.
+        ylabel: label of the amplitudes, unit included.
+        resonances: angular frequencies and loss factors to mark, as `Modes.loss` returns them; for several responses,
+            label -> such a pair. None: no marks.
+        save: name of a file to save the picture to, .png, .svg or .pdf; None: it is not saved.
+        title: text over the picture.
+        ax: two axes of matplotlib to draw in; None: a new picture is made.
+        options: further options of `curves`, such as styles, colours and log.
+
+    Returns:
+        The new picture; None if `ax` is given.
+
+    Raises:
+        InputError: not a response; a response has no such quantity; `ax` is not two axes.
+
+    Example:
+        >>> import numpy as np
+        >>> from thinlayer import plotting
+        >>> from thinlayer.solving.harmonic import HarmonicResponse
+        >>> omega = np.linspace(500, 2000, 151)
+        >>> tip = 0.02 / (1 - (omega / 1e3) ** 2 + 0.1j)
+        >>> picture = plotting.response(
+        ...     HarmonicResponse(omega, {"tip": tip}),
+        ...     "tip",
+        ...     "frequency (Hz)",
+        ...     "deflection (mm)",
+        ...     resonances=(np.array([1e3]), np.array([0.1])),
+        ... )
+    """
+    by_label = entry_by_label("response", "responses", responses, HarmonicResponse, "give what harmonic returns")
+    marks = resonances if isinstance(resonances, Mapping) else dict.fromkeys(by_label, resonances)
+    amplitudes, phases = dict[str, tuple[Array, Array]](), dict[str, tuple[Array, Array]]()
+    for label, answer in by_label.items():
+        require_known("observed quantity", quantity, answer.values)
+        order = np.argsort(answer.omega)
+        hertz, values = answer.omega[order] / (2 * math.pi), answer.values[quantity][order]
+        amplitudes[label], phases[label] = (hertz, abs(values)), (hertz, np.degrees(np.unwrap(np.angle(values))))
+    panels = make_panels(ax, (2, 1), 2, (6.5, 5.5), sharex=True, height_ratios=(2, 1))
+    labels = {"amplitude": ylabel, "phase": "phase (degrees)"}
+    options["colours"] = colours_by_label([*by_label]) | _by_label(by_label, options.get("colours"))
+    curves({"amplitude": amplitudes, "phase": phases}, xlabel, labels, ax=panels, **options)
+    panels[0].set(yscale="log", title="", xlabel="")
+    panels[0].autoscale(axis="y")
+    turns = np.concatenate([phase for _, phase in phases.values()]) / 90
+    panels[1].set(title="", ylim=(90 * math.floor(turns.min()) - 10, 90 * math.ceil(turns.max()) + 10))
+    panels[1].yaxis.set_major_locator(MultipleLocator(90))
+    low, high = panels[0].get_xlim()
+    for k, (label, pair) in enumerate(marks.items()):
+        for omega, loss in zip(*pair, strict=True) if pair is not None else ():
+            if low <= (hertz := omega / (2 * math.pi)) <= high:
+                style: dict[str, Any] = {"color": options["colours"][label]}
+                for panel in panels:
+                    panel.axvline(hertz, lw=0.8, ls=":", **style)
+                place = {"xycoords": ("data", "axes fraction"), "xytext": (-1, 4), "textcoords": "offset points"}
+                box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}
+                text, at = f"loss {loss:.2g}", (hertz, k % 3 / 5)  # below the peaks, in turn at three heights
+                panels[0].annotate(text, at, rotation=90, ha="right", fontsize=8, bbox=box, **place, **style)
+    return finish_picture(panels, save, title)
 
 
 def as_fraction(x: float) -> str:
