@@ -8,15 +8,18 @@ import numpy as np
 
 from forms import LinearElastic
 from geometry import sandwich
-from thinlayer import Inertia, Structure, Table, ThinLayer, modes, plotting
+from thinlayer import Inertia, Probe, Structure, Table, ThinLayer, harmonic, modes, plotting
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State
 from thinlayer.discretisation.supports import Support
 from thinlayer.running.record import Record
+from thinlayer.solving.harmonic import HarmonicResponse
 
 STEEL = (210e3, 0.3, 7.8e-9)  # MPa, Poisson's ratio, t/mm^3
 GLASS = (70e3, 0.23, 2.5e-9)
 CORE_NU, CORE_DENSITY, CORE_LOSS = 0.49, 1.1e-9, 0.6
 PLATES, EPS, LENGTH = (1.5, 0.8), 0.2, 60.0  # mm, of the damped beam
+RESPONSE_MODULI, HERTZ = (0.5, 20.0), (100.0, 8000.0)  # MPa; first and last frequency of responses
 PANES, FOIL, SPAN = (6.0, 6.0), 0.76, 1000.0  # mm, of the laminated glass
 CORE_MODULI = (0.3, 1.0, 3.0, 10.0, 30.0, 60.0, 100.0, 300.0, 1000.0)  # MPa, in shear
 
@@ -27,11 +30,12 @@ def run(record: Record, *, quick: bool = False) -> None:
     damper.csv has the loss factor of a simply supported beam of two steel plates over the shear modulus of the core,
     from modes of half the beam, and by the formula of Ross, Kerwin and Ungar. glass.csv has the lowest frequency of
     laminated glass and that of its effective thickness. cantilever.csv has the frequencies of a bonded cantilever with
-    laws of order 0 and 1, relative to a meshed layer.
+    laws of order 0 and 1, relative to a meshed layer. response.csv has the deflection of the tip of a damped cantilever
+    under a force there, and resonances.csv its resonances.
 
     Args:
         record: record of the run, with its folder, tables and checks.
-        quick: five moduli of the core, not nine.
+        quick: five moduli of the core, not nine, and fewer frequencies.
     """
     moduli = CORE_MODULI[::2] if quick else CORE_MODULI
     damper, glass, cantilever = (record.new_table(f"{name}.csv") for name in ("damper", "glass", "cantilever"))
@@ -51,6 +55,29 @@ def run(record: Record, *, quick: bool = False) -> None:
             for k, (omega, exact) in enumerate(zip(omegas, rows["meshed"], strict=True), 1)
         )
     _check(record, damper, glass, cantilever)
+    _respond(record, 40 if quick else 160)
+
+
+def _respond(record: Record, n: int) -> None:
+    response, resonances = record.new_table("response.csv"), record.new_table("resonances.csv")
+    joint = sandwich(LENGTH, *PLATES, 2.0, cell="quadrilateral", structured=True)
+    mass = Inertia({"LOWER": STEEL[2], "UPPER": STEEL[2], "S": CORE_DENSITY})
+    force = {"RIGHT/LOWER": (0.0, 0.01)}
+    beam = Structure(joint, body=LinearElastic.young(*STEEL[:2]), supports={"LEFT": 0}, tractions=force, parts=[mass])
+
+    def tip(state: State) -> float:
+        return float(Probe(state).displacement((LENGTH, 0.0), side="lower")[1])
+
+    for mu in RESPONSE_MODULI:
+        model = beam.interface(ThinLayer(LinearElastic.shear(mu, CORE_NU), EPS, order=1))
+        omega, loss = modes(model, 3).loss(S=CORE_LOSS)
+        resonances.extend({"mu": mu, "omega": w, "loss": eta} for w, eta in zip(omega, loss, strict=True))
+        half_power = omega[0] * np.sqrt([1 - loss[0], 1 + loss[0]])
+        omegas = np.sort([*2 * np.pi * np.geomspace(*HERTZ, n), *omega, *half_power])
+        values = harmonic(model, omegas, {"tip": tip}, loss={"S": CORE_LOSS}).values["tip"]
+        response.extend({"mu": mu, "omega": w, "re": u.real, "im": u.imag} for w, u in zip(omegas, values, strict=True))
+        ratio = abs(values[np.isin(omegas, half_power)]).mean() / abs(values[omegas == omega[0]][0])
+        record.check_near(f"core of {mu:g} MPa: deflection at half power over that at resonance", ratio, 0.5**0.5, 0.01)
 
 
 def _check(record: Record, damper: Table, glass: Table, cantilever: Table) -> None:
@@ -111,7 +138,7 @@ def cantilevers(eps: float) -> dict[str, Model]:
 
 
 def draw(record: Record) -> None:
-    """Draw the loss factor over the modulus of the core."""
+    """Draw the loss factor over the modulus of the core, and responses with two cores."""
     table, mu = record.load("damper.csv"), np.geomspace(CORE_MODULI[0], CORE_MODULI[-1], 200)
     squares = np.array([sandwich_formula(STEEL, PLATES, EPS, LENGTH, m * (1 + 1j * CORE_LOSS)) for m in mu])
     lines = {
@@ -123,3 +150,20 @@ def draw(record: Record) -> None:
         "steel plates with a lossy core",
     )
     plotting.curves(lines, *labels, title=title, styles=("o", "-"), log="x", save=record.path("vibrations.svg"))
+    names = {mu: f"core of {float(mu):g} MPa" for mu in record.load("response.csv").split("mu")}
+    tables = {name: record.load(f"{name}.csv").split("mu") for name in ("response", "resonances")}
+    responses = {
+        names[mu]: HarmonicResponse(rows["omega"], {"tip": rows["re"] + 1j * rows["im"]})
+        for mu, rows in tables["response"].items()
+    }
+    resonances = {names[mu]: (rows["omega"], rows["loss"]) for mu, rows in tables["resonances"].items()}
+    plotting.response(
+        responses,
+        "tip",
+        "frequency (Hz)",
+        "deflection of the tip (mm)",
+        resonances=resonances,
+        log="x",
+        title="steel cantilever with a lossy core",
+        save=record.path("vibrations_response.svg"),
+    )

@@ -33,6 +33,7 @@ CHECKS = {  # start of a row -> its checks, each with the column that has its nu
     "Bar pulled out": {"friction 0.2: largest force over that of the bar on springs": VALUE},
     "Damping layer": {"largest loss factor over that of the formula": VALUE},
     "Laminated glass": {"laminated glass: largest relative distance from the effective thickness": DEVIATION},
+    "Lossy cantilever": {"core of 20 MPa: deflection at half power over that at resonance": VALUE},
     "Punch": {"pressure under the punch on the finest mesh, over (2 + pi) k": VALUE},
     "Thick cylinder": {"cylinder: largest relative error of stress": DEVIATION},
     "Mohr-Coulomb layer": {"lasting friction, normal stress held": VALUE},
