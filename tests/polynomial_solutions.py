@@ -85,8 +85,8 @@ class Problem:
             stresses.of(self.cells.stress(U)),
             TractionBalance(self.cells, loads.is_free).moments(self.cells.stress(U), loads, U),
         )
-        in_layer = np.zeros(len(self.cells.corners), bool)
-        improvement = TractionImprovement(stresses, loads.is_free, in_layer)
+        is_layer = np.zeros(len(self.cells.corners), bool)
+        improvement = TractionImprovement(stresses, loads.is_free, is_layer)
         return stresses, seed, improvement.improved(loads, moments, seed, steps), balance
 
     def squared_error(self):

@@ -14,9 +14,11 @@ from dolfinx.fem import assemble_scalar
 
 from forms import Anisotropic, LinearElastic, Rubber, Stack
 from geometry import sandwich
-from tests.polynomial_solutions import random_problem
+from tests.polynomial_solutions import box, random_problem
 from tests.refused import refused
 from thinlayer import Pressure, Structure, ThinLayer, estimate, goals, solve
+from thinlayer.bounding.cells import StraightCells
+from thinlayer.bounding.loops import balanced_changes
 from thinlayer.bounding.macro import macro_cell
 from thinlayer.bounding.stresses import Stresses
 from thinlayer.bounding.tractions import CellLoads, TractionBalance
@@ -101,6 +103,27 @@ def test_stresses_of_a_cut_cell_bear_all_balanced_loads(cell, degree, free):
     borne = np.eye(macro.n_data) - macro.equations[: macro.n_data] @ macro.particular
     jumps = macro.equations[macro.n_data :] @ macro.particular
     assert np.linalg.matrix_rank(np.vstack([borne, jumps]), tol=1e-9) == {"triangle": 3, "tetrahedron": 6}[cell]
+
+
+@pytest.mark.parametrize("rollers", [False, True])
+def test_changes_of_tractions_are_all_that_leave_cells_in_balance(rollers):
+    rng = np.random.default_rng(5)
+    points, corners = box((1, 2, 1), (1.0, 0.7, 0.4), 0.0, rng)
+    cells = StraightCells(points, corners, "tetrahedron", 2, np.broadcast_to(np.eye(6), (len(corners), 6, 6)))
+    is_free = np.repeat(~cells.is_outer[:, None], 3, axis=1)
+    is_free[(points[cells.facets][..., 0] == 0).all(axis=1), slice(0, 1 if rollers else 3)] = True
+    T = balanced_changes(cells, is_free).toarray()
+    x = points[cells.node_vertices].mean(axis=1)[cells.nodes[:, cells.closure]]
+    arms, shape = np.cross(np.eye(3), x[..., None, :]), (-1, *cells.facet_nodes.shape, 3)  # moments about the axes
+    resultants = np.zeros((6, len(corners), T.shape[0]))
+    for cell, rows in enumerate(cells.moment_rows):
+        for k in range(3):
+            columns = rows * 3 + k
+            resultants[k, cell, columns] = cells.sign[cell, :, None]
+            resultants[3:, cell, columns] = np.moveaxis(arms[cell, :, :, k] * cells.sign[cell, :, None, None], 2, 0)
+    E = resultants.reshape(-1, T.shape[0])[:, np.repeat(is_free[:, None], shape[2], axis=1).ravel()]
+    assert np.abs(resultants @ T).max() < 1e-12
+    assert np.linalg.matrix_rank(T, 1e-9) == E.shape[1] - np.linalg.matrix_rank(E, 1e-9)
 
 
 def test_bounds_hold_exact_solutions():

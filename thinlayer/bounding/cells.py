@@ -177,9 +177,9 @@ class StraightCells:
         """Return the loads (nc, n, d) on each cell's nodes of a force per volume with values `f` (nc, n, d) there."""
         return np.asarray(self.volume[:, None, None] * (mass_matrix(self.cell_type, self.degree) @ f))
 
-    def facet_points(self, facet: int, degree: int | None = None) -> FloatArray:
-        """Return the places (m, d) of a reference cell's nodes on a facet; `degree` None: that of the cells."""
-        x, v = lagrange(self.facet_type, degree or self.degree).points, lagrange(self.cell_type, 1).points
+    def facet_points(self, facet: int) -> FloatArray:
+        """Return the places (m, d) of a reference cell's nodes on a facet."""
+        x, v = self.facet_element.points, lagrange(self.cell_type, 1).points
         v = v[local_facets(self.cell_type)[facet]]
         return np.asarray(v[0] + x @ (v[1:] - v[0]))
 

@@ -16,6 +16,7 @@ from thinlayer.bounding.tractions import CellLoads
 from thinlayer.solving.linear_solvers import SubmatrixFactor
 
 DEPENDENCE_SHIFT = 1e-11  # relative increase of the diagonal of changes that may depend on each other
+RANK_TOLERANCE = 1e-9  # singular value of a facet's rigid motions, over the largest, that counts as zero
 GAIN_TOLERANCE = 1e-14  # gain of a step, over the energy, at which steps end
 
 
@@ -46,9 +47,9 @@ class _Columns:
 def balanced_changes(cells: StraightCells, is_free: BoolArray) -> scipy.sparse.csr_matrix:
     """Return changes of the facets' moments, as columns (nf m d, k), under which each cell stays in balance.
 
-    A ridge is a vertex in 2D, an edge in 3D. There are three kinds of change: a moment of one node, passed on through
-    all cells around a ridge that contains the node; a couple passed on likewise; and tractions on a single facet that
-    have neither a force nor a couple. Letters in shapes are those of `StraightCells`.
+    A ridge is a vertex in 2D, an edge in 3D. There are three kinds of change: a moment of a vertex, passed on through
+    all cells around a ridge that contains it; a couple, in 3D about the ridge, passed on likewise; and tractions on a
+    single facet that have neither a force nor a couple. Letters in shapes are those of `StraightCells`.
 
     Args:
         cells: the cells.
@@ -65,34 +66,39 @@ def balanced_changes(cells: StraightCells, is_free: BoolArray) -> scipy.sparse.c
     senses = _senses(cells)
 
     def closed(mask: BoolArray) -> BoolArray:
-        """Return the mask (n,) of the ridges whose facets are all in `mask` (nf,)."""
-        counts = np.bincount(ridge_of[mask].ravel(), minlength=len(keys))
+        """Return the mask (n,) of the ridges at which `mask` (nf, d), of facets and their ridges, holds for all facets."""
+        counts = np.bincount(ridge_of[mask], minlength=len(keys))
         return np.asarray(is_fan & (counts == n_at_ridge))
 
     node_vertices, n_nodes = cells.node_vertices[cells.facet_nodes], len(cells.node_vertices)
+    node_vertex = np.where(node_vertices[..., 0] == node_vertices[..., 1], node_vertices[..., 0], -1)
     for component in range(d):
-        is_closed = closed(is_free[:, component])
+        is_closed = closed(np.broadcast_to(is_free[:, [component]], ridge_of.shape))
         for k, vertices in enumerate(combinations(range(d), d - 1)):
-            on_ridge = (node_vertices[..., None] == cells.facets[:, None, None, list(vertices)]).any(axis=3).all(axis=2)
+            on_ridge = (node_vertex[..., None] == cells.facets[:, None, list(vertices)]).any(axis=2)
             facets, nodes = np.nonzero(on_ridge & is_closed[ridge_of[:, k], None])
             loops = ridge_of[facets, k] * n_nodes + cells.facet_nodes[facets, nodes]
             columns.add(facet_dofs[facets, nodes, component], loops, senses[facets, k])
         columns.end_group(len(keys) * n_nodes)
     motions, size = _facet_motions(cells)
-    is_closed, unit_moments = closed(np.asarray(is_free.all(axis=1))), np.linalg.pinv(np.swapaxes(motions, 1, 2))
-    for couple in range(d, motions.shape[2]):
-        for k in range(d):
-            facets = np.flatnonzero(is_closed[ridge_of[:, k]])
-            values = unit_moments[facets, :, couple] * (senses[facets, k] / size[facets])[:, None]
-            loops = np.repeat(ridge_of[facets, k, None], m * d, axis=1)
-            columns.add(facet_dofs[facets].reshape(len(facets), -1), loops, values)
-        columns.end_group(len(keys))
+    sums = np.swapaxes(motions, 1, 2) * np.tile(is_free, m)[:, None]  # forces and couples of the free moments
+    ends = cells.points[cells.facets][:, [*combinations(range(d), d - 1)]]
+    axes = ends[:, :, 1] - ends[:, :, 0] if d == 3 else np.ones((n_facets, d, 1))
+    couples = np.insert(axes / np.linalg.norm(axes, axis=2, keepdims=True), [0] * d, 0.0, axis=2)  # no force
+    moments = couples @ np.swapaxes(np.linalg.pinv(sums, RANK_TOLERANCE), 1, 2)
+    is_closed = closed(np.abs(moments @ np.swapaxes(sums, 1, 2) - couples).max(axis=2) < RANK_TOLERANCE)
+    for k in range(d):
+        facets = np.flatnonzero(is_closed[ridge_of[:, k]])
+        loops = np.repeat(ridge_of[facets, k, None], m * d, axis=1)
+        values = moments[facets, k] * (senses[facets, k] / size[facets])[:, None]
+        columns.add(facet_dofs[facets].reshape(len(facets), -1), loops, values)
+    columns.end_group(len(keys))
     pattern_codes = is_free @ (1 << np.arange(d))
     for code in np.unique(pattern_codes[pattern_codes > 0]):
         facets = np.flatnonzero(pattern_codes == code)
         mask = np.tile(is_free[facets[0]], m)
         left, singular, _ = np.linalg.svd(motions[facets][:, mask])
-        ranks = (singular > 1e-9 * singular[:, :1]).sum(axis=1)
+        ranks = (singular > RANK_TOLERANCE * singular[:, :1]).sum(axis=1)
         for rank in np.unique(ranks):
             group = facets[ranks == rank]
             null_space = left[ranks == rank][:, :, rank:]
@@ -141,10 +147,10 @@ class TractionImprovement:
     Args:
         stresses: stresses of the cells.
         is_free: (nf, d) mask of the components of tractions that may change.
-        in_layer: (nc,) mask of the layers' cells.
+        is_layer: (nc,) mask of the layers' cells.
     """
 
-    def __init__(self, stresses: Stresses, is_free: BoolArray, in_layer: BoolArray) -> None:
+    def __init__(self, stresses: Stresses, is_free: BoolArray, is_layer: BoolArray) -> None:
         self._stresses, cells = stresses, stresses.cells
         self._T = balanced_changes(cells, is_free)
         n, k = self._T.shape[0], cells.closure.shape[1] * cells.d
@@ -157,7 +163,7 @@ class TractionImprovement:
         facet_dofs = np.swapaxes(self._dofs.reshape(len(sign), -1, k), 0, 1)
         facet_matrix = _matrix(facet_blocks.reshape(-1, k, k), facet_dofs.reshape(-1, k), n)
         self._diagonal = np.maximum(np.asarray(T.multiply(facet_matrix @ T).sum(axis=0)).ravel(), 1e-300)
-        self._in_block = self._touching(self._dofs[in_layer].ravel())
+        self._in_block = self._touching(self._dofs[is_layer].ravel())
         near = np.asarray(abs(T[:, self._in_block]).sum(axis=1)).ravel() > 0
         cells_near = near[self._dofs].any(axis=1)
         block = T[:, self._in_block]

@@ -40,8 +40,9 @@ class Stresses:
 
     def product(self, a: Array, b: Array) -> Array:
         """Return the integrals (nc,) of a : C^-1 : b over each cell; for a = b twice the complementary energy."""
-        pairs = np.einsum("csrn,smn,cstm->crt", a, self.macro.mass, b, optimize=True)
-        return np.asarray((self._metric * pairs).sum(axis=(1, 2)))
+        # products of matrices are much faster than a single sum by einsum
+        a, b = (np.swapaxes(stress, 1, 2).reshape(len(a), a.shape[2], -1) for stress in (a, b @ self.macro.mass))
+        return np.asarray((self._metric * (a @ np.swapaxes(b, 1, 2))).sum(axis=(1, 2)))
 
     @cached_property
     def _null_energy_inverse(self) -> Array:
@@ -102,9 +103,8 @@ class Stresses:
     def _to_cells(self, H: Array, transpose: bool = False) -> Array:
         """Return B^T H or, with `transpose`, H B for H (nc, k, k); B maps a cell's moments to the reference cell."""
         H = np.swapaxes(H, 1, 2) if transpose else H
-        inverse = self.cells.A_inverse / self.cells.J[:, None, None]
-        blocks = H.reshape(len(H), -1, self.cells.d, H.shape[2])
-        out = np.einsum("cik,caib->cakb", inverse, blocks, optimize=True).reshape(H.shape)
+        inverse = np.swapaxes(self.cells.A_inverse, 1, 2) / self.cells.J[:, None, None]
+        out = (inverse[:, None] @ H.reshape(len(H), -1, self.cells.d, H.shape[2])).reshape(H.shape)
         return np.asarray(np.swapaxes(out, 1, 2) if transpose else out)
 
     def moment_gradient(self, change: Array) -> Array:

@@ -85,8 +85,8 @@ class ContinuumBounds:
         return f"ContinuumBounds({self.lower:.6g} to {self.upper:.6g}; {self})"
 
 
-class _Field(NamedTuple):
-    """Displacements and loads of a problem, the difference of stresses, and its squared norms.
+class _ConstitutiveError(NamedTuple):
+    """Error in the constitutive relation between displacements and a stress in equilibrium, with its squared norms.
 
     Attributes:
         U: (nc, n, d) displacements of the cells' nodes.
@@ -131,7 +131,7 @@ class Continuum:
     def _improvement(self) -> TractionImprovement:
         return TractionImprovement(self._stresses, self.structure.is_free, self.structure.is_layer)
 
-    def field(self, iterate: BodyEquilibrium, loads: CellLoads) -> _Field:
+    def field(self, iterate: BodyEquilibrium, loads: CellLoads) -> _ConstitutiveError:
         """Return displacements that fit the supports, and a stress in equilibrium with the loads.
 
         Args:
@@ -154,7 +154,7 @@ class Continuum:
         seed, of_U = stresses.of(stress), stresses.of(stresses.cells.stress(U))
         difference = self._improvement.improved(loads, moments, seed, self._steps) - of_U
         law_square = float(stresses.product(seed - of_U, seed - of_U).sum())
-        return _Field(U, loads, difference, stresses.product(difference, difference), law_square, imbalance)
+        return _ConstitutiveError(U, loads, difference, stresses.product(difference, difference), law_square, imbalance)
 
     def loads_of(self, goal: Goal) -> CellLoads:
         """Return the weights of a goal as loads.
@@ -174,7 +174,7 @@ class Continuum:
             raise refusal("goal", f"{goal.name} has no bounds in the continuum, which has no single points", remedy)
         return loads
 
-    def bounds(self, value: float, at_rest: float, a: _Field, z: _Field) -> ContinuumBounds:
+    def bounds(self, value: float, at_rest: float, a: _ConstitutiveError, z: _ConstitutiveError) -> ContinuumBounds:
         """Return the bounds of a goal.
 
         Args:

@@ -304,7 +304,7 @@ def _nearest_pairs(model: Model, K: PETSc.Mat, M: PETSc.Mat, n: int, shift: floa
     """
     A = K.copy()
     A.axpy(-shift, M, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    ksp, n_local = _direct_solver(A, "cholesky"), A.getLocalSize()[0]
+    ksp, n_local = _direct_solver(A), A.getLocalSize()[0]
     block = ksp_solve(ksp, np.random.default_rng(model.comm.rank).standard_normal((n_local, n + EXTRA_VECTORS)))
     Q, MQ, W = (np.empty((n_local, 0)) for _ in range(3))
     for _ in range(MAX_BLOCKS):
@@ -341,13 +341,13 @@ def _nearest_pairs(model: Model, K: PETSc.Mat, M: PETSc.Mat, n: int, shift: floa
     raise SolveError(f"the {n} modes have not converged with {Q.shape[1]} vectors", advice="ask for fewer modes")
 
 
-def _direct_solver(A: PETSc.Mat, kind: str) -> PETSc.KSP:
-    """Return a solver that factors a symmetric matrix by MUMPS; `kind` is a type of PETSc's PC, such as "cholesky"."""
+def _direct_solver(A: PETSc.Mat) -> PETSc.KSP:
+    """Return a solver that factors a symmetric matrix by MUMPS."""
     A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     ksp = PETSc.KSP().create(A.comm)
     ksp.setOperators(A)
     ksp.setType("preonly")
-    ksp.getPC().setType(kind)
+    ksp.getPC().setType("cholesky")
     ksp.getPC().setFactorSolverType("mumps")
     return ksp
 
@@ -394,7 +394,7 @@ def solve_complex(
     blocks += [Block(A, -factor, "imaginary", "imaginary", kept=True) for factor, A in real]
     blocks += [Block(A, -factor, *pair, kept=True) for pair in (keys, keys[::-1]) for factor, A in imaginary]
     pair = TangentMatrix(real[0][1].comm, dict.fromkeys(keys, n)).fill(blocks)
-    ksp = _direct_solver(pair, "cholesky")
+    ksp = _direct_solver(pair)
     solution = ksp_solve(ksp, np.concatenate([b.real, -b.imag])[:, None])[:, 0]
     destroy(ksp, pair)
     return solution[:n] + 1j * solution[n:]
