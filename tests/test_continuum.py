@@ -265,6 +265,40 @@ def test_bounds_hold_random_structures(first):
     assert np.median(effectivities) <= 1.3
 
 
+def test_error_of_the_law_without_any_mesh():
+    """It is known from adapted cells, outside this package."""
+    joint = sandwich(1.0, 0.5, 0.5, 1 / 16, h_S=1 / 32, h_ends=1 / 256)
+    structure = Structure(
+        joint, body=LinearElastic.young(100.0, 0.3), supports={"BOTTOM": 0.0}, tractions={"TOP": (0.3, -1.0)}
+    )
+    bounds = estimate(solve(structure.interface(ThinLayer(LinearElastic.young(2.6 * 0.625, 0.3), 1 / 64)))).continuum(
+        law=True
+    )
+    lower, upper = bounds["compliance"].of_law
+    assert -0.0121 < lower < -0.01165 < -0.01159 < upper < -0.0111
+    assert str(bounds["compliance"]).endswith("from the law; the law alone, without any mesh: -1.199 % to -1.122 %")
+
+
+def test_errors_of_a_stack_without_any_mesh_agree():
+    law = Stack((0.3, LinearElastic.young(0.5, 0.2)), (0.7, LinearElastic.young(3.0, 0.3)))
+    data = {
+        "supports": {"BOTTOM": 0.0, "LEFT": {"n": 0.0}},
+        "tractions": {"TOP": Pressure(0.3)},
+        "body_force": {"LOWER": (0.2, 0.1)},
+    }
+    errors = []
+    for cell, h in (("triangle", 1 / 4), ("quadrilateral", 1 / 6)):
+        joint = sandwich(1.0, 0.5, 0.4, h, cell=cell, structured=True)
+        regions = {"LOWER": LinearElastic.young(100.0, 0.3), "UPPER": LinearElastic.young(50.0, 0.1)}
+        structure = Structure(joint, body=regions, **data)
+        errors.append(
+            estimate(solve(structure.interface(ThinLayer(law, 1 / 32)))).continuum(law=True)["compliance"].of_law
+        )
+    lower, upper = np.transpose(errors)
+    assert lower.max() < upper.min()
+    assert (upper - lower).max() < 0.05
+
+
 def test_parts_of_the_norm_add_up():
     """Before tractions are improved, squared norms of meshes and of the law's steps add up."""
     result = blocks(1 / 16, 8)

@@ -142,9 +142,9 @@ load = lambda **body: [PointLoad((0.0, 0.0), (0.0, 0.1), **body)]
 mean_of = lambda density: goals.Functional("mean", lambda u, m: density(u) * m.ds(m.domain.values("TOP")))
 
 
-def bounds(layer=None, goal=None, **data):
+def bounds(layer=None, goal=None, law=False, **data):
     """Bounds against the continuum."""
-    return estimate(solved(layer or glue(), **data), goals=[goal or goals.Compliance()]).continuum()
+    return estimate(solved(layer or glue(), **data), goals=[goal or goals.Compliance()]).continuum(law=law)
 
 
 # key or words of a refusal, what is refused, what it advises
@@ -209,6 +209,9 @@ CASES = [
         lambda: bounds(tractions={"TOP": lambda x, t: (0.0, x[0] ** 2)})),
     ("density", lambda: bounds(goal=mean_of(lambda u: ufl.div(u))), lambda: bounds(goal=mean_of(lambda u: u[0]))),
     ("goal", lambda: bounds(goal=goals.Displacement((4.0, 1.2), (0, 1))), lambda: bounds(goal=mean_of(lambda u: u[1]))),
+    ("law alone", lambda: bounds(glue(**ONE), law=True), lambda: bounds(law=True)),
+    ("law alone", lambda: bounds(**SIDE, law=True), lambda: bounds(law=True)),
+    ("law alone", lambda: bounds(goal=mean_of(lambda u: u[0]), law=True), lambda: bounds(law=True)),
     ("volume", lambda: bounds(glue(WATER)), lambda: bounds(glue(Rubber.shear(1.0, 0.49)))),
     ("march(model, times)", lambda: solved(glue(KELVIN)), lambda: march(law_of(glue(KELVIN)), [1.0])),
     ("march(model, times)", lambda: solved(glue(FLAWED)), lambda: march(law_of(glue(FLAWED)), [1.0])),

@@ -45,6 +45,7 @@ class StructureCells:
         cells: the cells, in the order of the joint with meshed layers.
         is_layer: (nc,) mask of the layers' cells.
         is_free: (nf, d) mask of the components of tractions that are not known: on inner facets, and at supports.
+        has_moving_supports: whether supports prescribe displacements other than zero.
 
     Args:
         model: the interface model.
@@ -77,6 +78,7 @@ class StructureCells:
         self._body_nodes = np.asarray(model.V.dofmap.list)[model.domain.local_cells]
         self._layer_nodes = np.asarray(layers.model.V.dofmap.list)[layers.model.domain.local_cells]
         self.is_free = np.repeat(~self.cells.is_outer[:, None], d, axis=1)
+        self.has_moving_supports = False
         for part, first_cell in ((model, 0), (layers.model, n_bodies)):
             self._add_supports(part, first_cell)
         self._loads: CellLoads | None = None
@@ -144,6 +146,46 @@ class StructureCells:
             C[in_region] = np.stack(tangents)[direction_of.ravel()][:, indices][:, :, indices]
         return C
 
+    # ---------------------------------------------------------------- interface laws
+    def with_law(self, u: Array) -> tuple[StraightCells, Array, CellLoads]:
+        """Return the bodies with interface laws of order 0: cells, their displacements (nc, n, d), and loads.
+
+        The loads contain the tractions K [u]/eps on S: polynomials of the degree of the bodies' displacements `u`.
+
+        Raises:
+            InputError: the laws are not of order 0, the layers have loads, or supports move.
+        """
+        model, cells, n, d = self._model, self.cells, len(self._model.joint.cells), self.cells.d
+        joint, kinematics, loads = model.domain.joint, model.structure.kinematics, self.loads
+        layers = {name: layer.as_thin_layer for name, layer in model.layers.items()}
+        if joint.parted is not None or any(layer.order or layer.profile for layer in layers.values()):
+            raise refusal("law alone", "the law is not of order 0 on S", "use order=0, a number as eps, bodies='kept'")
+        on_layer = loads.moments[cells.moment_rows[n:]] * cells.is_outer[cells.cell_facets[n:]][..., None, None]
+        if on_layer.any() or loads.body_force[n:].any() or self.has_moving_supports:
+            raise refusal("law alone", "loads act on the layer, or supports move", "put loads on the bodies alone")
+        bodies = StraightCells(joint.points, joint.corners, joint.cell_type, cells.degree, cells.C[:n])
+        U, shape = self.displacements(u, np.zeros(len(self._layers.load)))[:n], (*bodies.facet_nodes.shape, d)
+        moments, is_free, normals = np.zeros((bodies.facet_nodes.size, d)), *np.ones((2, len(bodies.facets), d))
+        moments[bodies.moment_rows] = loads.moments[cells.moment_rows[:n]]
+        is_free[bodies.cell_facets] = self.is_free[cells.cell_facets[:n]]
+        normals[bodies.cell_facets[bodies.sign > 0]] = bodies.area_vectors[bodies.sign > 0]
+        normals /= bodies.areas[:, None]
+        jumps = -bodies.moment_sums(bodies.sign[..., None, None] * U[:, bodies.closure]).reshape(shape)
+        indices = [*kinematics.strain_indices(d)]
+        for name, layer in layers.items():
+            facets, sublayers = joint.rows_of(name), law_with_numbers(model.layers[name].layer, kinematics).sublayers
+            directions, direction_of = np.unique(np.round(normals[facets], 12), axis=0, return_inverse=True)
+            flexibilities = np.zeros((len(directions), d, d))
+            for flexibility, normal in zip(flexibilities, directions, strict=True):
+                strains = bodies.basis @ normal  # of unit jumps, times eps
+                for fraction, law in sublayers:
+                    C = _tangent(law, name, normal)[np.ix_(indices, indices)]
+                    flexibility += fraction * layer.eps * np.linalg.inv(strains.T @ C @ strains)
+            K = np.linalg.inv(flexibilities)[direction_of.ravel()]
+            mass = bodies.areas[facets, None, None] * mass_matrix(bodies.facet_type, cells.degree)
+            moments.reshape(shape)[facets], is_free[facets] = mass @ jumps[facets] @ K, 0.0
+        return bodies, U, CellLoads(loads.body_force[:n], moments, is_free > 0)
+
     # ---------------------------------------------------------------- supports and loads
     def _facets(self, domain: Domain, entities: Indices, first_cell: int) -> IntArray:
         """Return the numbers in `cells` of facets `entities` of a domain whose cells begin at `first_cell`."""
@@ -153,6 +195,7 @@ class StructureCells:
 
     def _add_supports(self, model: Model, first_cell: int) -> None:
         supports = model.supports
+        self.has_moving_supports |= any(np.any(value.components) for value in supports.values.values())
         for entry, (place, components) in enumerate(supports.entries):
             if not isinstance(place, str):
                 raise refusal("point support", f"a support acts at the point {place}", "support a facet set")

@@ -16,10 +16,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
+import numpy as np
 from dolfinx import fem
 
 from forms.base import Array
@@ -60,6 +61,8 @@ class ContinuumBounds:
         by_cell: (nc,) parts of `upper - lower` from the nc cells, in the order of the cells of
             `estimate.inside.model.inflated_joint`: refine where they are large.
         imbalance: largest unbalanced force on a node of a cell, over the largest force on a node: rounding.
+        of_law: bounds of Q_0/Q - 1, without the error of any mesh: Q_0 is the goal with interface laws on bodies that
+            are a continuum, too. None: they were not asked for.
     """
 
     value: float
@@ -70,6 +73,7 @@ class ContinuumBounds:
     law: float
     by_cell: Array = field(compare=False)
     imbalance: float
+    of_law: tuple[float, float] | None = None
 
     @property
     def between(self) -> tuple[float, float]:
@@ -79,7 +83,9 @@ class ContinuumBounds:
     def __str__(self) -> str:
         bodies, layer, law = (f"{100 * share:.0f} %" for share in (self.bodies, self.layer, self.law))
         shares = f"{bodies} of the interval from the bodies' cells, {layer} from the layer's, {law} from the law"
-        return f"between {' and '.join(map(percent, self.between))} for any mesh; {shares}"
+        text = f"between {' and '.join(map(percent, self.between))} for any mesh; {shares}"
+        law_errors = [] if self.of_law is None else [f"{100 * error:+.4g} %" for error in self.of_law]
+        return f"{text}; the law alone, without any mesh: {' to '.join(law_errors)}" if law_errors else text
 
     def __repr__(self) -> str:
         return f"ContinuumBounds({self.lower:.6g} to {self.upper:.6g}; {self})"
@@ -148,9 +154,7 @@ class Continuum:
         w_of_forces = w + layers.neumann_displacements(layers.free_face_values(r))
         stress = self.structure.stress(iterate.u, w_of_forces)
         moments, imbalance = self._balance.moments(stress, loads, U)
-        if not imbalance <= MAX_IMBALANCE:
-            reason = f"forces on nodes of cells are not in balance: {imbalance:.1g} of them is left"
-            raise refusal("balance", f"{reason}, allowed: {MAX_IMBALANCE:g}", "use a thicker layer, or less contrast")
+        _require_balance(imbalance, "use a thicker layer, or less contrast")
         seed, of_U = stresses.of(stress), stresses.of(stresses.cells.stress(U))
         difference = self._improvement.improved(loads, moments, seed, self._steps) - of_U
         law_square = float(stresses.product(seed - of_U, seed - of_U).sum())
@@ -173,6 +177,25 @@ class Continuum:
             remedy = "take goals.Functional, the mean over a facet set or region"
             raise refusal("goal", f"{goal.name} has no bounds in the continuum, which has no single points", remedy)
         return loads
+
+    def law_bounds(self, state: State) -> tuple[float, float]:
+        """Return bounds of the compliance of the bodies with interface laws of order 0, whatever the cells are.
+
+        `state` is a state of the interface model.
+
+        Raises:
+            InputError: the laws are not of order 0, the layers have loads, supports move, or nodes are not in balance.
+        """
+        cells, U, loads = self.structure.with_law(state.u.x.array)
+        stresses, stress = Stresses(cells), cells.stress(U)
+        moments, imbalance = TractionBalance(cells, loads.is_free).moments(stress, loads, U)
+        _require_balance(imbalance, "use order=0, and laws without memory")
+        seed = stresses.of(stress)
+        improvement = TractionImprovement(stresses, loads.is_free, np.zeros(len(U), bool))
+        difference = improvement.improved(loads, moments, seed, self._steps) - seed
+        value, square = loads.work(cells, U), float(stresses.product(difference, difference).sum())
+        rounding = IMBALANCE_FACTOR * imbalance * value
+        return value - rounding, value + square + rounding
 
     def bounds(self, value: float, at_rest: float, a: _ConstitutiveError, z: _ConstitutiveError) -> ContinuumBounds:
         """Return the bounds of a goal.
@@ -200,6 +223,12 @@ class Continuum:
         return ContinuumBounds(
             value, middle - half, middle + half, bodies, layer, 1 - bodies - layer, by_cell, imbalance
         )
+
+
+def _require_balance(imbalance: float, remedy: str) -> None:
+    if not imbalance <= MAX_IMBALANCE:
+        reason = f"forces on nodes of cells are not in balance: {imbalance:.1g} of them is left"
+        raise refusal("balance", f"{reason}, allowed: {MAX_IMBALANCE:g}", remedy)
 
 
 def _ratio(a: float, b: float) -> float:
@@ -233,3 +262,17 @@ def continuum_bounds(
         assert isinstance(state.model, InterfaceModel)
         bounds[name] = continuum.bounds(values[name], goal.at_rest(state, state.model), primal, dual)
     return bounds
+
+
+def with_law_alone(
+    continuum: Continuum, state: State, goals: Mapping[str, Goal], bounds: Mapping[str, ContinuumBounds]
+) -> dict[str, ContinuumBounds]:
+    """Return bounds of the compliance that also tell the error of the interface laws alone, see `ContinuumBounds`.
+
+    Raises:
+        InputError: a goal other than the compliance, or laws without such bounds.
+    """
+    if other := [name for name, goal in goals.items() if not isinstance(goal, Compliance)]:
+        raise refusal("law alone", f"{other[0]} is not the compliance", "ask for the compliance alone by names=")
+    lower, upper = continuum.law_bounds(state)
+    return {name: replace(b, of_law=(lower / b.upper - 1, upper / b.lower - 1)) for name, b in bounds.items()}

@@ -22,6 +22,7 @@ from thinlayer.estimating.continuum import (
     ContinuumBounds,
     continuum_bounds,
     relative_errors_between,
+    with_law_alone,
 )
 from thinlayer.estimating.global_local import DEFAULT_WIDTH, BodyEquilibrium, GlobalLocal, GoalBounds
 from thinlayer.estimating.goals import Goal
@@ -239,7 +240,7 @@ class Estimate:
         return float(self.goals[goal].better + goal_values[1] - goal_values[0])
 
     def continuum(
-        self, names: Sequence[str] | None = None, *, steps: int = DEFAULT_STEPS
+        self, names: Sequence[str] | None = None, *, steps: int = DEFAULT_STEPS, law: bool = False
     ) -> dict[str, ContinuumBounds]:
         """Return bounds of the goals of the continuum, which hold for any mesh: errors of the laws and of all cells.
 
@@ -249,6 +250,8 @@ class Estimate:
         Args:
             names: names of the goals; None: all goals of the estimate.
             steps: number of steps that improve tractions between cells; more steps give narrower bounds.
+            law: whether to bound the error of the interface laws alone, too, see `ContinuumBounds.of_law`: of the
+                compliance, for laws of order 0, loads on the bodies, and supports that do not move.
 
         Returns:
             Name of a goal -> its bounds; their text says which cells cause the width of the interval.
@@ -279,7 +282,8 @@ class Estimate:
         assert isinstance(model, InterfaceModel)
         continuum = Continuum(model, self._subproblem, self.state.t, steps)
         values = {name: error.value for name, error in self.goals.items()}
-        return continuum_bounds(continuum, self._initial, values, goals, self._iterate, self._adjoint_solutions)
+        bounds = continuum_bounds(continuum, self._initial, values, goals, self._iterate, self._adjoint_solutions)
+        return with_law_alone(continuum, self.state, goals, bounds) if law else bounds
 
     def _known_goals(self, names: Sequence[str]) -> Sequence[str]:
         require(not isinstance(names, str), "continuum: names", names, "give a list of names")
