@@ -79,7 +79,13 @@ class Kinematics:
         return replace(self, x=ufl.SpatialCoordinate(mesh))
 
     def require(self, unknown: str, what: str, instead: str = "") -> None:
-        """Raise InputError unless the unknown has the name `unknown`, which `what` requires; `instead` is a remedy."""
+        """Raise InputError unless the unknown of these kinematics is that which a function or a result needs.
+
+        Args:
+            unknown: name of the needed unknown.
+            what: what needs it, the first words of the message.
+            instead: what to take for other unknowns; "": nothing.
+        """
         if self.unknown != unknown:
             remedy = f"; take {instead}" if instead else ""
             raise InputError(f"{what} is for laws of a {unknown}; the bodies have laws of a {self.unknown}{remedy}")

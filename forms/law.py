@@ -82,7 +82,7 @@ class Step(NamedTuple):
             InputError: the law does not declare `rate`, or the problem has no time.
         """
         if self.dt is None or not self.allows_rate:
-            raise InputError("a law that uses step.rate must declare rate = True")
+            raise InputError("step.rate needs a law with rate = True, and a time step: march, or drive the law")
         return (self.e - self.e_old) / self.dt
 
     def between(self, old: Expr, new: Expr) -> Expr:
@@ -336,7 +336,7 @@ class Law(LayerResults):
         """Return the law with the numbers that its parameters have at extreme ones of n places `x` (d, n).
 
         A place is extreme if a parameter, or the ratio of two, is smallest or largest there. The result has one law for
-        each. A law without parameters that are functions of the place is itself the only sample.
+        each. If no parameter is a function of the place, it has only the law itself.
 
         Raises:
             InputError: a parameter is out of its range at an extreme place.
@@ -541,9 +541,10 @@ class BulkLaw(Law):
         return C
 
     def scaled(self, ratio: float) -> Self:
-        """Return the law with which a layer `ratio` times as thick has the same interface law as this one.
+        """Return the law of a layer that is `ratio` times as thick, in the family of layers to which this law belongs.
 
-        Each parameter is multiplied by ratio**power, with its power of eps in `powers`.
+        Each parameter is multiplied by ratio**power, with its power of eps in `powers`. Moduli, with the power 1, then
+        give the same traction for a jump.
         """
         return self.mapped(lambda value, power: (value if callable(value) else np.asarray(value, float)) * ratio**power)
 
@@ -669,8 +670,8 @@ def explained_errors(law: Law, method: str) -> Iterator[None]:
     except Exception as error:
         raise InputError(
             f"{type(law).__name__}.{method}: {type(error).__name__}: {error!s:.200}. Laws are UFL, of tensors (3, 3): "
-            "ufl.exp, ufl.conditional(ufl.lt(a, b), c, d); step.dt, e_old and rate need rate = True or internal variables; "
-            f"step.n is (3,); step.q has {sorted(law.internal) or 'nothing'}"
+            "ufl.exp, ufl.conditional(ufl.lt(a, b), c, d); step.rate needs rate = True, step.dt and e_old that or internal "
+            f"variables; step.n is (3,); step.q has {sorted(law.internal) or 'nothing'}"
         ) from error
 
 
@@ -705,7 +706,7 @@ def checked_stress(law: BulkLaw, step: Step) -> Expr:
 def require_positive(law: Law, *names: str) -> None:
     """Raise InputError unless the parameters `names` of the law are finite and > 0."""
     for name in names:
-        law.require(0 < getattr(law, name) < math.inf, name, "> 0")
+        law.require(0 < getattr(law, name) < math.inf, name, "> 0, finite")
 
 
 def require_nonnegative(law: Law, *names: str) -> None:

@@ -17,7 +17,7 @@ GAUSS_RULES = {
     2: ((-(12**-0.5), 1 / 2), (12**-0.5, 1 / 2)),
     3: ((-(0.15**0.5), 5 / 18), (0.0, 4 / 9), (0.15**0.5, 5 / 18)),
 }
-# lmbda/mu at which linear displacements through the layer raise the jump's error of order 1 by a third
+# lmbda/mu at which the jump's error of order 1 grows by a third if displacements are linear through the layer
 LOCKING_RATIO = 12.0
 
 
@@ -85,7 +85,7 @@ class Faces(NamedTuple):
         return ufl.outer(three_dimensional(self.n), three_dimensional(self.n))
 
     def in_plane(self, e: Expr) -> Expr:
-        """Return the in-plane part P e P (3, 3) of a strain e (3, 3), with the projection P = I - n (x) n onto S."""
+        """Return the in-plane part P e P (3, 3) of a strain `e` (3, 3), where P = I - n (x) n."""
         projector = ufl.Identity(3) - self.n_dyad
         return projector * e * projector
 

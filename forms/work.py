@@ -28,7 +28,7 @@ def require_constant_law(law: BulkLaw) -> BulkLaw:
         InputError: a parameter is a function of the place, for which a mesh would be needed.
     """
     if law.fields:
-        subject = f"order=1 of {type(law).__name__} with parameters that are functions"
+        subject = f"{type(law).__name__} with {', '.join(law.fields)} as functions of the place"
         raise InputError(f"{subject}: use it in a Model, or give `Interface(law_on_surface=...)`")
     return law
 
@@ -298,8 +298,8 @@ def s_terms(
 ) -> list[Term]:
     """Return the terms on S of the interface law that replaces a layer.
 
-    Order 0: one term with the strain sym([u] (x) n)/eps, and eps as weight. Where values of the unknown count, too, as
-    those of a scalar field, there are two: at the two Gauss points, with the values there.
+    Order 0: one term with the strain sym([u] (x) n)/eps, and eps as weight. For a scalar field, whose value counts too,
+    the terms are those of order 1 without gradients along S.
 
     Order 1: one term for each of the law's stations (`BulkLaw.stations`). Its weight is eps times the weight of the
     station. Let z be the distance from the middle of the layer, divided by eps: -1/2 at the lower face, 1/2 at the

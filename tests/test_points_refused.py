@@ -78,6 +78,6 @@ def test_the_law_in_order_is_accepted():
     assert respond(Remembering(2.0), e, 0 * e, np.zeros((1, 6)), E2[None]).stress == pytest.approx(4 * e)
 
 
-def test_a_rate_that_is_not_declared():
-    """Step.rate outside a march: a law must declare rate = True."""
-    refused(InputError, "rate = True", lambda: KELVIN.stress(Step(ufl.Identity(3), e_old=ufl.Identity(3))))
+def test_a_rate_without_a_time_step():
+    """The law declares its rate, so that the message must say more than that it must."""
+    refused(InputError, "and a time step", lambda: KELVIN.stress(Step(ufl.Identity(3), e_old=ufl.Identity(3))))

@@ -95,5 +95,5 @@ def test_energy_of_the_stations(d, sublayers):
 # ---------------------------------------------------------------- what laws say
 def test_functions_need_sides_that_know_them():
     facet, law = Facet(2), LinearElastic(lambda x: 60 + x[0], 40.0)
-    with pytest.raises(InputError, match=r"parameters that are functions: use it in a Model"):
+    with pytest.raises(InputError, match=r" as functions of the place: use it in a Model"):
         s_terms(law, Interface.between_bodies(facet.dS), EPS, 1)
