@@ -9,10 +9,8 @@ if find_spec("dolfinx_solver"):  # the wheel of DOLFINx: MPI must be loaded befo
 from forms.base import import_optional
 
 _DOLFINX_VERSION = import_optional("dolfinx").__version__
-if tuple(map(int, _DOLFINX_VERSION.split(".")[:2])) < (
-    0,
-    9,
-):  # pip checks no version, as no wheel has the project's name
+# pip checks no version, as no wheel has the project's name
+if tuple(map(int, _DOLFINX_VERSION.split(".")[:2])) < (0, 9):
     raise ImportError(f"DOLFINx {_DOLFINX_VERSION} is too old; thinlayer needs 0.9 or newer")
 
 from geometry.builders import block, bond_cell, disc, faults, fibre, grains, ring, sandwich, wall

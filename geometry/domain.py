@@ -488,10 +488,10 @@ def rows_of_rank(rows: npt.NDArray[Scalar], rank: int, n_ranks: int) -> npt.NDAr
 def make_partitioner(joint: Joint, comm: MPI.Intracomm) -> Partitioner | None:
     """Return the function by which DOLFINx's `create_mesh` distributes a joint's cells; None for one rank. Collective.
 
-    It sends each cell that this rank passes to its owner, and as a ghost to the owners of its neighbours across facets.
+    DOLFINx sends each cell to its owner, and as a ghost to the owners of its neighbours across facets.
 
     Args:
-        joint: the joint; each rank passes the cells in `rows_of_rank`.
+        joint: the joint, of which each rank gives DOLFINx the cells in `rows_of_rank`.
         comm: communicator of the mesh.
     """
     if comm.size == 1:

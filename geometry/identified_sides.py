@@ -57,7 +57,7 @@ class Periods:
         """
         for (first, second), pair, vector in zip(self.sides, self.node_pairs, self.vectors(points), strict=True):
             mismatch = np.abs(points[pair[:, 1]] - points[pair[:, 0]] - vector).max(axis=1)
-            message = f"the sides {first!r} and {second!r} do not match any more at {{at}}"
+            message = f"the sides {first!r} and {second!r} do not match any more at {{at}}; move both alike"
             refuse(mismatch > DISTANCE_TOLERANCE * np.ptp(points, axis=0).max(), points[pair[:, 0]], message)
         master = self.masters(len(points))
         tied = np.bincount(master, minlength=len(master))[master] > 1

@@ -162,7 +162,7 @@ class Joint:
             seam.check(name, self.regions, self.dim)
             require_known("set of facets", name, self.facets)
         if len(self.seams) > 1 and S in self.seams:
-            raise InputError(f"{S!r} is all seams together and cannot name one of several")
+            raise InputError(f"{S!r} is all seams together and cannot name one of several; give it another name")
         rows, counts = np.unique(np.concatenate([*map(self.rows_of, self.seams)]), return_counts=True)
         if (counts > 1).any():
             first, second, *_ = (name for name in self.seams if rows[counts > 1][0] in self.rows_of(name))

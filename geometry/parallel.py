@@ -41,8 +41,8 @@ def use_comm(comm: MPI.Intracomm) -> Iterator[None]:
 def on_root(comm: Comm, build: Callable[[], ResultType]) -> ResultType:
     """Run a function on rank 0 only; return its result, or raise its exception, on every rank. Collective.
 
-    The ranks of one machine share the large arrays of the result in memory, and these arrays are read-only. An
-    exception gets the attribute `on_all_ranks` = True, by which callers know that every rank raises it.
+    Several ranks of one machine share the large arrays of the result in memory, which are then read-only. An exception
+    gets the attribute `on_all_ranks` = True, by which callers know that every rank raises it.
 
     Args:
         comm: communicator of the ranks; None: the default communicator.

@@ -38,7 +38,7 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
     """
     require(isinstance(joint, Joint), "joint", joint, "it must be a Joint")
     if joint.band is not None:
-        raise InputError("the joint's layer is meshed; in a periodic joint it is a surface with an interface model")
+        raise InputError("the joint's layer is meshed already; make the joint periodic first, then mesh the layer")
     all_sides = (joint.periods.sides if joint.periods else ()) + sides
     names = [*chain(*all_sides)]
     for name in (name for name in names if names.count(name) > 1):

@@ -96,12 +96,12 @@ class Seam:
             require_known("region", region, regions)
         in_both = sorted(set(self.upper) & set(self.lower))
         if in_both and self.direction is None:
-            raise InputError(f"region {in_both[0]!r} is on both sides of {name!r}; give the direction upwards")
+            raise InputError(f"region {in_both[0]!r} is on both sides of {name!r}; give a direction to the upper side")
         if self.direction is not None:
             if set(self.upper) != set(self.lower):
                 raise InputError(f"{name!r}: a direction tells the upper side, or regions do; give one of them")
             if finite_values(self.direction, (dim,)) is None or not np.any(self.direction):
-                raise InputError(f"direction is {self.direction}; it needs {dim} components, not all zero")
+                raise InputError(f"{name!r}: direction is {self.direction}; it needs {dim} components, not all zero")
 
     def second_is_upper(
         self, name: str, x: FloatArray, normals: FloatArray, region: IntArray, regions: Sequence[str]
@@ -121,7 +121,7 @@ class Seam:
         if self.direction is not None:
             direction = np.asarray(self.direction, float)
             cosine = normals @ direction / np.linalg.norm(normals, axis=1) / np.linalg.norm(direction)
-            text = f"direction {self.direction} of {name!r} lies in the facet near {{at}}"
+            text = f"direction {self.direction} of {name!r} lies in the facet near {{at}}; give one across it"
             refuse(np.abs(cosine) < MIN_COSINE, x, text)
             return np.asarray(cosine > 0)
         if self.lower or self.upper:

@@ -90,11 +90,12 @@ class Rim:
 
 
 def continued_ridge_keys(joint: Joint, facets: IntArray) -> IntArray:
-    """Return the ridges at the ends of S from which a facet set of the bodies continues on a meshed layer's side.
+    """Return the ridges where S ends within a facet set of the bodies, which then continues on a meshed layer's side.
 
-    A ridge is a vertex of S in 2D, an edge of S in 3D. The set continues if all outer facets at the ridge are in it:
-    those of both bodies, or on a rigid base of the only body. A set with facets of only one of two bodies ends at S.
-    Where several layers end at one ridge, the facets of all bodies there must be in the set.
+    A ridge is a vertex of S in 2D, an edge of S in 3D. The layer's side is its own boundary at the ridge. The set
+    continues there if all outer facets at the ridge are in it: those of both bodies, or on a rigid base of the only
+    body. A set with facets of only one of two bodies ends at S. Where several layers end at one ridge, the facets of
+    all bodies there must be in the set.
 
     Args:
         joint: the joint, in which S is a surface.
@@ -221,18 +222,19 @@ class Sheet:
         """(d,) coordinates of one place where the seam branches or meets another seam; None: no such place."""
         joint = self.joint
         surface = joint.masters[joint.surface]
-        (s_ridges, counts), (subset, here) = (ridges(rows, joint.cell_type) for rows in (surface, surface[self.facets]))
-        total_counts = counts[np.searchsorted(ridge_keys(s_ridges), ridge_keys(subset))]
-        junctions = subset[(here > 2) | (total_counts > here)]
+        s_ridges, s_counts = ridges(surface, joint.cell_type)
+        seam_ridges, counts = ridges(surface[self.facets], joint.cell_type)
+        total_counts = s_counts[np.searchsorted(ridge_keys(s_ridges), ridge_keys(seam_ridges))]
+        junctions = seam_ridges[(counts > 2) | (total_counts > counts)]
         return joint.points[junctions[0]].mean(axis=0) if len(junctions) else None
 
     @cached_property
     def body_heights(self) -> tuple[float, ...]:
         """Heights of the bodies below and above the seam: volume of each body over area of the seam, lengths.
 
-        On a rigid base there is no lower height. If both sides are one body, there is one height. As
-        bodies may extend beyond the ends of the seam, heights are bounded: if the seam is planar, a height is at most
-        the largest distance of the body's points from it.
+        On a rigid base there is no lower height. If both sides are one body, there is one height. As bodies may extend
+        beyond the ends of the seam, heights are bounded: if the seam is planar, a height is at most the largest
+        distance of the body's points from it.
         """
         joint = self.joint
         pieces, cells = joint.split_mesh.pieces, joint.surface_cells[self.facets]
@@ -345,8 +347,8 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
         m, offset = rim.outward[remaining[0]], offsets[remaining[0]]
         cosine = rim.outward @ m
         on_line = (cosine > 1 - PLANAR_TOLERANCE) & (np.abs(offsets - offset) <= PLANAR_TOLERANCE * size)
-        at, n_rim = np.flatnonzero(on_line), len(x)  # ridges are connected by their vertices
-        links = at.repeat(rim.vertices.shape[1]), n_rim + rim.vertices[at].ravel()
+        line_ridges, n_rim = np.flatnonzero(on_line), len(x)  # they are connected by their vertices
+        links = line_ridges.repeat(rim.vertices.shape[1]), n_rim + rim.vertices[line_ridges].ravel()
         component = components(*links, n_rim + int(rim.vertices.max()) + 1)[:n_rim]
         in_end = on_line & (component == component[remaining[0]])
         end_rim, others = rim[in_end], rim[(cosine > CORNER_ANGLE_COSINE) & (cosine <= 1 - PLANAR_TOLERANCE)]

@@ -468,10 +468,9 @@ class Splitting:
 
     @cached_property
     def node_components(self) -> Indices:
-        """(n_cells, k) Number of the component that contains each cell, for each of the cell's k nodes.
+        """(n_cells, k) numbers from `components` of each cell, for each of the cell's k nodes.
 
-        The components at a node are groups of the cells around it. Cells are in one group if uncut facets that contain
-        the node link them. The components at each node are numbered from 0.
+        A node inside an edge or a face has the components around this edge or face.
         """
         dofs = lagrange(self.cell_type, geometry_degree(self.cell_type, self.cells.shape[1])).entity_dofs
         components = np.zeros(self.cells.shape, np.int32)
@@ -484,16 +483,12 @@ class Splitting:
 
     @property
     def at_vertices(self) -> Indices:
-        """(n_cells, k) Number of the component that contains each cell, for each of the cell's k vertices.
-
-        The components at a vertex are groups of the cells around it. Cells are in one group if uncut facets that
-        contain the vertex link them. The components at each vertex are numbered from 0.
-        """
+        """(n_cells, k) numbers from `components` of each cell, for each of the cell's k vertices."""
         return self.node_components[:, : self._corners.shape[1]]
 
     @cached_property
     def pieces(self) -> IntArray:
-        """(n_cells,) For each cell, the number of the connected piece of the cut mesh that contains it.
+        """(n_cells,) number of the connected piece of the cut mesh that contains each cell.
 
         Pieces are numbered from 0, in the order of the lowest cell number in each.
         """

@@ -387,7 +387,7 @@ class NamedGroups(NamedTuple):
         if default_seam.direction is not None:
             return facets, Seam(lower or upper or all_regions, upper or lower or all_regions, default_seam.direction)
         if not upper:
-            remedy = "name the regions above it in upper, or give the direction upwards if one body is on both sides"
+            remedy = "name the regions above it in upper, or a direction towards this side if one body is on both sides"
             raise InputError(f"{name!r} lies inside {' and '.join(near_regions)}; {remedy}; {regions_text}")
         return facets, Seam(lower or tuple(region for region in all_regions if region not in upper), upper)
 
