@@ -149,11 +149,11 @@ def test_refused(tmp_path):
         (("E = 900", 'law = "Rubbr", E = 1'), "layer.law: unknown law of strains 'Rubbr', did you mean 'Rubber'?"),
         (("E = 900", 'law = "Norton", E = 1'), "layer: eta is missing: Norton has E and nu, G and nu, K and G, or"),
         (("[3, -50]", "5"), "tractions.TOP: 5 is not a vector; give 2 components"),
-        (("[3, -50]", "{times = [1, 0], values = [1, 2]}"), "tractions.TOP: a history is {times = [0, 1], values ="),
-        (("[3, -50]", "{times = [0, 1], values = [[1, 2], [3, 4]]}"), "tractions.TOP: a history needs times, the ends"),
+        (("[3, -50]", "{times = [1, 0], values = [1, 2]}"), "tractions.TOP: a time series is {times = [0, 1]"),
+        (("[3, -50]", "{times = [0, 1], values = [[1, 2], [3, 4]]}"), "tractions.TOP: a time series needs times"),
         (
             ("[3, -50]}", "{times = [0, 1], values = [[0, 1], [0, 2]]}}\ntimes = [2]"),
-            "tractions.TOP: the history goes from 0 to 1",
+            "tractions.TOP: the time series is from 0 to 1",
         ),
         (("tractions = {TOP = [3, -50]}", ""), "nothing loads the structure; give tractions, body_force, loads, or s"),
     ]:

@@ -106,6 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exception: any other error than wrong input or a failed solve, such as a bug of the package.
     """
     words = [*(sys.argv[1:] if arguments is None else arguments)]
+    # several studies, `run A B` or `run --all`, have other options than one, `run A --quick`
     is_batch = words[:1] == ["run"] and ("--all" in words or [word[:1] == "-" for word in words[1:3]] == [False, False])
     parser = _batch_parser() if is_batch else command_line_parser()
     if "_ARGCOMPLETE" in os.environ:  # a shell asks for the words that may come next
@@ -146,7 +147,7 @@ def command_line_parser() -> argparse.ArgumentParser:
     estimate = _add_run_options(_add_command(commands, "estimate", _run_estimate, "joint.toml --set layer.eps=0.1"))
     file_help = "a file in TOML; with --new a mesh file"
     estimate.add_argument("description", type=Path, metavar="DESCRIPTION", help=file_help)
-    set_help = "a key of the description anew, as layer.E=2e3 or 'tractions.RIGHT=[60, 0]'; may be repeated"
+    set_help = "replace a key of the description, as layer.E=2e3 or 'tractions.RIGHT=[60, 0]'; may be repeated"
     question = estimate.add_argument_group("the question", "These options replace keys of the description.")
     question.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=set_help)
     replaces_key: dict[str, Any] = {"dest": "set", "action": "append"}

@@ -154,9 +154,9 @@ class Description:
         for series in self.file_table.time_series:
             start, end = min(series.values), max(series.values)
             if not self.times:
-                self.file_table.refuse("a history needs times, the ends of time steps", *series.key_path)
+                self.file_table.refuse("a time series needs times, the ends of time steps", *series.key_path)
             if start > 0 or end < self.times[-1]:
-                text = f"the history goes from {start:g} to {end:g}; it must cover all times, 0 to {self.times[-1]:g}"
+                text = f"the time series is from {start:g} to {end:g}; it must cover the times 0 to {self.times[-1]:g}"
                 self.file_table.refuse(text, *series.key_path)
 
 
@@ -309,9 +309,10 @@ def _is_names_or_switch(value: object) -> bool:
     return isinstance(value, bool) or (isinstance(value, list) and all(isinstance(name, str) for name in value))
 
 
-POSITIVE = {**NUMBER.schema, "exclusiveMinimum": 0}
-CHANGE = {**POSITIVE, "exclusiveMaximum": 1}
-LOADS = {"type": "array", "items": {"anyOf": [POINT_LOAD_KEYS.schema(), LINE_LOAD_KEYS.schema()]}}
+POSITIVE_SCHEMA = {**NUMBER.schema, "exclusiveMinimum": 0}
+CHANGE_SCHEMA = {**POSITIVE_SCHEMA, "exclusiveMaximum": 1}
+TOLERANCE_SCHEMA = {**CHANGE_SCHEMA, "type": ["number", "object"], "additionalProperties": CHANGE_SCHEMA}
+LOADS_SCHEMA = {"type": "array", "items": {"anyOf": [POINT_LOAD_KEYS.schema(), LINE_LOAD_KEYS.schema()]}}
 SWITCH = Reader(
     lambda file, key: file.checked(key, lambda is_on: isinstance(is_on, bool), "is neither true nor false"),
     {"type": "boolean"},
@@ -328,13 +329,13 @@ ENTRY_READERS: dict[str, Reader] = {
     "sources": table_or_other_reader(names_reader(NUMBER, "names of regions and seams"), NUMBER),
     "films": names_reader(FILM, "names of facet sets, such as TOP = {h = 1e-5, T = 20}"),
     "initial": NUMBER,
-    "loads": Reader(_read_loads, LOADS),
+    "loads": Reader(_read_loads, LOADS_SCHEMA),
     "plane": choice_reader("strain", "stress", "axisymmetric"),
     "element": choice_reader("P2", "Q2", "S2"),  # of degree 2, as interface laws of order 1 need it
     "bodies": choice_reader("kept", "extended"),
-    "times": Reader(_read_times, {"type": "array", "items": POSITIVE, "minItems": 1}),
+    "times": Reader(_read_times, {"type": "array", "items": POSITIVE_SCHEMA, "minItems": 1}),
     "goals": Reader(_read_goals, _goals_schema()),
-    "tolerance": Reader(_read_tolerances, {**CHANGE, "type": ["number", "object"], "additionalProperties": CHANGE}),
+    "tolerance": Reader(_read_tolerances, TOLERANCE_SCHEMA),
     "bonded": SWITCH,
     "continuum": SWITCH,
     "density": names_reader(NUMBER, "names of bodies and seams, such as S = 1.2e-9"),

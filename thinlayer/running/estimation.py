@@ -47,7 +47,8 @@ def run(record: Record, description: Description, path: Path) -> None:
     """Estimate how quantities of a structure change if its layer is not meshed. Collective.
 
     The answer is printed in sentences. The folder gets the table estimate.csv and pictures of the change along S. With
-    tolerances it also gets thin_enough.csv, with the thicknesses below which the changes are allowed.
+    tolerances it also gets thin_enough.csv, with the thicknesses below which the changes are allowed; with
+    sensitivities also sensitivities.csv.
 
     Args:
         record: record of the run, with the folder of the results.
@@ -181,7 +182,7 @@ def _find_thicknesses(record: Record, case: DescribedCase, instead: str) -> list
     return rows
 
 
-def _draw_changes(record: Record, case: DescribedCase, instead: str, estimate: Estimate) -> None:
+def _draw_changes(record: Record, case: DescribedCase, instead: str, answer: Estimate) -> None:
     """Draw how the change of each goal is distributed over S, and print the percentage that arises near the ends of S.
 
     A goal whose change has no known distribution is named in a message instead.
@@ -191,12 +192,12 @@ def _draw_changes(record: Record, case: DescribedCase, instead: str, estimate: E
         case: the input, for the unit of lengths.
         instead: model that is used without the layer's mesh: `LAW`, with an interface law, or `BOND`, with the bodies
             bonded.
-        estimate: changes of the goals.
+        answer: changes of the goals.
     """
     file_stems = list[str]()
-    for goal in estimate.goals:
+    for goal in answer.goals:
         try:
-            density = estimate.density(goal)
+            density = answer.density(goal)
         except InputError as error:
             record.say(f"no picture of {goal}: {error}")
             continue
@@ -204,31 +205,31 @@ def _draw_changes(record: Record, case: DescribedCase, instead: str, estimate: E
         while file_stem in file_stems:  # as for "a b" and "a-b"
             file_stem += "_"
         file_stems.append(file_stem)
-        if shares_text := _end_shares_text(estimate, goal, density):
+        if shares_text := _end_shares_text(answer, goal, density):
             record.say(f"  {goal}: {shares_text}")
         path, unit = record.path(f"{file_stem}.png"), case.description.units[0] if case.description.units else ""
         goal_text = goal.replace("$", r"\$")  # a plain dollar sign, no formula
-        label, surface = f"change of {goal_text}, per area of S", Surface(estimate.better.model)
+        label, surface = f"change of {goal_text}, per area of S", Surface(answer.better.model)
         if surface.joint.dim == 2:
             plotting.along(surface, {label: density}, save=path, length=unit, log=True)
         else:
-            plotting.on_surface(estimate.better, density, plotting.View(scale=0.0), save=path, quantity=label, log=True)
+            plotting.on_surface(answer.better, density, plotting.View(scale=0.0), save=path, quantity=label, log=True)
 
 
-def _end_shares_text(estimate: Estimate, goal: str, density: Array) -> str:
+def _end_shares_text(answer: Estimate, goal: str, density: Array) -> str:
     """Return a text with the percentages of a goal's change that arise within 4 and 8 thicknesses of the ends of S.
 
     It is "" if S has no ends or the goal does not change.
 
     Args:
-        estimate: changes of the goals of a model.
+        answer: changes of the goals of a model.
         goal: name of the goal.
         density: change of the goal per area of S, at each node of S.
     """
-    surface, goal_change, texts = Surface(estimate.better.model), estimate.goals[goal], []
+    surface, goal_change, texts = Surface(answer.better.model), answer.goals[goal], []
     if goal_change.zero or goal_change.fixed or not np.isfinite(surface.distance_to_ends).any():
         return ""
-    for distance in np.array(END_DISTANCE_RATIOS) * max(layer.layer.eps for layer in estimate.layers.values()):
+    for distance in np.array(END_DISTANCE_RATIOS) * max(layer.layer.eps for layer in answer.layers.values()):
         end_change = surface.integral(surface.at_points(density) * (surface.distance_to_ends < distance))
         texts.append(f"{percent(end_change / goal_change.change)} within {distance:.3g} of the ends of S")
     return f"of its change {' and '.join(texts)}"

@@ -29,9 +29,9 @@ from thinlayer.running.toml_table import (
 )
 
 LawType = TypeVar("LawType", bound=BulkLaw)
+Moduli = tuple[tuple[str, ...], ...]  # sets of names of moduli, one of which a law has
 ELASTIC_PAIRS: Moduli = (("E", "nu"), ("G", "nu"), ("mu", "nu"), ("K", "G"), ("K", "mu"), ("lmbda", "mu"))
 ELASTIC_PAIRS_TEXT = "E and nu, G and nu, K and G, or lmbda and mu (G is mu)"
-Moduli = tuple[tuple[str, ...], ...]
 SHEAR_MODULI: Moduli = (("E",), ("G",), ("mu",))
 DEFAULT_LAW = "LinearElastic"
 HINTS = {"eps": "the thickness of the layer, a length", "fraction": "share of the thickness"}
@@ -107,11 +107,8 @@ def _reference_schema(kind: str) -> Schema:
 def laws_by_name() -> dict[str, type[BulkLaw]]:
     """Return name -> class of the laws of stress and strain that an input file may name."""
     classes = {name: law for name, law in sorted(vars(forms).items()) if isinstance(law, type)}
-    return {
-        name: law
-        for name, law in classes.items()
-        if issubclass(law, BulkLaw) and law not in (BulkLaw, FluxLaw, KernelLaw)
-    }
+    bases = (BulkLaw, FluxLaw, KernelLaw)
+    return {name: law for name, law in classes.items() if issubclass(law, BulkLaw) and law not in bases}
 
 
 PARAMETER_SCHEMAS: dict[str, Schema] = {
@@ -173,9 +170,7 @@ def material_schema() -> Schema:
     variants = {}
     for name, law in laws_by_name().items():
         keys, moduli = _law_keys(name)
-        readers = {key: reader for others in OTHER_READERS.values() for key, reader in others.items()} | {
-            **keys.readers
-        }
+        readers = {key: reader for group in (*OTHER_READERS.values(), keys.readers) for key, reader in group.items()}
         if name == DEFAULT_LAW:  # the table of a stack needs no key `law`
             readers, moduli = {**_law_keys("Stack")[0].readers, **readers}, (*moduli, ("sublayers",))
         names = {key for choice in moduli for key in choice}

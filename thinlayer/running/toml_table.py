@@ -250,18 +250,19 @@ class TomlTable:
             self.refuse(f"{_repr(value)} is not a table; it has {content}", *keys)
         return replace(self, values=value, key_path=(*self.key_path, *keys))
 
-    def tables(self, key: str, what: str) -> list[TomlTable]:
+    def tables(self, key: str, content: str) -> list[TomlTable]:
         """Return the tables in the list at `key`, each as a `TomlTable`.
 
         Args:
             key: key of the list.
-            what: what each table contains, for errors.
+            content: what each table contains, for errors.
 
         Raises:
             DescriptionError: the value is not a list of tables.
         """
-        tables = self.checked(key, lambda value: isinstance(value, list), f"is not a list of tables; each has {what}")
-        return [self.as_table(table, what, key, str(number)) for number, table in enumerate(tables, 1)]
+        wrong = f"is not a list of tables; each has {content}"
+        tables = self.checked(key, lambda value: isinstance(value, list), wrong)
+        return [self.as_table(table, content, key, str(number)) for number, table in enumerate(tables, 1)]
 
 
 @dataclass(frozen=True)
@@ -300,9 +301,9 @@ class Keys:
         return {"type": "object", "properties": properties, "required": [*self.hints], "additionalProperties": False}
 
 
-def attribute_texts(described: type) -> dict[str, str]:
+def attribute_texts(cls: type) -> dict[str, str]:
     """Return the descriptions of attributes in the docstring of a class, by attribute."""
-    section = cleandoc(described.__doc__ or "").partition("\nAttributes:\n")[2].partition("\n\n")[0]
+    section = cleandoc(cls.__doc__ or "").partition("\nAttributes:\n")[2].partition("\n\n")[0]
     texts = re.findall(r"^    (\w[\w, ]*): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
     return {name: " ".join(text.split()) for names, text in texts for name in names.split(", ")}
 
@@ -380,7 +381,7 @@ def series_reader(read: Reader) -> Reader:
     Args:
         read: reader of a constant value, and of each entry of "values".
     """
-    what = "a history is {times = [0, 1], values = [0, 5]}: two or more times that grow"
+    what = "a time series is {times = [0, 1], values = [0, 5]}: two or more times that grow"
     items = {"times": NUMBER, "values": read}
     lists = {k: {"type": "array", "items": item.schema} for k, item in items.items()}
     readers = {k: Reader(lambda table, key: table.values[key], schema) for k, schema in lists.items()}
