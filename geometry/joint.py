@@ -130,7 +130,7 @@ class Joint:
         geometry_degree(self.cell_type, self.cells.shape[1])
         for name, facets in self.facets.items():
             if len(facets) == 0:
-                raise InputError(f"the facets named {name!r} are an empty set")
+                raise InputError(f"the facets named {name!r} are an empty set; leave the name out")
             complaint = f"some facets named {name!r} are not facets of the mesh's cells, as at {{at}}"
             refuse(self.table.index(facets) < 0, self.points[facets], complaint)
         if self.band is None:
@@ -155,7 +155,7 @@ class Joint:
                 raise InputError(f"{name!r} cannot be a name; not allowed: {', '.join(reserved)} and names with '/'")
         for number, name in enumerate(self.regions):
             if not (self.region == number).any():
-                raise InputError(f"region {name!r} has no cells")
+                raise InputError(f"region {name!r} has no cells; leave the name out")
         if not self.seams:
             raise InputError(f"a joint needs a seam, such as {S!r}")
         for name, seam in self.seams.items():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Hashable
+from collections.abc import Collection, Hashable, Iterable
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from forms.base import unknown_name_message as unknown_name_message
 from geometry.topology import BoolArray, FloatArray
 
 
-def place_text(x: FloatArray) -> str:
+def place_text(x: Iterable[float]) -> str:
     """Return coordinates as a short text for messages, as "(1, 0.5)"."""
     return f"({', '.join(f'{c:.6g}' for c in x)})"
 

@@ -23,7 +23,7 @@ from thinlayer.system.units import DIMENSIONS
 
 DATA = CLONE / "studies/data"
 # what depends on several entries, on sizes of numbers, or on units that are not common
-READER_ALONE = r"""is 0$|is -1|is 0.5$|nan|\binf\b|shape of C|must be a table of numbers|number of sublayers
+READER_ALONE = r"""is 0$|is -1|is 0.5$|nan|\binf\b|shape of C|must be a list of numbers|number of sublayers
 |sum of the fractions|has a unit; name those|unknown component 'n'|a time series needs times|nothing loads|are not times
 |unknown quantity|name a third unit|force per length|'1 cells'|the stress is '1 mm'""".replace("\n", "")
 

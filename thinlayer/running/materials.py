@@ -193,12 +193,12 @@ def _read_sublayers(section: TomlTable, key: str) -> list[tuple[float, BulkLaw]]
 
 
 def _read_parameter(section: TomlTable, key: str) -> object:
-    """Return the parameter of a law at `key` in the table `section`: a list as an array, any other value as it is."""
+    """Return the parameter of a law at `key` in the table `section`: lists as an array, any other value as it is."""
     value = section.values[key]
     try:
         return np.array(value, float) if isinstance(value, list) else value
     except (TypeError, ValueError):
-        section.refuse("it must be a table of numbers", key)
+        section.refuse("it must be a list of numbers, or of lists of them", key)
 
 
 def _lame_moduli(moduli: Mapping[str, float]) -> Mapping[str, float]:
