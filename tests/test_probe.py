@@ -67,7 +67,7 @@ def test_internal_variables_are_those_of_the_memory(kind):
     assert np.array_equal(order, np.arange(len(order)))
     assert points.values.shape == (len(points.x), 3, 3)
     assert points.values == pytest.approx(points.values.swapaxes(1, 2))
-    assert points.weights.sum() == pytest.approx(2.0 * EPS * (1.0 if kind == "interface" else 0.6))
+    assert points.weights.sum() == pytest.approx(2.0 * EPS * 0.6)
     memory = state.memory[next(iter(state.memory))][:, -7:-1]
     norms = np.sort(np.linalg.norm(points.values, axis=(1, 2)))
     assert norms == pytest.approx(np.sort(np.linalg.norm(memory, axis=1)))  # Mandel's components keep it

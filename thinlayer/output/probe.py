@@ -194,14 +194,15 @@ class Probe:
 
     # ---------------------------------------------------------------- internal variables
     @cached_property
-    def _variables(self) -> dict[str, dict[str, tuple[LawPoints, Array]]]:
-        by_key: dict[str, dict[str, tuple[LawPoints, Array]]] = {}
+    def _variables(self) -> dict[str, dict[str, tuple[LawPoints, float, Array]]]:
+        """Key of a law -> name of a variable -> points, fraction of their weights that the sublayer has, and values."""
+        by_key: dict[str, dict[str, tuple[LawPoints, float, Array]]] = {}
         for points in law_points(self.state):
-            sublayer_variables = points.internal()
-            for k, variables in enumerate(sublayer_variables, 1):
-                key = str(Key.parse(points.key).numbered(k)) if len(sublayer_variables) > 1 else points.key
+            sublayers = points.term.law.sublayers
+            for k, ((fraction, _), variables) in enumerate(zip(sublayers, points.internal(), strict=True), 1):
+                key = str(Key.parse(points.key).numbered(k)) if len(sublayers) > 1 else points.key
                 if variables:
-                    by_key[key] = {name: (points, values) for name, values in variables.items()}
+                    by_key[key] = {name: (points, fraction, values) for name, values in variables.items()}
         return by_key
 
     @property
@@ -225,11 +226,11 @@ class Probe:
             InputError: no such variable; several laws have it, and `key` is None.
         """
         key = self._find_key(name, key)
-        points, values = self._variables[key][name]
+        points, fraction, values = self._variables[key][name]
         quadrature = points.quadrature
         entity = np.empty(quadrature.count, np.int64)
         entity[quadrature.cells] = points.quadrature.entity_numbers[:, None]
-        owned = (entity, quadrature.x, quadrature.weights, values)
+        owned = (entity, quadrature.x, fraction * quadrature.weights, values)
         entity, x, weights, values = (np.concatenate(parts) for parts in zip(*self._comm.allgather(owned), strict=True))
         permutation = np.lexsort([np.argsort(place_order(x, self._joint.size)), entity])
         return PointValues(key, x[permutation], values[permutation], weights[permutation], entity[permutation])
