@@ -82,7 +82,7 @@ def test_plane_structures_have_their_area_and_outline(cell, degree):
     structure = Structure(
         sandwich(2.0, 0.5, 0.7, 0.25, cell=cell),
         body=LinearElastic(60.0, 40.0),
-        supports={"BOTTOM": 0, "LEFT": {"n": 0}},
+        supports={"BOTTOM": 0, "LEFT/LOWER": {"n": 0}, "LEFT/UPPER": {"x": 0}, (0.0, 0.7): {"x": 0}},
         tractions={"TOP": (0.2, 0.5)},
         element=element,
     )

@@ -14,6 +14,7 @@ from geometry.joint import Joint
 from geometry.seam import BASE
 from geometry.topology import FACET_TYPES, BoolArray, IntArray, geometry_degree
 from thinlayer.discretisation.state import State
+from thinlayer.discretisation.supports import NORMAL_COMPONENT
 from thinlayer.system.compat import interpolate
 
 # nodes of a mirrored tetrahedron of degree 2, in VTK's order; the first four: degree 1
@@ -137,10 +138,12 @@ def _loads_and_supports(state: State, V: fem.FunctionSpace) -> Array:
     force.x.array[: b.getLocalSize()] = b.array_r
     b.destroy()
     force.x.scatter_forward()
-    n_supported = np.zeros(len(force.x.array) // c)
+    nodes: dict[object, IntArray] = {None: np.empty(0, np.int64)}
     for place, components in model.supports.user_entries:
-        for axis in components:
-            n_supported[np.unique(model.supports.dofs_at_place(V, place, axis) // c)] += 1
+        for axis in components:  # those of several places count once, but for normals of several directions
+            key = axis, place if axis == NORMAL_COMPONENT else None
+            nodes[key] = np.union1d(nodes.get(key, nodes[None]), model.supports.dofs_at_place(V, place, axis) // c)
+    n_supported = np.bincount(np.concatenate([*nodes.values()]), minlength=len(force.x.array) // c)
     return np.column_stack([force.x.array.reshape(-1, c), n_supported])
 
 
