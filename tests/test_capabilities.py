@@ -272,7 +272,7 @@ REFUSALS = [
     (["thin_enough"], CONTACT, "give a ThinLayer"),
     ([*ESTIMATES, "thin_enough", "Zoom"], ["gaps"], "BED meets HEAD, where bodies part without a layer"),
     ([*ESTIMATES, "thin_enough"], ["inertia"], "remembers steps beside the layers"),
-    (["compare"], ["bonds"], "the same open or bonded joints, not none and S"),
+    (["compare"], ["bonds"], "the same open or bonded seams, not none and S"),
     (["Zoom"], ["bonds"], "the seam 'S' has no layer"),
     (["compare", *ESTIMATES, "thin_enough", "Zoom", "sweep"], ["periodic"], "S reaches one of the periodic sides"),
     (["estimate Reaction"], ["cell"], "nothing holds 'BOTTOM'"),

@@ -213,7 +213,7 @@ def test_jumps_converge_beside_gaps():
     assert ((orders > 0.8) & (orders < 1.1)).all()
     assert (np.array(errors[1]) < 0.01).all()
     other = solve(structure.interface(mortar(eps)), 1.0)
-    refused(InputError, "compare needs the same open or bonded joints, not HEAD and none", compare, full, other)
+    refused(InputError, "compare needs the same open or bonded seams, not HEAD and none", compare, full, other)
 
 
 def test_incompressible_layers_have_one_pressure():

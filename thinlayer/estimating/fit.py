@@ -21,7 +21,7 @@ from thinlayer.estimating.goals import Displacement, Goal, MeanTraction, Reactio
 from thinlayer.estimating.parameters import Parameters, require_independent
 from thinlayer.estimating.sensitivity import sensitivity_by
 from thinlayer.output.plotting.curves import LAW_COLOUR, MESHED_COLOUR, curves
-from thinlayer.output.plotting.picture import GivenAxes, Picture, finish_picture, make_panels
+from thinlayer.output.plotting.picture import AxesInput, Picture, finish_picture, make_panels
 from thinlayer.solving.history import History, Solution, state_at
 from thinlayer.solving.solve import solve
 from thinlayer.system.progress import report
@@ -262,7 +262,7 @@ class Fit:
         columns = ("parameter", "value", "lower", "upper", "deviation", "bias")
         return Table(dict(zip(columns, row, strict=True)) for row in self._rows())
 
-    def plot(self, *, save: str | Path | None = None, ax: GivenAxes = None) -> Picture | None:
+    def plot(self, *, save: str | Path | None = None, ax: AxesInput = None) -> Picture | None:
         """Draw data and model, the residuals, and the correlations of the parameters.
 
         Args:

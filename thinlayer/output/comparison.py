@@ -44,7 +44,7 @@ def compare(
     Returns:
         A dictionary with these entries:
 
-        - "eps": the largest thickness of the layers.
+        - "eps": the largest `ThinLayer.eps` of the layers.
         - "error_traction", "error_jump": L2 norms over S of the differences of the two models. Each is divided by the
           norm of the interface model's field, and nan if this norm is zero up to rounding errors.
         - "traction", "jump": these L2 norms of the interface model's fields. The units are those of stress and length,
@@ -82,7 +82,7 @@ def compare(
     time_tolerance = TIME_TOLERANCE * max(abs(full.t), abs(interface.t))
     _require_equal("time", abs(full.t - interface.t) <= time_tolerance, f"t = {full.t:g}", f"{interface.t:g}")
     no_layer = [", ".join(n for n in model.joint.seams if n not in model.layers) or "none" for model in (meshed, limit)]
-    _require_equal("open or bonded joints", no_layer[0] == no_layer[1], *no_layer)
+    _require_equal("open or bonded seams", no_layer[0] == no_layer[1], *no_layer)
     for name, layer in limit.layers.items():
         meshed_thin, limit_thin = meshed.layers[name].thin_layer, layer.thin_layer
         if meshed_thin and limit_thin:

@@ -72,9 +72,9 @@ class Contact:
         areas: (m,) area of S that belongs to each node, in 2D a length.
         frames: (m, d, d) unit vectors; the rows of each matrix are the tangential axes and then the normal of S.
         equilibrium: largest component of the sum of the nodal forces where no supports act, divided by the sum of the
-            sizes of all nodal forces. It is zero in equilibrium.
+            sizes of all nodal forces. It is zero in equilibrium, and NaN if a layer of the model has a compiled law.
         clapeyron: work of the loads and the supports, minus the work of the stresses and of the tractions on S, all by
-            the same displacements. It is divided by the largest of the four, and zero in equilibrium.
+            the same displacements. It is divided by the largest of the four; zero and NaN as `equilibrium`.
     """
 
     surface: SurfaceMesh
@@ -234,14 +234,7 @@ def _rank_values(state: State, seam: str) -> dict[str, np.ndarray]:
 
 
 def balance_errors(state: State) -> tuple[float, float]:
-    """Compute the relative errors of the balance of forces and of work in a state. Collective.
-
-    Returns:
-        Two numbers, zero in equilibrium. Both are NaN for models whose layers have compiled laws. The first is
-        `Contact.equilibrium`, the largest component of the sum of nodal forces where no supports act, over the sum of
-        their sizes. The second is `Contact.clapeyron`: the work of loads and supports, less that of
-        stresses and contact tractions, over the largest of these four.
-    """
+    """Return the relative errors of the balances of forces and work: `Contact.equilibrium`, `clapeyron`. Collective."""
     model, comm, d = state.model, state.model.comm, state.model.joint.dim
     if any(p.law.traits.compiled for p in model.layer_terms):
         return math.nan, math.nan

@@ -89,7 +89,10 @@ def homogenised_conductivity(model: Model) -> Array:
 
 
 def _homogenised(model: Model, name: str, unknown: str) -> Array:
-    """Return the matrix that the function with this name, for models of this unknown, computes."""
+    """Return the stiffness or conductivity matrix of a periodic cell; `name` is that of the user's call, for messages.
+
+    `unknown` is the unknown that the model must have, see `Kinematics.unknown`.
+    """
     with errors_on_all(model.comm if isinstance(model, Model) else default_comm()):
         _require_linear_periodic(model, name, unknown)
     d = model.joint.dim

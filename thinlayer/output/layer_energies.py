@@ -22,12 +22,15 @@ from thinlayer.solving.history import History
 from thinlayer.surface.law_points import layer_points
 from thinlayer.surface.surface_mesh import SurfaceMesh
 
-ZERO_ENERGY = 1e-12  # energy of both modes on a facet, over the largest of all, that counts as none
+ZERO_ENERGY_RATIO = 1e-12  # energy of both modes on a facet, over the largest of all, that counts as none
 
 
 @contextmanager
 def _layer_parts(surface: SurfaceMesh, state: State) -> Iterator[list[tuple[CompiledPart, IntArray]]]:
-    """Within a `with` block, return the parts of compiled laws of layers, with the facets of their cells or facets."""
+    """Context manager that yields the parts of compiled laws of layers, each with the facet of S at each of its cells.
+
+    The cells of a law on S are facets. The number of a facet is -1 off the surface.
+    """
     model = state.model
     parts = [
         (CompiledPart(points.key, model.V, model.quadratures[points.key].term, model.origin), facets)
@@ -41,8 +44,8 @@ def _layer_parts(surface: SurfaceMesh, state: State) -> Iterator[list[tuple[Comp
             part.destroy()
 
 
-def _on_facets(part: CompiledPart, facets: IntArray, values: Array, out: Array) -> None:
-    """Add values (points, ...) of a part to those of facets, `out` (n, ...); `facets` are -1 off the surface."""
+def _add_to_facets(out: Array, part: CompiledPart, facets: IntArray, values: Array) -> None:
+    """Add the values (points, ...) of a part to `out` (n, ...), at the n facets of S; `facets` as in `_layer_parts`."""
     np.add.at(out, facets[facets >= 0], values[part.points.cells[facets >= 0]].sum(axis=1))
 
 
@@ -70,26 +73,30 @@ def dissipated_in_steps(surface: SurfaceMesh, history: History) -> Array:
             for part, facets in parts:
                 part.begin(TimeStep(old, new.t, new.t - old.t, history.theta))
                 part.evaluate(new.u, new.u)
-                _on_facets(part, facets, part.dissipated(), energies[row])
+                _add_to_facets(energies[row], part, facets, part.dissipated())
     return np.asarray(model.comm.allreduce(energies) / surface.weights.sum(axis=1))[..., None]
 
 
 def mode_mix(surface: SurfaceMesh, state: State) -> Array:
-    """Return the mean mode mixities (n, 1) of n facets, as `Surface.mode_mix`."""
+    """Return the mode mixities (n, 1) of the n facets of a surface, as `Surface.mode_mix` defines them.
+
+    Raises:
+        InputError: no layer has modes, or one is a sublayer of a `Stack`.
+    """
     laws = [sublayer for layer in state.model.layers.values() for sublayer in layer.law.sublayers]
     if not any(law.has_modes for _, law in laws):
         raise InputError("mode_mix: no layer has a law with modes, such as Breaking or Cohesive")
     if any(law.has_modes and fraction < 1 for fraction, law in laws):
-        raise InputError("mode_mix: strains in the sublayers of a Stack are not known")
+        raise InputError("mode_mix: a sublayer of a Stack has modes, and its strains are not known; make it the layer")
     energies = np.zeros((len(surface.rows), 2))
     with _layer_parts(surface, state) as parts:
         for part, facets in parts:
             e = part.points.driving_strain(part.strain_in(state))
             if part.law.has_modes:
-                _on_facets(part, facets, _mode_energies(part.points, part.law, e), energies)
+                _add_to_facets(energies, part, facets, _mode_energies(part.points, part.law, e))
     energies = state.model.comm.allreduce(energies)
     total = energies.sum(axis=1, keepdims=True)
-    return np.where(total > ZERO_ENERGY * total.max(), energies[:, 1:] / np.where(total > 0, total, 1.0), np.nan)
+    return np.where(total > ZERO_ENERGY_RATIO * total.max(), energies[:, 1:] / np.where(total > 0, total, 1.0), np.nan)
 
 
 def _mode_energies(points: CompiledTerm, law: BulkLaw, e: Array) -> Array:

@@ -382,6 +382,6 @@ def _statuses_at_points(surface: SurfaceMesh, points: LawPoints, facets: IntArra
     largest_strain /= float(layer.thin_layer.eps) if layer.thin_layer else 1.0
     status = np.full(q.count, ELASTIC)
     for (_, law), variables in zip(sublayers, internal, strict=True):
-        layer_results = LayerPoints(variables, plastic_strain, t, q.n, point_openings, largest_traction, largest_strain)
-        status = np.where(status == ELASTIC, law.status_at(layer_results), status)
+        point_values = LayerPoints(variables, plastic_strain, t, q.n, point_openings, largest_traction, largest_strain)
+        status = np.where(status == ELASTIC, law.status_at(point_values), status)
     return status[point_numbers]

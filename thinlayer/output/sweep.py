@@ -35,8 +35,8 @@ def sweep(run: RowFunction, eps: Iterable[float], out: str | Path | None = None,
             returns them.
         eps: the thicknesses, > 0 and different.
         out: csv file for the table; None: no file. Each row is on the disk before the next one is computed, and stays
-            if a later one fails. The file called `out` + ".json" has the rows, the code of `run`, and the data that
-            `run` refers to.
+            if a later one fails. The file called `out` + ".json" has the rows, and a description of `run` and of the
+            data that it refers to.
         resume: False: compute all rows; both files of an earlier sweep are moved to a folder previous-1, previous-2,
             ... True: keep the rows that are in the files, and compute the others. "anyway": keep also rows of another
             `run`.
@@ -113,9 +113,9 @@ def _compute_row(run: RowFunction, eps: float, first_row: Row | None) -> Row:
         if lacking := [name for name in needed if not isinstance(row.get(name), float)]:
             raise InputError(f"{text} has no number {', '.join(lacking)}; return what compare returns")
         if not abs(row["eps"] - eps) <= THICKNESS_TOLERANCE * eps:  # type: ignore[operator]
-            raise InputError(f"{text} is of another thickness, eps = {row['eps']:g}")
+            raise InputError(f"{text} is of another thickness, eps = {row['eps']:g}; take the argument of run")
         if first_row is not None and row.keys() != first_row.keys():
-            raise InputError(f"{text} has the columns {', '.join(row)}, where the first row has {', '.join(first_row)}")
+            raise InputError(f"{text} has columns {', '.join(row)}, where the first row has {', '.join(first_row)}")
     columns = first_row or (*needed, *(name for name in row if name not in needed))
     return {name: row[name] for name in columns} | {"eps": eps}
 

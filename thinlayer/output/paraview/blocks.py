@@ -164,13 +164,8 @@ def _extract_cells(mesh: pyvista.UnstructuredGrid, is_chosen: BoolArray) -> pyvi
 def _make_s_grid(state: State, model: InterfaceModel, means: Mapping[str, Array]) -> pyvista.UnstructuredGrid | None:
     """Make the VTK grid of the facets of S, in the joint's order, on rank 0; other ranks return None. Collective.
 
-    Each facet has its own nodes. Point data are "traction", "jump", "normal", the displacements "u_upper" and "u_lower"
-    of both sides, and their mean "u", by which ParaView can warp S. "t_N" and "w_N" are the normal components of
-    traction and jump. "t_T" and "w_T" are their tangential parts: in 2D the component along (n_2, -n_1), in 3D the
-    vector in S. Of a scalar field the values are "flux", "jump", "T_upper", "T_lower" and "T". With contact laws there
-    are also "contact", a code of `CONTACT_CODES`, and the vector "slip".
-    Facet data are "seam", the seam's number, "status", a code, and means of internal variables. Texts in the grid's
-    field data explain the numbers and codes.
+    Each facet has its own nodes. `writer.write` lists the data of nodes and facets. Codes of contact statuses are those
+    of `CONTACT_CODES`.
 
     Args:
         state: a state of the model, or of another model of the same joint. In the second case statuses and contact data
@@ -233,7 +228,7 @@ def _pad_to_3d(values: Array) -> Array:
 
 
 def _nodal_arrays(fields: Mapping[str, Array], names: QuantityNames) -> dict[str, Array]:
-    """Compute the VTK point data of S that `_make_s_grid` lists, from fields at the nodes of each facet.
+    """Compute the VTK point data of S, which `writer.write` lists, from fields at the nodes of each facet.
 
     Args:
         fields: name -> vectors (facets, nodes, c): "traction"; "upper" and "lower", the displacements of both sides;

@@ -32,8 +32,9 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
     these blocks:
 
     - "bodies": the cells of the bodies. Data of nodes: the displacement "u"; each side of S has its own nodes, so that
-      jumps are kept. Data of cells: means of "stress" and of the laws' internal variables, each by its name; "von
-      Mises"; "region", the position of the region's name in the list "regions" of the field data.
+      jumps are kept. Data of cells: means of "stress" and of the laws' internal variables, each by its name, with the
+      word "internal" before it if the name is that of other data; "von Mises"; "region", the position of the region's
+      name in the list "regions" of the field data.
     - "layer", only for a full model: the cells of the meshed layers, with the same data. Also for each cell "seam", the
       position of the seam's name in the list "seams" of the field data.
     - "S", for an interface model, or with `surface`: facets of S, each with its own nodes. Data of nodes: "traction",
@@ -90,7 +91,7 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
         require(isinstance(path, (str, Path)) and Path(path).suffix == COLLECTION_SUFFIX, "path", path, advice)
         surface_model = surface.model if isinstance(surface, Surface) else states[0].model
         if surface is not None and not (isinstance(surface, Surface) and isinstance(surface_model, InterfaceModel)):
-            raise InputError(f"surface is {surface!r:.80}; give Surface(limit.model) of an interface model")
+            raise InputError(f"surface is {surface!r:.80}; give Surface(state.model) of an interface model")
         if surface_model.joint is not states[0].model.joint:
             raise InputError("surface is of another joint than the states; give one of the same joint")
     require_same(comm, models=states[0].model.data_hash, states=[state.t for state in states], path=str(path))

@@ -16,7 +16,7 @@ from forms.base import require
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import PINNED_STATUS, Contact
 from thinlayer.output.plotting.curves import LINE_STYLES, colours_by_label, set_symlog
-from thinlayer.output.plotting.picture import GivenAxes, Picture, entry_by_label, finish_picture, make_panels
+from thinlayer.output.plotting.picture import AxesInput, Picture, entry_by_label, finish_picture, make_panels
 from thinlayer.output.surface import Surface
 from thinlayer.surface.lines import Line, Plane
 
@@ -36,7 +36,7 @@ def along(
     stress: str = "",
     unit: str = "",
     log: bool = False,
-    ax: GivenAxes = None,
+    ax: AxesInput = None,
 ) -> Picture | None:
     """Draw fields on S as curves over arc length. Collective; all ranks have the picture.
 
@@ -83,7 +83,7 @@ def along(
         >>> [axes.get_ylabel() for axes in picture.axes]
         ['t_N (MPa)', 't_T (MPa)', 'w_N (mm)', 'w_T (mm)']
     """
-    require(isinstance(surface, Surface), "along: surface", surface, "give Surface(limit.model)")
+    require(isinstance(surface, Surface), "along: surface", surface, "give Surface(state.model)")
     unit_texts = [f" ({name})" if name else "" for name in (stress, length, unit)]
     drawn = _fields_by_row(surface, fields, *unit_texts)
     rows = {label: {case: surface.along(f, plane=plane) for case, f in cases.items()} for label, cases in drawn.items()}

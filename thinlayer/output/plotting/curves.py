@@ -16,7 +16,7 @@ from matplotlib.ticker import LogLocator, MultipleLocator
 
 from forms.base import Array, InputError, require
 from geometry.refusals import require_known
-from thinlayer.output.plotting.picture import GivenAxes, Picture, entry_by_label, finish_picture, make_panels, typeset
+from thinlayer.output.plotting.picture import AxesInput, Picture, entry_by_label, finish_picture, make_panels, typeset
 from thinlayer.output.sweep import needed_columns
 from thinlayer.solving.harmonic import HarmonicResponse
 from thinlayer.solving.history import History
@@ -117,7 +117,7 @@ def curves(
     ylim: AxisRange | Mapping[str, AxisRange] = None,
     columns: int = 3,
     levels: Mapping[str, Sequence[str]] | None = None,
-    ax: GivenAxes = None,
+    ax: AxesInput = None,
 ) -> Picture | None:
     """Draw curves in one panel or in several panels, with one legend below.
 
@@ -237,7 +237,7 @@ def response(
     resonances: Mapping[str, tuple[Array, Array]] | tuple[Array, Array] | None = None,
     save: str | Path | None = None,
     title: str = "",
-    ax: GivenAxes = None,
+    ax: AxesInput = None,
     **options: Any,
 ) -> Picture | None:
     """Draw how large an observed quantity is under harmonic loads of each frequency, and by how much it lags behind.

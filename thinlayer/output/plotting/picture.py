@@ -29,7 +29,7 @@ UNDATED_METADATA: dict[str, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"
 # Words that are Greek letters; letters with an index, these letters alone, and powers.
 GREEK_PATTERN = "eps|lambda|nu|mu|pi|kappa|rho|psi|omega|Omega|delta|sigma"
 SYMBOL_PATTERN = r"(?:\\[A-Za-z]+|\b[A-Za-z]{1,2})_(?:[NTxyz\d]|min)\b|\\[A-Za-z]+|\b(?:10|L)\^-?\d+"
-GivenAxes = Axes | Sequence[Axes] | np.ndarray | None  # argument `ax`
+AxesInput = Axes | Sequence[Axes] | np.ndarray | None  # argument `ax`
 NOTEBOOK_SAVE_OPTIONS: dict[str, Any] = {"dpi": 100, "bbox_inches": "tight"}
 
 
@@ -98,7 +98,7 @@ def typeset(text: str) -> str:
 
 
 def make_panels(
-    ax: GivenAxes, shape: tuple[int, int], n: int, inches: tuple[float, float], **sharing: Any
+    ax: AxesInput, shape: tuple[int, int], n: int, inches: tuple[float, float], **sharing: Any
 ) -> list[Axes]:
     """Return the axes of n panels, of a new picture or those that the user gives.
 

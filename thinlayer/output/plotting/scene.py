@@ -14,9 +14,10 @@ from scipy.spatial import cKDTree
 
 from forms.base import Array, InputError, import_optional, is_finite, require
 from forms.temperature import finite_values
+from geometry.refusals import place_text
 from geometry.topology import IntArray, place_order
 from thinlayer.output.paraview.grid import VtkGrid
-from thinlayer.output.plotting.picture import GivenAxes, make_panels
+from thinlayer.output.plotting.picture import AxesInput, make_panels
 
 DRAWN_DISPLACEMENT_RATIO = 0.05  # largest drawn displacement, over the size of the structure
 DEFAULT_TOWARDS = {2: (0.0, 0.0, 1.0), 3: (0.55, 0.45, 1.0)}  # dimension -> direction to the viewer
@@ -50,8 +51,9 @@ class View:
             right and above. The axis y points up in the picture; in a view from directly above, -z points up.
         cut: whether to cut a 3D structure at its middle in z and draw only the half away from the viewer. S inside is
             then visible.
-        symbols: whether to draw loads as arrows of one length, but not those of scalar fields, and supports as
-            triangles where they prescribe all components of the displacement, as circles elsewhere.
+        symbols: whether to draw loads as arrows of one length, but not those of scalar fields, and supports. These are
+            triangles, in 3D cubes, where they prescribe all components of the displacement; elsewhere circles, in 3D
+            balls.
 
     Raises:
         InputError: a scale that is no finite number, or an invalid window.
@@ -272,7 +274,7 @@ class Scene:
         is_inside = (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
         values = np.concatenate([shape.colour_values for shape in shapes])
         if x.max() < x0 or x.min() > x1 or y.max() < y0 or y.min() > y1:
-            raise InputError(f"nothing to draw in the window {(x0, x1, y0, y1)}")
+            raise InputError(f"zoom {place_text(window)} has nothing to draw; the structure is in {place_text(whole)}")
         visible = values if np.isnan(values[is_inside]).all() else values[is_inside]  # a window may lie inside one cell
         return replace(scene, window=window, colour_limits=(float(np.nanmin(visible)), float(np.nanmax(visible))))
 
@@ -304,7 +306,7 @@ class Scene:
         self.shape(grid).draw(axes, self, self.symbols(grid), surface)
         axes.set(xlim=self.window[:2], ylim=self.window[2:], aspect="equal")
 
-    def panels(self, n: int, ax: GivenAxes = None) -> list[Axes]:
+    def panels(self, n: int, ax: AxesInput = None) -> list[Axes]:
         """Return axes for `n` structures side by side, those of the user or of a new picture, without frames."""
         x0, x1, y0, y1 = self.window
         inches = (PANEL_INCHES * n, PANEL_INCHES * (y1 - y0) / (x1 - x0) + 1.3)

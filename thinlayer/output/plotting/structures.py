@@ -18,7 +18,7 @@ from forms.base import Array, InputError
 from thinlayer.discretisation.state import State
 from thinlayer.output.paraview.grid import gather_grid
 from thinlayer.output.plotting.curves import COLOURS, SYMLOG_RATIO
-from thinlayer.output.plotting.picture import GivenAxes, Picture, draw_on_root, entry_by_label
+from thinlayer.output.plotting.picture import AxesInput, Picture, draw_on_root, entry_by_label
 from thinlayer.output.plotting.scene import COLOUR_BAR_STYLE, Scene, SurfaceColours, View
 from thinlayer.output.surface import Surface
 
@@ -39,13 +39,13 @@ def deformed(
     *,
     save: str | Path | None = None,
     title: str = "",
-    ax: GivenAxes = None,
+    ax: AxesInput = None,
 ) -> Picture | None:
     """Draw deformed structures side by side, coloured by displacement. Collective.
 
-    Of a scalar field such as a temperature, undeformed structures are drawn, coloured by its values.
-    A meshed layer and the two sides of S have red outlines, so that jumps are visible; a rigid base is grey. 3D
-    structures are drawn in parallel projection.
+    Of a scalar field such as a temperature, undeformed structures are drawn, coloured by its values. Lines are orange
+    around meshed layers and blue at both sides of S, so that jumps are visible; a rigid base is grey. 3D structures are
+    drawn in parallel projection.
 
     Args:
         states: label of a structure's panel -> state, or one state.
@@ -92,7 +92,7 @@ def on_surface(
     save: str | Path | None = None,
     quantity: str = "",
     log: bool = False,
-    ax: GivenAxes = None,
+    ax: AxesInput = None,
 ) -> Picture | None:
     """Draw deformed structures side by side, with S coloured by a field. Collective.
 
@@ -167,7 +167,7 @@ DrawLegend = Callable[[Scene, list[Axes]], None]
 
 def _draw_panels(
     cases: Mapping[str, State], view: View, colour_s: ColourS | None, draw_legend: DrawLegend, title: str,
-    save: str | Path | None, ax: GivenAxes,
+    save: str | Path | None, ax: AxesInput,
 ) -> Picture | None:  # fmt: skip
     """Draw states side by side with one legend, on rank 0; other ranks return None. Collective.
 
@@ -218,7 +218,7 @@ def number_words(fields: Mapping[str, np.ndarray]) -> tuple[list[str], dict[str,
     if not any(f.dtype.kind == "U" for f in fields.values()):
         return [], dict(fields)
     if wrong_shapes := [f.shape for f in fields.values() if f.ndim > 1 and f.shape[-1] != 1]:
-        raise InputError(f"names on S are those of facets, (n, 1), or nodes, (m,), not {wrong_shapes[0]}")
+        raise InputError(f"words on S are those of facets, (n, 1), or nodes, (m,), not {wrong_shapes[0]}")
     unique_words = {*np.concatenate([f.ravel() for f in fields.values()]).tolist()}
     words = [*(word for word in STATUS_COLOURS if word in unique_words), *sorted(unique_words - {*STATUS_COLOURS})]
     return words, {label: np.vectorize(words.index, otypes=[int])(f) for label, f in fields.items()}

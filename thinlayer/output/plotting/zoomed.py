@@ -12,7 +12,7 @@ from forms.base import Array, InputError, is_number, require
 from forms.kinematics import PLANE_STRAIN
 from geometry.refusals import require_known
 from thinlayer.output.plotting.curves import COLOURS
-from thinlayer.output.plotting.picture import GivenAxes, Picture, draw_on_root, make_panels
+from thinlayer.output.plotting.picture import AxesInput, Picture, draw_on_root, make_panels
 from thinlayer.output.zooming import CORNER_EXCLUSION, Zoom
 
 STRESS_INDICES = {"N": (1, 1), "T": (0, 1), "S": (0, 0)}  # indices of stresses in the axes of an end: inward, n
@@ -31,7 +31,7 @@ def zoomed(
     component: str = "N",
     save: str | Path | None = None,
     stress: str = "",
-    ax: GivenAxes = None,
+    ax: AxesInput = None,
 ) -> Picture | None:
     """Draw a stress component in a 2D layer near a free end, as a map and along three lines parallel to S. Collective.
 
@@ -87,7 +87,7 @@ def zoomed(
     return draw_on_root(zoom.state.model.comm, lambda: _draw_stress(values, D, Y, component, stress, ax), save)
 
 
-def _draw_stress(values: dict[str, Array], D: Array, Y: Array, component: str, unit: str, ax: GivenAxes) -> Figure:
+def _draw_stress(values: dict[str, Array], D: Array, Y: Array, component: str, unit: str, ax: AxesInput) -> Figure:
     low, high = np.quantile(next(iter(values.values())), [CLIPPED_FRACTION, 1 - CLIPPED_FRACTION])
     n, ratios = len(values) + 1, [*[1.0] * len(values), 1.5]
     panels = make_panels(ax, (n, 1), n, (7.2, 1.9 * len(values) + 3.0), height_ratios=ratios, sharex=True)
