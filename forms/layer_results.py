@@ -30,8 +30,8 @@ class LayerPoints(NamedTuple):
         traction: tractions (points, 3), stress times n.
         n: unit normals (points, 3) of S.
         opening: normal jumps (points,), lengths; > 0 if S opens.
-        largest_traction: magnitude of the largest traction in the layer.
-        largest_strain: magnitude of the largest jump in the layer, divided by the thickness if the layer has one.
+        largest_traction: largest absolute component of the tractions in the layer.
+        largest_strain: the same of the jumps, divided by the thickness if the layer has one.
     """
 
     internal: Mapping[str, Array]
