@@ -81,7 +81,7 @@ class FluxLaw(BulkLaw):
     default_order = 1
     methods: ClassVar = ("flux", "evolve")
     renamed: ClassVar = {"stress": "flux", "advance": "evolve", "energy": "potential", "dissipation": "loss"}
-    ignored: ClassVar = (*renamed, "elastic_moduli", "end_strips", "stations_at_ends", "plane_stress")
+    ignored: ClassVar = (*renamed, "elastic_moduli", "end_constants", "stations_at_ends", "plane_stress")
 
     def _traits_of_methods(self) -> dict[str, bool]:
         return super()._traits_of_methods() | {"has_energy": type(self).potential is not FluxLaw.potential}

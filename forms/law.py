@@ -116,7 +116,8 @@ class Law(LayerResults):
             variables start from zero.
         functions: names of parameters that may be functions of other quantities than the place, such as a temperature.
             `parameter_values` gives NaN for such a function, `at` gives its values.
-        ignored: names of inherited methods that are not called for this law, so that a subclass must not define them.
+        ignored: names of methods of other laws that are not called for this one, so that a subclass must not define
+            them.
         renamed: those of them that are called by another name -> this name.
         takes_fields: whether a parameter that is a single number may instead be a function of the place. This is a
             numpy function of the coordinates (d, n) of n places in the joint that returns n values.

@@ -19,13 +19,7 @@ if TYPE_CHECKING:
 
 # modules of the base classes, whose attributes are the defaults of all laws
 LAW_BASE_MODULES = tuple(f"forms.{name}" for name in ("law", "traction", "flux", "kernel", "contact", "series"))
-RESPONSE_ATTRIBUTES = (
-    "stress",
-    "traction",
-    "flux",
-    "sink",
-    "source",
-)  # attributes that give the stress or traction of a law
+RESPONSE_ATTRIBUTES = ("stress", "traction", "flux", "sink", "source")  # they give the stress or traction of a law
 UPDATE_METHODS = ("advance", "evolve")  # methods that compute the new internal variables
 ORDER_1_METHODS = ("stations", "stations_at_ends", "end_constants", "elastic_moduli")
 STRESS_ATTRIBUTES = (*ORDER_1_METHODS, "stiffness", "plane_stress", "energetic")  # attributes valid for one stress only
@@ -178,7 +172,7 @@ def _require_used_methods(law: Law) -> None:
     defining_index = min(_mro_index(cls, attribute) for attribute in ("source", "ignored"))
     for method in cls.ignored:
         if _is_custom(cls, method) and _mro_index(cls, method) < defining_index:
-            remedy = f"change the source, sublayers or the traction of {cls.__mro__[defining_index].__name__}"
+            remedy = f"change the source, sublayers, traction or flux of {cls.__mro__[defining_index].__name__}"
             remedy = f"write {cls.renamed[method]}(step)" if method in cls.renamed else remedy
             raise InputError(f"{name} has a method {method} that is never called: {remedy}, or write a BulkLaw")
     updates = [method for method in UPDATE_METHODS if _is_custom(cls, method)]
