@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pydoc import locate
 from typing import Any, ClassVar
 
 from mpi4py import MPI
@@ -51,13 +52,13 @@ def warn_of_deprecated(name: str, since: str, instead: str) -> None:
     warn_caller(DeprecationWarning(f"{name} is deprecated since thinlayer {since}; use {instead}"))
 
 
-def make_module_getattr(module: str, renamed: Mapping[str, Callable[..., object]]) -> Callable[[str], Any]:
+def make_module_getattr(module: str, renamed: Mapping[str, Callable[..., object] | str]) -> Callable[[str], Any]:
     """Make a module's `__getattr__` function, which accepts names of version 1.0 with a DeprecationWarning.
 
     Args:
         module: name of the module, for messages.
-        renamed: deprecated name -> the function or class that now has another name; the warning tells the user its new
-            name.
+        renamed: deprecated name -> the function or class that now has another name, or its full name if its module
+            is another one; the warning tells the user its new name.
 
     Returns:
         A function that returns the function or class for a deprecated name, and raises AttributeError for other names.
@@ -66,8 +67,10 @@ def make_module_getattr(module: str, renamed: Mapping[str, Callable[..., object]
     def find_present_object(name: str) -> Any:
         if name not in renamed:
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
-        warn_of_deprecated(f"{module}.{name}", "1.1", f"{renamed[name].__module__}.{renamed[name].__name__}")
-        return renamed[name]
+        target = renamed[name]
+        present: Any = locate(target) if isinstance(target, str) else target
+        warn_of_deprecated(f"{module}.{name}", "1.1", f"{present.__module__}.{present.__name__}")
+        return present
 
     return find_present_object
 

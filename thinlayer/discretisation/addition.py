@@ -1,6 +1,5 @@
 """Deprecated module name of version 1.0; the module is now `thinlayer.discretisation.part_definition`."""
 
-from thinlayer.discretisation.part_definition import PartDefinition
 from thinlayer.errors import make_module_getattr
 
-__getattr__ = make_module_getattr(__name__, {"Addition": PartDefinition})
+__getattr__ = make_module_getattr(__name__, {"Addition": "thinlayer.discretisation.part_definition.PartDefinition"})

@@ -28,7 +28,6 @@ from geometry.topology import (
     turned_towards,
     vertex_weights,
 )
-from thinlayer.discretisation.model import Model
 from thinlayer.system.ranks import destroy, errors_on_all, send
 
 NO_DOFS = np.empty(0, np.int32)
@@ -105,11 +104,6 @@ class ContactSurface:
     sides: Indices
     facet_numbers: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     kinematics: Kinematics = PLANE_STRAIN
-
-    @classmethod
-    def for_seam(cls, model: Model, name: str) -> ContactSurface:
-        """Return the facets of the seam `name` of an interface model, and the cells on their two sides."""
-        return cls(model.V, model.comm, *model.domain.sides(name), model.kinematics)
 
     @property
     def on_base(self) -> bool:

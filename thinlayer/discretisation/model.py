@@ -27,6 +27,7 @@ from geometry.topology import FloatArray, Indices, Splitting, is_tensor
 from thinlayer.discretisation.applicability import Applicability
 from thinlayer.discretisation.coefficient import Coordinates, LoadInput, Pressure, Value, takes_place_only
 from thinlayer.discretisation.constraints import Constraints
+from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.forces import BodyForce, Forces, LoadRegion
 from thinlayer.discretisation.form_compilation import (
     checked_term,
@@ -69,7 +70,6 @@ from thinlayer.system.fingerprint import describe, digest
 from thinlayer.system.ranks import errors_on_all, free_petsc_objects, require_same
 
 if TYPE_CHECKING:
-    from thinlayer.discretisation.state import State
     from thinlayer.discretisation.structure import Structure
 
 T = TypeVar("T")
@@ -420,16 +420,8 @@ class Model(ABC):
         """
         with errors_on_all(self.comm):
             checked_loads = None if loads is None else check_loads(loads)
-        new = self._family_copy()
-        new.structure = structure = self.structure.with_loads(
-            tractions=tractions,
-            body_force=body_force,
-            fluxes=fluxes,
-            sources=sources,
-            loads=checked_loads,
-            supports=supports,
-        )
-        new.data_hash = digest([self.data_hash, structure.data_hash])
+        data: dict[str, Any] = {"fluxes": fluxes, "sources": sources, "loads": checked_loads, "supports": supports}
+        new = self._family_copy(self.structure.with_loads(tractions=tractions, body_force=body_force, **data))
         with errors_on_all(self.comm):
             if supports is not None:
                 new.supports = self._make_supports(supports)
@@ -454,13 +446,9 @@ class Model(ABC):
             laws: name of a body -> its new law; other bodies keep theirs.
             eigenstrains: name of a body -> its new eigenstrain; None: unchanged.
         """
-        new, strains = self._family_copy(), eigenstrains or {}
-        new.family, new.issued_warnings = ModelFamily(), self.issued_warnings
-        new.structure = structure = copy_without_caches(self.structure)
-        structure.body_laws = new.body_laws = {**self.body_laws, **laws}
-        structure.eigenstrains = {**structure.eigenstrains, **strains}
-        structure.data_hash = digest([structure.data_hash, require_same(self.comm, body=laws, eigenstrain=strains)])
-        new.data_hash = digest([self.data_hash, structure.data_hash])
+        laws, strains = {**self.body_laws, **laws}, {**self.structure.eigenstrains, **(eigenstrains or {})}
+        new = self._family_copy(self.structure.replaced(body_laws=laws, eigenstrains=strains))
+        new.family, new.body_laws, new.issued_warnings = ModelFamily(), laws, self.issued_warnings
         with errors_on_all(self.comm):
             new.body_strains = {name: new._body_strain(name) for name in new.body_laws}
         new.bodies = new._with_mean_strain(new._terms_of_bodies())
@@ -469,11 +457,8 @@ class Model(ABC):
 
     def with_parts(self, parts: Sequence[PartDefinition]) -> Self:
         """Return this model with other data of its parts without constraints, which are not checked. Collective."""
-        new = self._family_copy()
-        new.family, new.parts, new.structure = ModelFamily(), tuple(parts), copy_without_caches(self.structure)
-        new.structure.parts = new.parts
-        new.structure.data_hash = digest([self.structure.data_hash, require_same(self.comm, parts=new.parts)])
-        new.data_hash = digest([self.data_hash, new.structure.data_hash])
+        new = self._family_copy(self.structure.replaced(parts=tuple(parts)))
+        new.family, new.parts = ModelFamily(), new.structure.parts
         new.forces = new._make_forces()
         new.description = new._description()
         return new
@@ -503,11 +488,16 @@ class Model(ABC):
         new.forces = new._make_forces()
         return new
 
-    def _family_copy(self) -> Self:
-        """Return a copy that shares mesh, space and matrices, without warnings and cached values that laws change."""
+    def _family_copy(self, structure: Structure | None = None) -> Self:
+        """Return a copy that shares mesh, space and matrices, without warnings and cached values that laws change.
+
+        `structure` is the structure of the copy, if it is another one.
+        """
         self.family.is_shared = True
         new = copy_without_caches(self, keep=MESH_CACHE_NAMES)
         new.issued_warnings = set()
+        if structure is not None:
+            new.structure, new.data_hash = structure, digest([self.data_hash, structure.data_hash])
         return new
 
     @property
@@ -634,6 +624,10 @@ class Model(ABC):
         """Return the terms of the laws of all bodies and layers, with their prescribed strains at the time t."""
         return with_strains(self.terms, TimeLevel(t).at_level)
 
+    def contact_surface(self, name: str) -> ContactSurface:
+        """Return the facets of the seam `name` of an interface model, and the cells on their two sides."""
+        return ContactSurface(self.V, self.comm, *self.domain.sides(name), self.kinematics)
+
     @cached_property
     def surface_mesh_cache(self) -> dict[str, object]:
         """Meshes of S (`SurfaceMesh`) made so far, by the name of their seam."""
@@ -733,13 +727,6 @@ class Model(ABC):
         It is a UFL form, linear in v.
         """
         return sum((part.work(self, u, v) for part in self.parts), ufl.Form([]))
-
-    def work_of_parts_in(self, state: State, v: Expr) -> Expr:
-        """Return the virtual work, in v, of the forces of `parts` such as springs in a state.
-
-        It is a UFL form, linear in v.
-        """
-        return sum((part.work_in(self, state, v) for part in self.parts), ufl.Form([]))
 
     # ---------------------------------------------------------------- identity
     def identity(self) -> dict[str, object]:

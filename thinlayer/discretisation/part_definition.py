@@ -11,7 +11,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from forms.base import Array, InputError, require
+from forms.base import Array, InputError
 from forms.kinematics import PLANE_STRAIN
 from forms.tensors import Expr
 from forms.traits import accept_renamed
@@ -190,7 +190,6 @@ def check_part_definitions(parts: Sequence[PartDefinition], model: HostModel) ->
     seam_keys = {Key(kind, name) for kind in (LAYER_KIND, CONTACT_KIND, PRESSURE_KIND) for name in model.joint.seams}
     used_keys = {*RESERVED_KEYS, *map(str, seam_keys), *(str(Key(BODY_KIND, name)) for name in model.joint.bodies)}
     for part in parts:
-        require(isinstance(part, PartDefinition), "one of parts", part, "allowed: Springs, UflPart, PartDefinition")
         if not part.has_constraint and type(part).part is PartDefinition.part:
             raise InputError(f"{part.key!r} does nothing: it has neither part(model) nor multi_point_constraint(model)")
         base_key = replace(Key.parse(part.key), member="")

@@ -263,6 +263,10 @@ class State(Configuration):
         point = default_moment_point(model, place, places) if about is None else about
         return reduce(add, (reactions[name] for name in places)).at(point)
 
+    def work_of_parts(self, v: Expr) -> Expr:
+        """Return the virtual work, in v, of the forces of `parts` such as springs, a UFL form that is linear in v."""
+        return sum((part.work_in(self.model, self, v) for part in self.model.parts), ufl.Form([]))
+
     def reactions_by_place(self, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
         """Return the reactions of all places that support the structure, by place.
 

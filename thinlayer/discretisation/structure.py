@@ -281,14 +281,17 @@ class Structure:
             loads: list of `PointLoad` and `LineLoad`; None: unchanged.
             supports: place -> prescribed displacements; None: unchanged.
         """
-        new = copy_without_caches(self)
         tractions, body_force = self._loads_of_unknown(
             loads, tractions=tractions, body_force=body_force, fluxes=fluxes, sources=sources
         )
         data = {"tractions": tractions, "body_force": body_force, "loads": loads and tuple(loads), "supports": supports}
-        changed = {name: value for name, value in data.items() if value is not None}
-        vars(new).update(changed)
-        hashed = changed if supports is None else changed | {"supports": _ordered_pairs(supports)}
+        return self.replaced(**{name: value for name, value in data.items() if value is not None})
+
+    def replaced(self, **data: Any) -> Self:
+        """Return the same structure with other data, attributes by name, which are not checked. Collective."""
+        new = copy_without_caches(self)
+        vars(new).update(data)
+        hashed = {name: _ordered_pairs(value) if name == "supports" else value for name, value in data.items()}
         new.data_hash = digest([self.data_hash, require_same(self.comm, **hashed)])
         return new
 

@@ -15,7 +15,7 @@ from forms.base import Array
 from forms.contact import Status
 from geometry.seam import S
 from geometry.topology import IntArray, components, sum_by_number
-from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, body_pairs
+from thinlayer.discretisation.contact_nodes import ContactNodes, body_pairs
 from thinlayer.discretisation.state import State
 from thinlayer.output.nodal_forces import contact_forces, nodal_forces
 from thinlayer.surface.surface_mesh import SurfaceMesh
@@ -212,7 +212,7 @@ def _rank_values(state: State, seam: str) -> dict[str, np.ndarray]:
         itself at the vertex; "number", the key of the vertex and of the two bodies that meet there (`Joint.pairs`).
     """
     model, law = state.model, state.model.contacts[seam]
-    nodes = ContactNodes(ContactSurface.for_seam(model, seam), model.constraints.bc_dofs, gap=law.gaps)
+    nodes = ContactNodes(model.contact_surface(seam), model.constraints.bc_dofs, gap=law.gaps)
     w, slip = nodes.separation(state.u.x.petsc_vec), state.memory[model.layers[seam].key]
     t, p, statuses = law.traction(w, slip), law.pressure(w), law.status(w, slip)
     threshold = law.threshold(p)
@@ -241,7 +241,7 @@ def balance_errors(state: State) -> tuple[float, float]:
     bc_dofs = np.union1d(model.supports.bc_dofs_in(model.V), model.bc_dofs_in(model.V))
     bc_dofs = bc_dofs[bc_dofs < model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs]
     v = ufl.TestFunction(model.V)
-    internal = nodal_forces(model.V, state.work(state.bodies + state.layers, v) + model.work_of_parts_in(state, v))
+    internal = nodal_forces(model.V, state.work(state.bodies + state.layers, v) + state.work_of_parts(v))
     external, contact = nodal_forces(model.V, model.external_work(v, state.t)), contact_forces(state)
     u, inner_vec, outer_vec, contact_vec = (f.x.petsc_vec for f in (state.u, internal, external, contact))
     contact_vec.scale(-1.0)

@@ -7,7 +7,7 @@ import ufl
 from dolfinx import fem
 
 from forms.tensors import Expr
-from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
+from thinlayer.discretisation.contact_nodes import ContactNodes
 from thinlayer.discretisation.form_compilation import compiled
 from thinlayer.discretisation.state import State
 from thinlayer.system.ranks import destroy
@@ -32,7 +32,7 @@ def layer_forces(state: State, bonds_joined: bool = False) -> fem.Function:
     v = ufl.TestFunction(W)
     # Separate forms: in a sum DOLFINx 0.9 loses integrals over overlapping sets of regions with different quadratures.
     r = nodal_forces(W, state.work(state.bodies, v))
-    if (parts_work := model.work_of_parts_in(state, v)).integrals():
+    if (parts_work := state.work_of_parts(v)).integrals():
         r.x.array[:] += nodal_forces(W, parts_work).x.array
     r.x.array[:] -= nodal_forces(W, model.external_work(v, state.t)).x.array
     return r
@@ -60,7 +60,7 @@ def contact_forces(state: State) -> fem.Function:
     """Compute the nodal forces of contact laws on the bodies, as a function in the displacements' space. Collective."""
     model, forces = state.model, fem.Function(state.model.V)
     for name, law in model.contacts.items():
-        nodes = ContactNodes(ContactSurface.for_seam(model, name), gap=law.gaps)
+        nodes = ContactNodes(model.contact_surface(name), gap=law.gaps)
         b = nodes.new_vector()
         nodes.add_forces(-law.traction(nodes.separation(state.u.x.petsc_vec), state.memory[model.layers[name].key]), b)
         forces.x.array[: b.getLocalSize()] += b.array_r

@@ -16,7 +16,6 @@ from forms.base import Array
 from forms.work import Term
 from geometry.inflating.inflation import points_on_middle
 from geometry.topology import Indices, IntArray
-from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.form_compilation import compiled_terms
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import SeamLayer
@@ -516,7 +515,7 @@ def layer_parts(model: Model, bc_dofs: Indices, from_bodies: Sequence[Part]) -> 
         masters = joint.masters if joint.periods else None
         parts += [PressurePart(model.V, p, scale, model.origin, _zero_p_points(model, p), masters) for p in constrained]
     for name, law in model.contacts.items():
-        parts.append(ContactPart(law, ContactSurface.for_seam(model, name), bc_dofs, model.layers[name].key))
+        parts.append(ContactPart(law, model.contact_surface(name), bc_dofs, model.layers[name].key))
     return parts
 
 

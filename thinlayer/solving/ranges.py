@@ -204,9 +204,9 @@ def warn_of_fracture_zones(states: Sequence[State]) -> None:
     Args:
         states: states of one model, in the order of a march.
     """
-    for layer in states[0].model.layers.values() if states else ():
-        for key, remark in short_zone_remark(states, layer):
-            states[0].model.warn(key, remark, layer.name)
+    for layer in states[0].model.layers.values() if len(states) > 1 else ():
+        if {BROKEN, BREAKING} <= {*share_columns(layer.law)}:
+            _warn_of_short_zone(states, layer)
 
 
 def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | None) -> Iterator[Remark]:
@@ -376,8 +376,8 @@ def _step_error(x: float, theta: float) -> float:
     return abs(((1 - (1 - theta) * x) / (1 + theta * x)) ** n - math.exp(-n * x))
 
 
-def short_zone_remark(states: Sequence[State], layer: SeamLayer) -> Iterator[Remark]:
-    """Yield a warning (key, text) if a crack has advanced over facets with less than two of them in its fracture zone.
+def _warn_of_short_zone(states: Sequence[State], layer: SeamLayer) -> None:
+    """Warn if a crack has advanced over facets with less than two of them in its fracture zone.
 
     Then a facet that has broken since the first state has sound points, or has a neighbour with sound points. The path
     has kinks and turns of single facets, and the toughness is not resolved. Collective.
@@ -386,8 +386,6 @@ def short_zone_remark(states: Sequence[State], layer: SeamLayer) -> Iterator[Rem
         states: states of one model, in the order of a march.
         layer: a layer of the model.
     """
-    if len(states) < 2 or not {BROKEN, BREAKING} <= {*share_columns(layer.law)}:
-        return
     surface = surface_of(states[0].model, layer.name)
     dim = surface.joint.dim
     corner_of = np.ones(surface.nodes.size), (np.repeat(np.arange(len(surface.nodes)), surface.nodes.shape[1]),
@@ -405,12 +403,11 @@ def short_zone_remark(states: Sequence[State], layer: SeamLayer) -> Iterator[Rem
         h = float(np.linalg.norm(corners[1:] - corners[0], axis=1).min())
         others = np.setdiff1d(neighbours[[facet]].indices, [facet])
         zone = h * max(MIN_ZONE, float(breaking[facet] + breaking[others].max(initial=0.0)))
-        x = place_text(corners.mean(axis=0))
-        text = (
-            f"at t = {state.t:.4g} the fracture zone of {layer} is about {zone:.2g} long, near {x}, and facets {h:.3g}"
-        )
+        of_zone = f"is about {zone:.2g} long, near {place_text(corners.mean(axis=0))}, and facets {h:.3g}"
+        text = f"at t = {state.t:.4g} the fracture zone of {layer} {of_zone}"
         remedy = f"take facets of {zone / FACETS_IN_ZONE:.2g}, or less strength, with which the zone is longer"
-        yield "fracture zone", f"{text}: fewer than two in the zone do not resolve the toughness; {remedy}"
+        message = f"{text}: fewer than two in the zone do not resolve the toughness; {remedy}"
+        states[0].model.warn("fracture zone", message, layer.name)
         return
 
 
@@ -425,5 +422,5 @@ def _facet_shares(surface: SurfaceMesh, state: State) -> Array:
                 for row, values in zip(sums, (shares[BROKEN], shares[BREAKING], 1.0 - shares[BROKEN] - shares[BREAKING]),
                                        strict=True):  # fmt: skip
                     np.add.at(row, facets_here, values[cells].mean(axis=1))
-    shares = np.asarray(state.model.comm.allreduce(sums))
-    return shares / np.maximum(shares.sum(axis=0), 1.0)
+    shares = state.model.comm.allreduce(sums)
+    return np.asarray(shares / np.maximum(shares.sum(axis=0), 1.0))
