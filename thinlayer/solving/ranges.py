@@ -418,9 +418,8 @@ def _facet_shares(surface: SurfaceMesh, state: State) -> Array:
         cells, facets_here = points.quadrature.cells[facets >= 0], facets[facets >= 0]
         for (_, law), internal in zip(points.term.law.sublayers, points.internal(), strict=True):
             if BROKEN in law.share_columns:
-                shares = law.shares(internal)
-                for row, values in zip(sums, (shares[BROKEN], shares[BREAKING], 1.0 - shares[BROKEN] - shares[BREAKING]),
-                                       strict=True):  # fmt: skip
-                    np.add.at(row, facets_here, values[cells].mean(axis=1))
+                broken, breaking = (law.shares(internal)[name][cells] for name in (BROKEN, BREAKING))
+                values = np.stack([broken, breaking, 1.0 - broken - breaking]).mean(axis=2)
+                np.add.at(sums, (slice(None), facets_here), values)
     shares = state.model.comm.allreduce(sums)
     return np.asarray(shares / np.maximum(shares.sum(axis=0), 1.0))
