@@ -47,7 +47,7 @@ from forms.base import Array, InputError
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw, Law, Step
 from forms.parameter_fields import ParameterValue
-from forms.tensors import Expr, average_lame, isotropic_tensor, mandel_tensor, mandel_vectors
+from forms.tensors import VALUE_INDEX, Expr, average_lame, isotropic_tensor, mandel_tensor, mandel_vectors
 from forms.tensors import mandel_vector as in_mandel
 
 _SYMBOL_MESH = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))  # symbols need a mesh
@@ -270,7 +270,7 @@ EIGENVALUE_TOLERANCE = 1e-6
 LONG_TIME_STEP = 1e30  # length of a time step in which rates are practically zero
 
 
-def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
+def tangent_at_rest(law: BulkLaw, n: Array, value: float = 0.0) -> Array | None:
     """Return the tangent d stress/d strain (6, 6) of a law for small strains from the unstrained state.
 
     The tangent is in Mandel's order. For a law with internal variables it is the instantaneous tangent. For a law that
@@ -280,13 +280,14 @@ def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
     Args:
         law: the law, with numbers for parameters.
         n: unit normal (d,) of the layer in d dimensions.
+        value: value of a scalar field, at whose zero a law may have no tangent.
 
     Returns:
         The tangent, stress; None if it cannot be evaluated.
     """
     if (C := law.law_3d.stiffness(n)) is not None:
         return law.condensed(C)
-    return _first_step_tangent(law, n, LONG_TIME_STEP if law.traits.rate else 0.0)
+    return _first_step_tangent(law, n, LONG_TIME_STEP if law.traits.rate else 0.0, value)
 
 
 def tangent_after(law: BulkLaw, n: Array, dt: float) -> Array | None:
@@ -305,11 +306,11 @@ def tangent_after(law: BulkLaw, n: Array, dt: float) -> Array | None:
     return _first_step_tangent(law, n, dt) if law.traits.linear else None
 
 
-def _first_step_tangent(law: BulkLaw, n: Array, dt: float) -> Array | None:
+def _first_step_tangent(law: BulkLaw, n: Array, dt: float, value: float = 0.0) -> Array | None:
     """Return the tangent (6, 6) of a law at the end of a first step of length `dt`, for small strains.
 
-    It is the mean of the tangents at two opposite small strains. `n` (d,) is the unit normal of the layer. None: the
-    tangent cannot be evaluated.
+    It is the mean of the tangents at two opposite small strains. `n` (d,) is the unit normal of the layer; `value` is
+    that of a scalar field. None: the tangent cannot be evaluated.
     """
     law_3d = law.law_3d
     if not law_3d.traits.in_ufl:
@@ -320,8 +321,12 @@ def _first_step_tangent(law: BulkLaw, n: Array, dt: float) -> Array | None:
         stress = in_mandel(symbolic.law.stress(symbolic.law.law_step(symbolic.step)))
         tangent: Expr = expand_derivatives(ufl.diff(stress, symbolic.strain))
         with warnings.catch_warnings(action="ignore"):  # UFL warns of roots of negative numbers
-            fixed = np.concatenate([np.zeros(6 + law_3d.memory), np.pad(n, (0, 3 - len(n))), [dt, 1.0]])
-            inputs = [np.concatenate([e, fixed, numeric_law.parameter_values()]) for e in (PROBE_STRAIN, -PROBE_STRAIN)]
+            e_0 = value * np.eye(6)[VALUE_INDEX]
+            fixed = np.concatenate([e_0, np.zeros(law_3d.memory), np.pad(n, (0, 3 - len(n))), [dt, 1.0]])
+            inputs = [
+                np.concatenate([e, fixed, numeric_law.parameter_values()])
+                for e in (e_0 + PROBE_STRAIN, e_0 - PROBE_STRAIN)
+            ]
             C = np.mean([evaluate(tangent, {symbolic.symbols: values}) for values in inputs], axis=0)
     except Exception:  # a part of the law has no numerical value; the model reports such errors
         return None

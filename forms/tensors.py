@@ -67,6 +67,7 @@ def scalar_gradients(values: Array) -> Array:
 
 
 MANDEL_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+VALUE_INDEX = 3  # Mandel component that is the value of a scalar field, or the sink, see `scalar_strain`
 # (6, 3, 3) symmetric tensors of norm 1
 MANDEL_BASIS = np.array([np.outer(np.eye(3)[i], np.eye(3)[j]) for i, j in MANDEL_PAIRS])
 MANDEL_BASIS += MANDEL_BASIS.swapaxes(1, 2)

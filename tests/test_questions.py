@@ -36,6 +36,7 @@ WARNINGS = {  # key of a RangeWarning -> words of its message
     "overlap": "closes by",
     "phase": "a shear wave crosses",
     "plates": "joins plates",
+    "sinks": "move its mean value",
     "softens": "there may be other",
     "split": "are split into",
     "step error": "leave estimated relative errors",

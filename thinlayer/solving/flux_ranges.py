@@ -7,9 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 from dolfinx import fem
+from mpi4py import MPI
 
 from forms.base import is_number
-from forms.tensors import mandel_vector
+from forms.law_tangents import tangent_at_rest
+from forms.tensors import VALUE_INDEX, mandel_vector
 from geometry.refusals import place_text
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
@@ -20,6 +22,7 @@ from thinlayer.surface.surface_mesh import surface_of
 
 # estimated error of variations along S above which there is a warning; in tests half to twice the error
 MAX_VARIATION_ERROR = 0.03
+MAX_RISE = 0.05  # difference of mean values of layer and faces, over the span of values, above which there is a warning
 MESH_REMEDY = "mesh the layer (structure.full)"
 MIN_GRADIENT_RATIO = 1e-2  # gradient, over the largest of a law, from which on its conductivity counts
 MIN_NEGATIVE_RATIO = 1e-3  # negative conductivity, over the largest of a law, that does not count as an error of steps
@@ -39,12 +42,14 @@ class Conductivities(NamedTuple):
     capacity: float
 
     @classmethod
-    def of(cls, layer: SeamLayer) -> Conductivities | None:
-        """Return those of a layer with a thickness; None if its tangent at rest is unknown or not positive.
+    def of(cls, layer: SeamLayer, state: State | None = None) -> Conductivities | None:
+        """Return those of a layer with a thickness; None if its tangent is unknown or not positive.
 
-        Where parameters vary in space, conductivities and capacity are those that make errors largest.
+        The tangent is that at rest, or else that at the mean value of the field in `state`. Where parameters vary in
+        space, conductivities and capacity are those that make errors largest.
         """
-        sampled = [cls._of_numbers(sample) for sample in (layer.samples if layer.thin_layer else ())]
+        T = float(state.u.x.petsc_vec.sum()) / state.model.unknowns if state else 0.0
+        sampled = [cls._of_numbers(sample, T) for sample in (layer.samples if layer.thin_layer else ())]
         positive = [conductivities for conductivities in sampled if conductivities]
         if not positive or len(positive) < len(sampled):
             return None
@@ -52,11 +57,12 @@ class Conductivities(NamedTuple):
         return cls(along.max(), across.min(), capacity.max())
 
     @classmethod
-    def _of_numbers(cls, layer: SeamLayer) -> Conductivities | None:
+    def _of_numbers(cls, layer: SeamLayer, T: float) -> Conductivities | None:
         n, sums = layer.initial_tangents.n, np.zeros(3)
         n = np.pad(n, (0, 3 - len(n)))
         projector = np.eye(3) - np.outer(n, n)
         for fraction, law, C in layer.initial_tangents.sublayers:
+            C = tangent_at_rest(law, layer.initial_tangents.n, T) if C is None else C
             if C is None or np.linalg.eigvalsh((C[:3, :3] + C[:3, :3].T) / 2)[0] <= 0:
                 return None
             K, capacity = (C[:3, :3] + C[:3, :3].T) / 2, law.parameters().get("c")
@@ -98,8 +104,9 @@ def warn_of_fluxes(states: Sequence[State]) -> None:
     """
     model = states[0].model
     for name, layer in model.layers.items() if model.broken else ():
-        if (k := Conductivities.of(layer)) is None:
+        if (k := Conductivities.of(layer, states[-1])) is None:
             continue
+        _warn_of_sinks(states, layer, k)
         delta, order = layer.eps * np.sqrt(k.along / (12 * k.across)), layer.as_thin_layer.order
         errors = [_variation_error(state, layer, k, delta) for state in states]
         worst = int(np.argmax([error for error, _ in errors]))
@@ -115,6 +122,25 @@ def warn_of_fluxes(states: Sequence[State]) -> None:
             remedy = _better_law(layer)
         text = f"at t = {states[worst].t:.4g} {text}: values vary along S with errors of about {error:.2g}"
         model.warn("flux along", f"{text}; {remedy}", name, states[-1].t)
+
+
+def _warn_of_sinks(states: Sequence[State], layer: SeamLayer, k: Conductivities) -> None:
+    """Warn if sinks or sources of a law that is not linear, as of curing, act on a value that is not the layer's mean.
+
+    A source d per area moves the mean of the layer by eps d/(12 k_n) from that of its faces. Up to order 1 laws do not
+    know this. Collective.
+    """
+    thin, model = layer.as_thin_layer, states[0].model
+    keys = [key for key, points in model.quadratures.items() if points.term.key == layer.key]
+    if thin.law.traits.linear or thin.order == 2 or not keys:
+        return
+    sinks = np.array([[np.abs(s.stresses[key][:, VALUE_INDEX]).max(initial=0.0) for key in keys] for s in states])
+    values = [s.u.x.petsc_vec for s in states]
+    span = max(v.max()[1] for v in values) - min(v.min()[1] for v in values)
+    rise = layer.eps**2 * float(model.comm.allreduce(float(sinks.max()), MPI.MAX)) / (12 * k.across)
+    if rise > MAX_RISE * span:
+        text = f"sinks and sources in {layer} move its mean value by up to {rise:.3g} from that of its faces"
+        model.warn("sinks", f"{text}, and its law is not linear; {_better_law(layer)}", layer.name)
 
 
 def _better_law(layer: SeamLayer) -> str:
@@ -184,7 +210,7 @@ def warn_of_layer_times(history: History) -> None:
     """
     model, step = history.model, min(np.diff(history.t), default=np.inf)
     for name, layer in model.layers.items() if model.broken and model.n_components == 1 else ():
-        if (k := Conductivities.of(layer)) is None:
+        if (k := Conductivities.of(layer, history.last)) is None:
             continue
         mode = 2 if layer.thin_layer and layer.thin_layer.order == 2 else 1  # the first that the law lacks
         if (time := layer.eps**2 * k.capacity / ((mode * np.pi) ** 2 * k.across)) > step:
