@@ -26,6 +26,7 @@ class QuantityNames(NamedTuple):
         load: load on a facet set, in names of parameters.
         body_force: what acts in a volume, per volume.
         load_arguments: names of the arguments of `Structure` for loads on facet sets and in volumes.
+        more_arguments: names of other arguments of `Structure` that act on this unknown alone.
         motion: change of the unknown without strain, with {} for the name of a component.
         unsupported: message if nothing prevents a motion without strain, with {} for this motion.
         steady_remedy: what refusals of laws with rates add for who wants a state that does not change.
@@ -37,6 +38,7 @@ class QuantityNames(NamedTuple):
     load: str = "load"
     body_force: str = "body force"
     load_arguments: tuple[str, str] = ("tractions", "body_force")
+    more_arguments: tuple[str, ...] = ("loads", "strain", "stress", "eigenstrain")
     motion: str = "translation {}"
     unsupported: str = "no support against rigid motion of the structure ({}); add supports"
     steady_remedy: str = ""
@@ -280,6 +282,7 @@ class ScalarField(Kinematics):
         load="flux",
         body_force="source",
         load_arguments=("fluxes", "sources"),
+        more_arguments=("gradient", "initial"),
         motion="a change of {} everywhere",
         unsupported="nothing holds the field ({} costs nothing); add supports, or a Film",
         steady_remedy="; for a steady state take Conduction in place of Heat, also in layers",

@@ -288,7 +288,7 @@ BAD = {
     "height of a SurfaceSource": lambda: SurfaceSource(1.0, 0.7),
     "power of a SurfaceSource": lambda: SurfaceSource("hot"),
     "electric potential": lambda: JouleHeat(COLD),
-    "needs the joint": lambda: Structure(
+    "from one joint": lambda: Structure(
         sandwich(0.2, 0.5, 0.5, 0.1), body=Conduction(1.0), supports={"TOP": 0}, parts=[JouleHeat(WARM)]
     ).bonded(),
     "times is": lambda: SURFACE.function(np.ones((2, *SURFACE.weights.shape)), [1.0, 0.0]),

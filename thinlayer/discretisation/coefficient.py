@@ -517,7 +517,7 @@ def values_by_body(values: T | Mapping[str, T], joint: Joint, what: str = "", mo
     """
     by_body = values if isinstance(values, Mapping) else dict.fromkeys(joint.bodies, values)
     for name in (name for name in by_body if name not in more):
-        require_known("body", name, joint.bodies, what)
+        require_known("body", name, dict.fromkeys((*joint.bodies, *more)), what)
     return {name: by_body[name] for name in joint.bodies if name in by_body}
 
 

@@ -280,11 +280,12 @@ class InitialTangents:
 
     @property
     def conductivities(self) -> tuple[Array, Array, Array]:
-        """Fractions (k,) of the k sublayers of a scalar field's layer, their conductivities across and along S."""
-        d = len(self.n)
-        K = np.array([np.eye(d) if C is None else C[:d, :d] for _, _, C in self.sublayers])
-        across = np.einsum("i,kij,j->k", self.n, K, self.n)
-        return np.array([a for a, *_ in self.sublayers]), across, (np.trace(K, axis1=1, axis2=2) - across) / (d - 1)
+        """Fractions (k,) of a scalar field's k sublayers, their conductivities across S, and largest ones along S."""
+        n = np.pad(self.n, (0, 3 - len(self.n)))
+        K = np.array([np.eye(3) if C is None else (C[:3, :3] + C[:3, :3].T) / 2 for _, _, C in self.sublayers])
+        projector = np.eye(3) - np.outer(n, n)
+        along = np.linalg.eigvalsh(projector @ K @ projector)[:, -1]
+        return np.array([a for a, *_ in self.sublayers]), np.einsum("i,kij,j->k", n, K, n), along
 
     def locking_violation(self) -> Violation | None:
         """Return why the interface law of order 1 is much too stiff (it locks); None if it is not.

@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from forms.base import Array, InputError, is_number, require
 from forms.kernel import KernelLaw
-from forms.kinematics import KINEMATICS_BY_NAME, SCALAR_KINEMATICS_BY_NAME, Kinematics, ScalarField
+from forms.kinematics import KINEMATICS_BY_NAME, SCALAR_KINEMATICS_BY_NAME, ScalarField
 from forms.law import BulkLaw, Law, explained_errors
 from forms.law_tangents import declared_or_computed_tangent, depends_on_normal, require_stable
 from geometry.joint import Joint
@@ -155,11 +155,10 @@ class Structure:
             self._check_choices()
             self.degree = int(self.element[1])
             self.tractions, self.body_force = self._loads_of_unknown(
-                self.loads, tractions=tractions, body_force=body_force, fluxes=fluxes, sources=sources
-            )
-            self._check_unknown(
-                strain=strain, stress=stress, eigenstrain=eigenstrain, gradient=gradient, initial=initial
-            )
+                tractions=tractions, body_force=body_force, fluxes=fluxes, sources=sources, loads=self.loads or None,
+                strain=strain, stress=stress, eigenstrain=eigenstrain, gradient=gradient, initial=initial,
+            )  # fmt: skip
+            self._check_parts()
             eigenstrains = values_by_body(eigenstrain, joint, "eigenstrain")
             self.eigenstrains = {name: value for name, value in eigenstrains.items() if value is not None}
             for law, C in zip(self.body_laws_at_extremes, self.extreme_body_tangents, strict=True):
@@ -282,7 +281,7 @@ class Structure:
             supports: place -> prescribed displacements; None: unchanged.
         """
         tractions, body_force = self._loads_of_unknown(
-            loads, tractions=tractions, body_force=body_force, fluxes=fluxes, sources=sources
+            loads=loads or None, tractions=tractions, body_force=body_force, fluxes=fluxes, sources=sources
         )
         data = {"tractions": tractions, "body_force": body_force, "loads": loads and tuple(loads), "supports": supports}
         return self.replaced(**{name: value for name, value in data.items() if value is not None})
@@ -379,36 +378,26 @@ class Structure:
             raise InputError(f"{text}; make a structure for each unknown, and see thinlayer.coupled")
         return laws
 
-    def _loads_of_unknown(self, loads: object, /, **data: Any) -> list[Any]:
+    def _loads_of_unknown(self, **data: Any) -> list[Any]:
         """Return the loads on facets and in volumes: tractions and body forces, or a scalar field's fluxes and sources.
 
-        `data` has the arguments with these names, and `loads` are the concentrated loads.
+        `data` has the arguments with these names, and others.
 
         Raises:
-            InputError: loads of the other kind are given.
+            InputError: an argument is given that does not act on the unknown of the bodies' laws.
         """
-        arguments, unknown = self.kinematics.quantities.load_arguments, self.kinematics.unknown
-        for name in (name for name, value in data.items() if name not in arguments and value is not None):
-            raise InputError(f"{name}= does not act on a {unknown}; give {' or '.join(arguments)}")
-        if loads and unknown == ScalarField.unknown:
-            raise InputError(f"loads= does not act on a {unknown}; give {' or '.join(arguments)}")
-        return [data[name] for name in arguments]
+        names = self.kinematics.quantities
+        allowed = (*names.load_arguments, *names.more_arguments)
+        for name in (name for name, value in data.items() if name not in allowed and value is not None):
+            raise InputError(f"{name}= does not act on a {self.kinematics.unknown}; allowed: {', '.join(allowed)}")
+        return [data[name] for name in names.load_arguments]
 
-    def _check_unknown(self, **data: object) -> None:
-        """Raise InputError if the structure has data or parts of another unknown than that of its bodies' laws.
-
-        `data` has arguments by name.
-        """
+    def _check_parts(self) -> None:
         unknown = self.kinematics.unknown
         for part in self.parts:
             require(isinstance(part, PartDefinition), "parts", part, "each must be a part, such as Springs or Film")
             if unknown not in part.unknowns:
                 raise InputError(f"{part!r:.80} acts on a {part.unknowns[0]}; the bodies have laws of a {unknown}")
-        scalar_data = ("gradient", "initial")
-        for name, value in data.items():
-            if value is not None and (name in scalar_data) != (unknown == ScalarField.unknown):
-                other = ScalarField.unknown if name in scalar_data else Kinematics.unknown
-                raise InputError(f"{name}= is of a {other}, and the bodies have laws of a {unknown}")
 
 
 def require_body_law(name: str, law: Law) -> None:

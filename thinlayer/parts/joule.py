@@ -64,29 +64,22 @@ class JouleHeat(PartDefinition):
         require(is_potential, "JouleHeat: current", self.current, "give the state of an electric potential")
 
     def check(self, model: HostModel) -> None:
-        electric = self.current.model
-        shapes = [(m.kinematics.has_axis, _is_extended(m.domain.joint)) for m in (model, electric)]
-        is_thick = all(layer.thin_layer for layer in electric.layers.values()) and not electric.bonds
+        electric, laws = self.current.model, [p.law.traits for p in self.current.model.terms]
+        shapes = {(m.kinematics.has_axis, _is_extended(m.domain.joint)) for m in (electric, model)}
         pairs = [(layer, model.layers.get(name)) for name, layer in electric.layers.items()]
-        conditions = {
-            "make both structures from one joint": np.array_equal(electric.joint.points, model.joint.points),
-            "conductivities of the current must be numbers": all(
-                p.law.traits.proportional and not p.law.traits.compiled for p in electric.terms
-            ),
-            "the current needs plane= and bodies= of the model of heat": shapes[0] == shapes[1],
-            "where current passes S it needs a layer with a thickness: ThinLayer(Conduction(h * eps), eps)": is_thick,
-            "where current heats a layer, the structure of heat needs one, too, in place of a bond": all(
-                heated for _, heated in pairs
-            ),
-            "where layers are of order 2, the heat of a current in them is not known; use order=1, or mesh them": all(
-                not layer.thin_layer or layer.thin_layer.order < 2 for layer in model.layers.values()
-            ),
-            "layers of current and of heat need the same thickness": all(
-                layer.mesh_data[:2] == heated.mesh_data[:2] for layer, heated in pairs if heated and heated.thin_layer
-            ),
-        }
-        for hint, is_met in conditions.items():
-            require(is_met, "JouleHeat: current", self.current, hint)
+        is_thick = all(layer.thin_layer for layer, _ in pairs) and not electric.bonds
+        is_alike = all(a.mesh_data[:2] == b.mesh_data[:2] for a, b in pairs if b and b.thin_layer)
+        is_linear = all(not layer.thin_layer or layer.thin_layer.order < 2 for layer in model.layers.values())
+        for is_met, wanted in (
+            (np.array_equal(electric.joint.points, model.joint.points), "make both structures from one joint"),
+            (all(t.proportional and not t.compiled for t in laws), "its conductivities must be numbers"),
+            (len(shapes) == 1, "it needs plane= and bodies= of the model of heat"),
+            (is_thick, "at S it needs a layer with a thickness, such as ThinLayer(Conduction(h * eps), eps)"),
+            (all(b for _, b in pairs), "the structure of heat needs its layers, too, in place of bonds"),
+            (is_alike, "its layers need the same thickness as those of heat"),
+            (is_linear, "layers of heat of order 2 do not take the heat of a current; use order=1, or mesh them"),
+        ):
+            require(is_met, "JouleHeat: current", self.current, wanted)
 
     def work(self, model: HostModel, u: Expr, v: Expr) -> ufl.Form:
         electric = self.current.model
