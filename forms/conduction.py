@@ -199,7 +199,7 @@ class Conductance(TractionLaw):
 
 
 @dataclass(frozen=True, eq=False)
-class Heat(FluxLaw):
+class Heat(Conduction):
     """Conduction with a capacity, for marches in time: the flux is k times the gradient, and c dT/dt is stored.
 
     Attributes:
@@ -214,24 +214,14 @@ class Heat(FluxLaw):
         >>> steel = Heat(k=50e-3, c=3.6e-3)  # W/(mm K), J/(mm3 K)
     """
 
-    k: float
     c: float
-    linear = True
-    has_quadratic_energy = True
     rate = True
-    powers: ClassVar = {"k": 1}
 
     def check(self) -> None:
         require_positive(self, "k", "c")
 
-    def flux(self, step: FluxStep) -> Expr:
-        return self.k * step.g
-
     def sink(self, step: FluxStep) -> Expr:
         return self.c * step.T_rate
-
-    def potential(self, step: FluxStep) -> Expr:
-        return self.k * ufl.inner(step.g_end, step.g_end) / 2
 
     def loss(self, step: FluxStep) -> Expr:
         return self.c * step.T_rate**2

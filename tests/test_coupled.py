@@ -259,6 +259,7 @@ def test_viscous_cycles_heat_the_bodies():
     assert out > 1e-3 * stored > 0
 
 
+@pytest.mark.filterwarnings("error:.*fluxes run against gradients")  # of rounding
 def test_resin_that_cures_on_s_and_meshed():
     """A law of the user's: the cure's error is of the order of eps^2 at order 1, and of a higher one at order 2."""
     times, errors = np.linspace(75, 300, 4), []

@@ -25,6 +25,7 @@ MAX_VARIATION_ERROR = 0.03
 MAX_RISE = 0.05  # difference of mean values of layer and faces, over the span of values, above which there is a warning
 MESH_REMEDY = "mesh the layer (structure.full)"
 MIN_GRADIENT_RATIO = 1e-2  # gradient, over the largest of a law, from which on its conductivity counts
+GRADIENT_ROUNDING = 1e-9  # gradient, times the size of the joint over the largest value, that counts as rounding
 MIN_NEGATIVE_RATIO = 1e-3  # negative conductivity, over the largest of a law, that does not count as an error of steps
 
 
@@ -158,14 +159,15 @@ def warn_of_negative_conductivities(states: Sequence[State]) -> None:
         states: states of one model.
     """
     model = states[0].model
-    for state in states:
+    for state in states if not all(term.law.traits.linear for term in model.terms) else ():
         for points in law_points(state):
             if points.term.law.traits.linear:
                 continue
             e = points.quadrature.values(mandel_vector(points.term.step(state.u).e))
             power, squares = np.einsum("pii,pi->p", points.stress(), e[:, :3]), (e[:, :3] ** 2).sum(axis=1)
-            largest = model.comm.allreduce(float(squares.max(initial=0.0)), max)
-            counts = squares > MIN_GRADIENT_RATIO**2 * largest
+            rounding = GRADIENT_ROUNDING * np.abs(e[:, 3]).max(initial=0.0) / model.joint.size
+            largest = max(float(squares.max(initial=0.0)) ** 0.5 * MIN_GRADIENT_RATIO, rounding)
+            counts = squares > model.comm.allreduce(largest, max) ** 2
             k, T, x = power[counts] / squares[counts], e[counts, 3], points.quadrature.joint_x.T[counts]
             most = model.comm.allreduce(float(np.abs(k).max(initial=0.0)), max)
             worst = int(k.argmin()) if k.size else -1
