@@ -35,7 +35,7 @@ from thinlayer.estimating.parameters import FACTORS, STEP
 from thinlayer.parts.inertia import Inertia
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.layer_subproblem import LayerSubproblem
-from thinlayer.solving.modes import Modes, Pencil, multiply
+from thinlayer.solving.modes import Modes, Pencil, mode_table, multiply
 from thinlayer.system.progress import report
 from thinlayer.system.table import Table
 
@@ -79,13 +79,8 @@ def frequency_derivatives(
         >>> [f"{x:.3f}" for x in slopes["S.E"] / lowest.omega]
         ['0.074', '0.016']
     """
-    require(
-        isinstance(natural_modes, Modes), "frequency_derivatives: the modes", natural_modes, "give the result of modes"
-    )
-    model, elastic = natural_modes.model, natural_modes.omega > 0
-    if not isinstance(model, InterfaceModel):
-        raise InputError("frequency_derivatives: a full model; give modes of an interface model")
-    if (gap := float(natural_modes.gaps[elastic].min(initial=math.inf))) < MULTIPLE_GAP:
+    model, omega = _interface_model(natural_modes, "frequency_derivatives"), natural_modes.omega
+    if (gap := float(natural_modes.gaps[omega > 0].min(initial=math.inf))) < MULTIPLE_GAP:
         text = f"frequencies are equal but for {gap:.1g} of omega^2, and a multiple frequency has no derivative"
         raise InputError(f"frequency_derivatives: {text}; model half of a symmetric structure")
     changes, slopes = chosen_changes(model, parameters, of or {}), dict[str, Array]()
@@ -98,11 +93,16 @@ def frequency_derivatives(
         more, less = pencils
         more.K.axpy(-1.0, less.K)  # before products, so that entries that do not change leave no rounding
         more.M.axpy(-1.0, less.M)
-        slope = (natural_modes.quotients(more.K) - natural_modes.omega**2 * natural_modes.quotients(more.M)) / (
-            2 * STEP
-        )
-        slopes[name] = np.where(elastic, slope / (2 * np.where(elastic, natural_modes.omega, 1.0)), 0.0)
+        slope = (natural_modes.quotients(more.K) - omega**2 * natural_modes.quotients(more.M)) / (2 * STEP)
+        slopes[name] = np.where(omega > 0, slope / (2 * np.where(omega > 0, omega, 1.0)), 0.0)
     return slopes
+
+
+def _interface_model(natural_modes: Modes, what: str) -> InterfaceModel:
+    model = natural_modes.model if isinstance(natural_modes, Modes) else natural_modes
+    if not isinstance(model, InterfaceModel):
+        raise InputError(f"{what}: give the result of modes for an interface model (structure.interface)")
+    return model
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,13 +124,7 @@ class FrequencyEstimate:
     @property
     def table(self) -> Table:
         """A table with a row for each mode, with the relative error of the interface model."""
-        columns = {**vars(self), "error": self.omega / self.better - 1}
-        return Table(
-            {"mode": k + 1} | {name: float(v[k]) for name, v in columns.items()} for k in range(len(self.omega))
-        )
-
-    def __str__(self) -> str:
-        return str(self.table)
+        return mode_table({**vars(self), "error": self.omega / self.better - 1})
 
 
 class FrequencyIteration(GlobalLocal):
@@ -162,14 +156,13 @@ class FrequencyIteration(GlobalLocal):
             n: number of values.
         """
         U, W = (np.hstack(arrays) for arrays in zip(*displacements, strict=True))
-        for _ in range(2):  # the second time with vectors that are orthogonal but for rounding
-            K, M = (self._gram(U, W, A) for A in ((self._K_b, self.layers.K), (self._M_b, self._M_l)))
-            scale = 1 / np.sqrt(M.diagonal())
-            squares, Y = np.linalg.eigh(scale[:, None] * M * scale)
-            Y = scale[:, None] * Y[:, squares > DEPENDENT_SQUARE] / np.sqrt(squares[squares > DEPENDENT_SQUARE])
-            values, Z = np.linalg.eigh(Y.T @ K @ Y)
-            U, W = U @ Y @ Z[:, :n], W @ Y @ Z[:, :n]
-        return values[:n], U, W
+        K, M = (self._gram(U, W, A) for A in ((self._K_b, self.layers.K), (self._M_b, self._M_l)))
+        scale = 1 / np.sqrt(M.diagonal())
+        squares, Y = np.linalg.eigh(scale[:, None] * M * scale)
+        is_new = squares > DEPENDENT_SQUARE
+        Y = scale[:, None] * Y[:, is_new] / np.sqrt(squares[is_new])
+        values, Z = np.linalg.eigh(Y.T @ K @ Y)
+        return values[:n], U @ Y @ Z[:, :n], W @ Y @ Z[:, :n]
 
     def _gram(self, U: Array, W: Array, matrices: tuple[PETSc.Mat, scipy.sparse.csr_matrix]) -> Array:
         gram = self.model.comm.allreduce(U.T @ multiply(matrices[0], U)) + W.T @ (matrices[1] @ W)
@@ -190,7 +183,8 @@ class FrequencyIteration(GlobalLocal):
             new_U[:, k], new_W[:, k] = d, self.layer_displacements(d, load)
             balanced = self._with_couples(d, self._face_forces(r - self._resisting_forces(d)), load, zero)
             squares[k] = self._dot(balanced.u, self._resisting_forces(balanced.u))
-            squares[k] += self.layers.compliance(balanced.F + load)[1]
+            resultant, limit = self._resultant_and_limit(balanced)
+            squares[k] += self.layers.compliance(balanced.F + load)[1] if resultant <= 2 * limit else math.inf
         return new_U, new_W, squares
 
 
@@ -223,20 +217,17 @@ def estimate_frequencies(natural_modes: Modes, *, seam: str = S, width: float = 
         >>> [f"{error:.1%}" for error in lowest.omega / result.better - 1]
         ['-1.3%', '-0.3%']
     """
-    require(
-        isinstance(natural_modes, Modes), "estimate_frequencies: the modes", natural_modes, "give the result of modes"
-    )
+    model, omega = _interface_model(natural_modes, "estimate_frequencies"), natural_modes.omega
     require(is_finite(width) and width > 0, "estimate_frequencies: width", width, "allowed: > 0, over the change")
-    model = natural_modes.model
-    if not isinstance(model, InterfaceModel) or not natural_modes.lowest or not natural_modes.omega[0]:
-        reason = "give the lowest modes of an interface model (near=0), with supports that prevent rigid motions"
+    if not natural_modes.lowest or not omega[0]:
+        reason = "give the lowest modes (near=0), and supports that prevent rigid motions"
         raise InputError(f"estimate_frequencies: {reason}")
     seams, rest = checked_seams(model, (), seam), replace(natural_modes.shapes[0], at_rest=True, sudden=True)
     require_subproblem(model, rest, [model.layers[name] for name in seams])
     laws = {name: order_1_layer(model.applicability[name]) for name in seams}
     layers = LayerSubproblem(model, {name: replace(law, order=0, edges=None) for name, law in laws.items()}, 0.0)
     inertia = next(part for part in model.parts if isinstance(part, Inertia))
-    n, rounding = len(natural_modes.omega), GOAL_ROUNDING * natural_modes.omega
+    n, rounding = len(omega), GOAL_ROUNDING * omega
     bounds, smallest = np.stack([np.zeros(n), np.full(n, math.inf)]), np.full(n, math.inf)
     with Adjoint(rest) as adjoint:
         iteration = FrequencyIteration(adjoint, layers, inertia)
@@ -250,9 +241,7 @@ def estimate_frequencies(natural_modes: Modes, *, seam: str = S, width: float = 
             narrower = squares < smallest
             smallest = np.minimum(squares, smallest)
             bounds = np.where(narrower, [values / upper, upper], bounds)
-            if (
-                bounds[1] - bounds[0] <= np.maximum(width * np.abs(np.sqrt(values) - natural_modes.omega), rounding)
-            ).all():
+            if (bounds[1] - bounds[0] <= np.maximum(width * np.abs(np.sqrt(values) - omega), rounding)).all():
                 break
             directions = [(U, W), (new_U, new_W)]
-    return FrequencyEstimate(natural_modes.omega, np.sqrt(values), bounds[0] - rounding, bounds[1] + rounding)
+    return FrequencyEstimate(omega, np.sqrt(values), bounds[0] - rounding, bounds[1] + rounding)

@@ -130,6 +130,14 @@ def _terms_of(model: Model, name: str) -> list[Term]:
     return [replace(p, prescribed_strain=None) for p in terms]
 
 
+def mode_table(columns: Mapping[str, Array]) -> Table:
+    """Return a table with a row for each mode, from columns (n,) by name."""
+    return Table(
+        {"mode": k} | dict(zip(columns, map(float, row), strict=True))
+        for k, row in enumerate(zip(*columns.values(), strict=True), 1)
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Modes:
     """Natural modes of a model, in the order of their frequencies.
@@ -164,9 +172,7 @@ class Modes:
         columns |= {f"phase {name}": values for name, values in self.phases.items()}
         with suppress(InputError):  # of incompressible laws
             columns |= {f"{kind} {name}": v for kind, shares in self.shares.items() for name, v in shares.items()}
-        return Table(
-            {"mode": k + 1} | {name: float(v[k]) for name, v in columns.items()} for k in range(len(self.omega))
-        )
+        return mode_table(columns)
 
     @property
     def hertz(self) -> Array:
