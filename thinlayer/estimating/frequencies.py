@@ -45,7 +45,7 @@ MULTIPLE_GAP = 1e-4  # least distance of omega^2 from others, over omega^2, of a
 
 @report("frequency derivatives")
 def frequency_derivatives(
-    natural_modes: Modes, parameters: Sequence[str] = (), *, of: Mapping[str, LayerOfFactor] | None = None
+    natural_modes: Modes, parameters: Sequence[str], *, of: Mapping[str, LayerOfFactor] | None = None
 ) -> dict[str, Array]:
     """Compute the derivatives of natural frequencies by parameters of layers and bodies. Collective.
 
