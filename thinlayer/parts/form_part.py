@@ -124,6 +124,10 @@ class FormPart(Part):
         change.waxpy(-1.0, old, now)
         before, after, change_energy = (self._quadratic_energy(v) for v in (old, now, change))
         supplied, remainder = 0.0, (2 * theta - 1) * change_energy
+        if (
+            self.K is not None
+        ):  # the work, without an energy, of a matrix that is not symmetric; _K_u is K times the change
+            remainder += after - before - change_energy - float(old.dot(self._K_u))
         if self._F or self._g:
             self._K_u.set(0.0)
             add_assembled_forces(self._K_u, *self._F, *self._g)
