@@ -17,7 +17,7 @@ from tests.capabilities import COLUMNS
 from tests.on_ranks import alone, on_ranks
 from tests.refused import refused
 from tests.vibrating_bars import SIDES, UNIFORM, WIDTH, bar
-from thinlayer import ArcLength, Gap, Inertia, Structure, Surface, ThinLayer, initial_state, march, modes, solve
+from thinlayer import ArcLength, Gap, Inertia, Structure, Surface, ThinLayer, Zoom, initial_state, march, modes, solve
 from thinlayer.errors import LooseBody
 
 
@@ -114,6 +114,19 @@ def test_tractions_on_s_are_those_of_the_bodies():
     assert reaction == pytest.approx(law + inertia, rel=1e-3)
 
 
+@pytest.mark.filterwarnings("ignore:a shear wave crosses")
+def test_a_zoom_has_the_inertia_of_the_layer():
+    """Stresses differ at both faces by eps rho omega^2 times the displacement, as in the meshed layer."""
+    stresses = []
+    for kind in ("full", "interface"):
+        lowest = modes(bar(kind=kind, h=1 / 8), 1)
+        shape = lowest.shapes[0]
+        stresses.append(np.sign(shape.u.x.array.sum()) * Zoom(shape).through((0.0, 0.0), 5)[1][:, 1, 1])
+    meshed, zoomed = stresses
+    assert meshed[0] - meshed[-1] > 0.07 * meshed[0]
+    assert zoomed == pytest.approx(meshed, rel=1.5e-3)
+
+
 def test_supports_that_move():
     """Velocities and accelerations at the start are those of the support; jumps are refused."""
     moving = {"supports": {"BOTTOM": {"y": lambda x, t: 0.1 * ufl.sin(3 * t)}, **SIDES}}
@@ -181,12 +194,11 @@ def test_refused():
     refused(InputError, "give a function in model.V", lambda: initial_state(model, velocity=1.0))
 
 
-NO_ENERGY = {"not symmetric"}  # of which forces have none
 NO_MASS = {"cell": "periodic cell under a mean strain", "softening": "has mass", "breaking": "has mass"}
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", sorted(COLUMNS.keys() - {"inertia", "twin", "march"} - NO_ENERGY))
+@pytest.mark.parametrize("name", sorted(COLUMNS.keys() - {"inertia", "twin", "march"}))
 def test_mass_in_every_column(name):
     """Each kind of structure of the table of capabilities also moves, and its energy balances."""
     column = COLUMNS[name]()
@@ -195,8 +207,9 @@ def test_mass_in_every_column(name):
     if isinstance(column.layers, dict):
         density = {k: rho for k, rho in density.items() if not isinstance(column.layers.get(k), Gap)}
     column.data = {**column.data, "parts": [*column.data.get("parts", []), Inertia(density)]}
-    if name in NO_MASS:
-        refused(InputError, NO_MASS[name], lambda: march(column.model, [0.2, 0.5]))
+    reason = "acts on a displacement" if name.startswith("heat") else NO_MASS.get(name)
+    if reason:
+        refused(InputError, reason, lambda: march(column.model, [0.2, 0.5]))
         return
     imbalances = np.array(march(column.model, [0.2, 0.5]).table["imbalance"], float)
     assert np.abs(imbalances[np.isfinite(imbalances)]).max(initial=0.0) < 1e-8

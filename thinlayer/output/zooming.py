@@ -26,6 +26,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import Violation, warn
 from thinlayer.output.probe import Probe
 from thinlayer.output.surface import Surface
+from thinlayer.parts.inertia import Inertia
 from thinlayer.solving.layer_subproblem import DirichletLayers, LayerSubproblem
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.units import percent
@@ -79,7 +80,7 @@ class Zoom:
     In `estimate(state).better` the bodies are in equilibrium with the meshed layer, including its free ends. So
     `Zoom(estimate(state).better)` prescribes more accurate face displacements than `Zoom(state)`.
     For a full model nothing is solved, and the stresses are those in its own layer cells. In a structure with `Inertia`
-    the layer's own mass is left out, an error of about the square of its phase over 12 (`Modes.phases`). Collective.
+    the layer's mass moves with its faces, linearly between them. Collective.
 
     Args:
         state: state of an interface model or a full model, as `solve` or `history.at(t)` returns it.
@@ -146,9 +147,15 @@ class Zoom:
             layers[name] = replace(thin_layer, order=0, edges=None)
         refined_model = LayerModel(model, layers, cells_through, at_ends)
         coarse_problem = LayerSubproblem(model, layers, state.t, cells_through)
+        fine_problem = DirichletLayers(refined_model, state.t)
+        for mass in [part for part in model.parts if isinstance(part, Inertia) and part.key in state.memory]:
+            accelerations = coarse_problem.to_layers(state.memory[mass.key]["a"].x.array)
+            if accelerations.any():
+                a = coarse_problem.dirichlet_displacements(accelerations, 0 * accelerations, 0 * accelerations)
+                fine_problem.add_inertia(mass, coarse_problem.interpolate_to_refined(a, fine_problem))
+                coarse_problem.add_inertia(mass, a)
         w = coarse_problem.equilibrate_dirichlet(coarse_problem.to_layers(state.u.x.array))
         self._warn_of_tractions(coarse_problem.state(w))
-        fine_problem = DirichletLayers(refined_model, state.t)
         fine_w = coarse_problem.interpolate_to_refined(w, fine_problem)
         return fine_problem.state(fine_problem.equilibrate_dirichlet(fine_w))
 

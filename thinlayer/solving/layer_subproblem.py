@@ -25,12 +25,14 @@ from thinlayer.discretisation.rigid_motions import model_motions
 from thinlayer.discretisation.state import Configuration, Report, State
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import SolveError
+from thinlayer.parts.inertia import Inertia
 from thinlayer.parts.part import TimeStep
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import SubmatrixFactor
 from thinlayer.solving.part_sum import FORCE_ROUNDING
 from thinlayer.system.compat import interpolation_points
+from thinlayer.system.ranks import destroy
 
 MAX_NEWTON_STEPS = 100  # largest number of Newton steps
 MESH_ADVICE = "mesh the layer (structure.full), in smaller steps of time if it slips or opens far"
@@ -98,6 +100,15 @@ class DirichletLayers:
         equations.begin(TimeStep(old, t, t - old.t, 1.0))
         self.nodal_loads[: self._n_u], self.side_u[equations.bc_dofs] = equations.loads.array_r, equations.prescribed
         equations.put_state(old, self._x)
+        self.linearise(self._x.array_r.copy())
+
+    def add_inertia(self, mass: Inertia, a: Array) -> None:
+        """Load the layers by the inertia of their mass, for accelerations `a` (n,), and linearise them at their state."""
+        M, n_u = mass.mass_matrix(self.model, self.model.layers), self._n_u
+        forces = -local_csr(M) @ a[:n_u]
+        destroy(M)
+        for loads in (self.nodal_loads, self._equations.loads.array):
+            loads[:n_u] += forces
         self.linearise(self._x.array_r.copy())
 
     def residual(self, w: Array) -> Array:
