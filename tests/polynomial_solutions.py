@@ -130,7 +130,7 @@ def random_problem(d, rng, degree=None, rollers=None):
         outer = cells.is_outer[cells.cell_facets[:, facet]]
         moments.reshape(-1, d)[cells.moment_rows[outer, facet]] = (mass @ t)[outer]
     moments[np.repeat(is_free[:, None], m, axis=1)] = 0.0
-    loads = CellLoads(f, moments.reshape(-1, d), is_free)
+    loads = CellLoads(f, moments.reshape(-1, d), is_free, np.zeros((len(f), nv)))
     eye = np.eye(n * d).reshape(n * d, n, d)
     element = np.stack(
         [cells.nodal_forces(cells.stress(np.broadcast_to(e, f.shape))).reshape(len(f), -1) for e in eye], axis=2

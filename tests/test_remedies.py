@@ -85,6 +85,8 @@ ARC: dict[str, Any] = {
     "joint": partial(ring, 1.0, 2.0, 3.0, 0.5, angle=1.2, cell="quadrilateral"),
     "supports": {"INSIDE": 0.0}, "tractions": {"OUTSIDE": (0.1, 0.2)},
 }  # fmt: skip
+CURVED: dict[str, Any] = ARC | {"joint": partial(ring, 1.0, 2.0, 3.0, 0.5, angle=1.2), "bodies": "extended"}
+bricks = partial(wall, 2, 2, (1.0, 0.5), 0.25, cell="triangle")
 BEND: dict[str, Any] = ARC | {"joint": partial(ARC["joint"], angle=2.0)}  # too much to keep its bodies
 ROLLERS: dict[str, Any] = {"supports": {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}}
 CELL: dict[str, Any] = {"joint": cell, "supports": {}, "tractions": {}}
@@ -201,7 +203,15 @@ CASES = [
     ("kinematics", lambda: bounds(**TURNED), lambda: estimate(solved(glue(), **TURNED)).with_finer_ends()),
     ("cells", lambda: bounds(element="S2"), lambda: bounds(element="Q2")),
     ("parts", lambda: bounds(loads=load(body="UPPER")), bounds),
-    ("eigenstrain", lambda: bounds(glue(eigenstrain=0.1)), bounds),
+    ("eigenstrain", lambda: bounds(glue(eigenstrain=lambda x, t: 0.1 * x[0])), lambda: bounds(glue(eigenstrain=0.1))),
+    ("moduli", lambda: bounds(body=LinearElastic(lambda x: 60.0 + x[0], 40.0)), bounds),
+    ("memory", lambda: bounds(glue(CREEP)), bounds),
+    ("curved", lambda: bounds(**CURVED | {"joint": partial(CURVED["joint"], degree=2)}), lambda: bounds(**CURVED)),
+    ("inclined", lambda: bounds(**CURVED | {"supports": {"INSIDE": {"n": 0.0}, "START": 0.0}}),
+        lambda: bounds(**CURVED | {"supports": {"INSIDE": {"x": 0.0, "y": 0.0}, "START": 0.0}})),
+    ("periodic", lambda: bounds(joint=cell, supports={}, tractions={}, strain=0.1 * np.eye(2), bodies="extended"),
+        bounds),
+    ("seams", lambda: estimate(solved(glue(), joint=bricks), seam="BED").continuum(), lambda: bounds(joint=bricks)),
     ("point support", lambda: bounds(supports={"BOTTOM": {"y": 0.0}, (0.0, -1.0): {"x": 0.0}}), bounds),
     ("moving support", lambda: bounds(supports={"BOTTOM": {"x": 0.0, "y": lambda x, t: 0.1 * x[0]}}),
         lambda: bounds(supports={"BOTTOM": {"x": 0.0, "y": 0.1}})),
@@ -231,6 +241,7 @@ CASES = [
     ("omit start= and out=", lambda: march(glue_state(), [2.0], start=1.0), lambda: march(glue_state(), [2.0])),
 ]  # fmt: skip
 OTHERS = {"plain", "oblique", "overlap"}  # whose remedies, edges=None or a mesh, are tried under another key
+OTHERS |= {"balance", "ranks"}  # in `test_continuum`
 
 
 @pytest.mark.few(8)
@@ -245,5 +256,5 @@ def test_what_a_refusal_advises_works(words, call, remedies):
 
 def test_each_key_of_a_refusal_has_its_remedy_tried():
     sources = "".join(path.read_text() for path in (CLONE / "thinlayer").rglob("*.py"))
-    keys = {*re.findall(r'Violation\(\s*"([^"]+)"', sources)}
+    keys = {*re.findall(r'(?:Violation|refusal)\(\s*"([^"]+)"', sources)}
     assert keys - {words for words, *_ in CASES} == OTHERS

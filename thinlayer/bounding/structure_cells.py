@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import ufl
 from ufl.algorithms import expand_derivatives
@@ -13,7 +15,7 @@ from forms.base import Array
 from forms.law import BulkLaw
 from forms.law_tangents import depends_on_normal, evaluate, is_isotropic, tangent_at_rest
 from forms.rubber import Rubber
-from forms.tensors import Expr, average_lame
+from forms.tensors import MANDEL_BASIS, Expr, average_lame
 from geometry.domain import Domain
 from geometry.topology import Indices, IntArray, lagrange
 from thinlayer.bounding.cells import StraightCells, mass_matrix
@@ -69,12 +71,8 @@ class StructureCells:
             if np.abs(x[:, 0] + x[:, 3] - x[:, 1] - x[:, 2]).max() > SHAPE_TOLERANCE * joint.size:
                 raise refusal("cells", "some quadrilaterals are no parallelograms", "use triangles")
         body_points = model.domain.joint.cell_points
-        difference = np.abs(
-            self.cells.A[:n_bodies] - np.swapaxes(body_points[:, 1 : d + 1] - body_points[:, :1], 1, 2)
-        ).max()
-        if difference > SHAPE_TOLERANCE * joint.size:
-            reason = "making room for the layer changes the shape of the bodies' cells"
-            raise refusal("shape", reason, "use bodies='extended'")
+        difference = self.cells.A[:n_bodies] - np.swapaxes(body_points[:, 1 : d + 1] - body_points[:, :1], 1, 2)
+        assert np.abs(difference).max() <= SHAPE_TOLERANCE * joint.size, "cells are not those of the interface model"
         self._body_nodes = np.asarray(model.V.dofmap.list)[model.domain.local_cells]
         self._layer_nodes = np.asarray(layers.model.V.dofmap.list)[layers.model.domain.local_cells]
         self.is_free = np.repeat(~self.cells.is_outer[:, None], d, axis=1)
@@ -114,14 +112,19 @@ class StructureCells:
 
     # ---------------------------------------------------------------- laws
     def _stiffnesses(self) -> Array:
-        """Return the stiffness (nc, nv, nv) of each cell (unit: stress); set the moduli of laws with a pressure field.
+        """Return the stiffness (nc, nv, nv) of each cell (unit: stress); set eigenstresses, and moduli of pressure fields.
 
         Raises:
-            InputError: a law with memory, or with functions of the place; an almost incompressible one.
+            InputError: a law with memory, or with functions of the place; an almost incompressible one; eigenstrains
+                that vary.
         """
         model, joint, band = self._model, self._layer_model.inflated_joint, band_of(self._layer_model.inflated_joint)
         laws = {name: model.kinematics.law(law) for name, law in model.body_laws.items()}
+        strains = {name: self._eigenstrain(model, strain, name) for name, strain in model.body_strains.items()}
         for name, seam_layer in self._layer_model.layers.items():
+            in_layer = {*band.regions_of_seam[name], *(r for r, seam in band.junctions.items() if seam == name)}
+            layer_strain = self._layer_model.layer_strains[name]
+            strains |= dict.fromkeys(in_layer, self._eigenstrain(self._layer_model, layer_strain, name))
             sublayers = law_with_numbers(seam_layer.layer, model.structure.kinematics).sublayers
             laws |= {r: law for (_, law), r in zip(sublayers, band.regions_of_seam[name], strict=True)}
             laws |= {r: sublayers[0][1] for r, seam in band.junctions.items() if seam == name}
@@ -134,6 +137,7 @@ class StructureCells:
                 raise refusal("moduli", f"the law of {dependent[0]} turns with the normal of S", "use an isotropic law")
         nv = 3 * (joint.dim - 1)
         C, self._pressure_moduli = np.empty((len(joint.cells), nv, nv)), np.zeros(len(joint.cells))
+        self._eigenstress = np.zeros((len(joint.cells), nv))
         indices = [*model.structure.kinematics.strain_indices(joint.dim)]
         for number, region in enumerate(joint.regions):
             in_region = np.flatnonzero(joint.region == number)
@@ -143,8 +147,23 @@ class StructureCells:
             tangents = [_tangent(laws[region], region, n) for n in directions]
             if laws[region].traits.constrained:
                 self._pressure_moduli[in_region] = average_lame(tangents[0])[0]
-            C[in_region] = np.stack(tangents)[direction_of.ravel()][:, indices][:, :, indices]
+                if strains[region].any():
+                    raise refusal("eigenstrain", f"{region} has a pressure field and an eigenstrain", "leave it out")
+            of_cells = np.stack(tangents)[direction_of.ravel()][:, indices]
+            C[in_region], self._eigenstress[in_region] = of_cells[:, :, indices], of_cells @ strains[region]
         return C
+
+    def _eigenstrain(self, model: Model, prescribed_strain: Expr | None, name: str) -> Array:
+        """Return the components (6,) of the eigenstrain of a body or layer; `prescribed_strain` is minus that."""
+        if prescribed_strain is None:
+            return np.zeros(6)
+        with model.forces.at.clock.at(self._t):
+            values = {constant: np.asarray(constant.value) for constant in extract_constants(prescribed_strain)}
+            try:
+                return np.asarray(-np.einsum("rij,ij->r", MANDEL_BASIS, evaluate(prescribed_strain, values)))
+            except Exception as error:
+                reason = f"the eigenstrain of {name} is a function of the place"
+                raise refusal("eigenstrain", reason, "give numbers, or more regions") from error
 
     # ---------------------------------------------------------------- interface laws
     def with_law(self, u: Array) -> tuple[StraightCells, Array, CellLoads]:
@@ -161,8 +180,9 @@ class StructureCells:
         if joint.parted is not None or any(layer.order or layer.profile for layer in layers.values()):
             raise refusal("law alone", "the law is not of order 0 on S", "use order=0, a number as eps, bodies='kept'")
         on_layer = loads.moments[cells.moment_rows[n:]] * cells.is_outer[cells.cell_facets[n:]][..., None, None]
-        if on_layer.any() or loads.body_force[n:].any() or self.has_moving_supports:
-            raise refusal("law alone", "loads act on the layer, or supports move", "put loads on the bodies alone")
+        if on_layer.any() or loads.body_force[n:].any() or loads.eigenstress.any() or self.has_moving_supports:
+            reason = "loads act on the layer, supports move, or there are eigenstrains"
+            raise refusal("law alone", reason, "put loads on the bodies alone")
         bodies = StraightCells(joint.points, joint.corners, joint.cell_type, cells.degree, cells.C[:n])
         U, shape = self.displacements(u, np.zeros(len(self._layers.load)))[:n], (*bodies.facet_nodes.shape, d)
         moments, is_free, normals = np.zeros((bodies.facet_nodes.size, d)), *np.ones((2, len(bodies.facets), d))
@@ -184,7 +204,7 @@ class StructureCells:
             K = np.linalg.inv(flexibilities)[direction_of.ravel()]
             mass = bodies.areas[facets, None, None] * mass_matrix(bodies.facet_type, cells.degree)
             moments.reshape(shape)[facets], is_free[facets] = mass @ jumps[facets] @ K, 0.0
-        return bodies, U, CellLoads(loads.body_force[:n], moments, is_free > 0)
+        return bodies, U, CellLoads(loads.body_force[:n], moments, is_free > 0, loads.eigenstress[:n])
 
     # ---------------------------------------------------------------- supports and loads
     def _facets(self, domain: Domain, entities: Indices, first_cell: int) -> IntArray:
@@ -200,8 +220,6 @@ class StructureCells:
             if not isinstance(place, str):
                 raise refusal("point support", f"a support acts at the point {place}", "support a facet set")
             facets = self._facets(model.domain, model.domain.facets(place, layer_sides=True), first_cell)
-            if not self.cells.is_outer[facets].all():
-                raise refusal("inner support", f"the support on {place!r} is inside", "support outer facets")
             for axis in components:
                 coefficient = supports.values.get((entry, axis))
                 if coefficient is not None and coefficient.varies:
@@ -222,7 +240,7 @@ class StructureCells:
     def loads(self) -> CellLoads:
         """The loads of the structure."""
         if self._loads is None:
-            n_bodies, self._loads = len(self._model.joint.cells), self.no_loads
+            n_bodies, self._loads = len(self._model.joint.cells), replace(self.no_loads, eigenstress=self._eigenstress)
             for model, first_cell in ((self._model, 0), (self._layer_model, n_bodies)):
                 v = ufl.TestFunction(model.V)
                 with model.forces.at.clock.at(self._t):
@@ -234,7 +252,10 @@ class StructureCells:
         """Loads that are zero."""
         cells = self.cells
         return CellLoads(
-            np.zeros((*cells.nodes.shape, cells.d)), np.zeros((cells.facet_nodes.size, cells.d)), self.is_free
+            np.zeros((*cells.nodes.shape, cells.d)),
+            np.zeros((cells.facet_nodes.size, cells.d)),
+            self.is_free,
+            np.zeros(self._eigenstress.shape),
         )
 
     def add_densities(self, loads: CellLoads, form: ufl.Form, model: Model, first_cell: int = 0) -> None:
@@ -401,8 +422,5 @@ def _check_structure(model: InterfaceModel, layers: LayerSubproblem) -> None:
     if structure.parts or structure.loads:
         reason = "springs, plates or other parts, or forces at points or lines, act on the structure"
         raise refusal("parts", reason, "use supports and tractions on facet sets")
-    strains = [*model.body_strains.values(), *model.layer_strains.values()]
-    if any(strain is not None for strain in strains):
-        raise refusal("eigenstrain", "the structure has eigenstrains", "leave them out")
     if model.bonds or {*joint.seams} != {*layers.seams}:
         raise refusal("seams", "not all seams have a layer in the estimate", "estimate all layers, with seam='S'")

@@ -24,17 +24,21 @@ class CellLoads:
         body_force: (nc, n, d) force per volume at each cell's nodes.
         moments: (nf m, d) moments of the tractions on outer facets; zero on all others.
         is_free: (nf, d) mask of the components of tractions that are not known: on inner facets, and at supports.
+        eigenstress: (nc, nv) stiffness times the eigenstrain of each cell.
     """
 
     body_force: Array
     moments: Array
     is_free: BoolArray
+    eigenstress: Array
 
     def work(self, cells: StraightCells, U: Array) -> float:
-        """Return the work of the loads in displacements `U` (nc, n, d) of the nodes of `cells`."""
+        """Return the work of loads and eigenstresses in displacements `U` (nc, n, d) of the nodes of `cells`."""
         is_outer = cells.is_outer[cells.cell_facets][:, :, None, None]
         on_facets = np.where(is_outer, self.moments[cells.moment_rows], 0.0) * U[:, cells.closure]
-        return float((cells.nodal_loads(self.body_force) * U).sum() + on_facets.sum())
+        eigenstress = np.repeat(self.eigenstress[:, None], len(cells.stress_points), axis=1)
+        forces = cells.nodal_loads(self.body_force) + cells.nodal_forces(eigenstress)
+        return float((forces * U).sum() + on_facets.sum())
 
 
 class TractionBalance:

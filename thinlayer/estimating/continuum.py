@@ -152,10 +152,11 @@ class Continuum:
         r = iterate.F - layers.dirichlet_reactions(iterate.face_u, iterate.load, iterate.side_u)
         U = self.structure.displacements(iterate.u, w)
         w_of_forces = w + layers.neumann_displacements(layers.free_face_values(r))
-        stress = self.structure.stress(iterate.u, w_of_forces)
+        eigenstress = loads.eigenstress[:, None]
+        stress = self.structure.stress(iterate.u, w_of_forces) - eigenstress
         moments, imbalance = self._balance.moments(stress, loads, U)
         _require_balance(imbalance, "use a thicker layer, or less contrast")
-        seed, of_U = stresses.of(stress), stresses.of(stresses.cells.stress(U))
+        seed, of_U = stresses.of(stress), stresses.of(stresses.cells.stress(U) - eigenstress)
         difference = self._improvement.improved(loads, moments, seed, self._steps) - of_U
         law_square = float(stresses.product(seed - of_U, seed - of_U).sum())
         return _ConstitutiveError(U, loads, difference, stresses.product(difference, difference), law_square, imbalance)
@@ -168,7 +169,7 @@ class Continuum:
         """
         structure = self.structure
         if isinstance(goal, Compliance):
-            return structure.loads
+            return replace(structure.loads, eigenstress=structure.no_loads.eigenstress)
         loads = structure.no_loads
         if isinstance(goal, Functional) and goal.is_linear(self._model):
             form = goal.derivative(fem.Function(self._model.V), self._model)
