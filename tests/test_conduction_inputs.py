@@ -130,9 +130,9 @@ REFUSED = {
     "laws of one unknown": lambda: Stack((0.5, GLUE), (0.5, ELASTIC)),
     r"order=2 of the law is Stack\(": lambda: ThinLayer(Stack((0.5, GLUE), (0.5, Conduction(1.0))), EPS, order=2),
     "order 2 is of laws of a scalar field": lambda: ThinLayer(ELASTIC, EPS, order=2),
-    "of order 2 do not take the heat of a current": lambda: plates(parts=[JouleHeat(solve(plates().interface(LAYER)))]).interface(
-        ThinLayer(GLUE, EPS, order=2)
-    ),
+    "of order 2 do not take the heat of a current": lambda: plates(
+        parts=[JouleHeat(solve(plates().interface(LAYER)))]
+    ).interface(ThinLayer(GLUE, EPS, order=2)),
     r"Stressed has a method stress that is never called: write flux\(step\)": lambda: Stressed(1.0),
     "Ageing has a method advance that is never called: write evolve": lambda: Ageing(1.0),
     "no field of a structure, nor values on S": lambda: Film("TOP", 1.0, Surface(plates().bonded()).function(1.0)),

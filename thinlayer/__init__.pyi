@@ -28,6 +28,7 @@ from thinlayer.estimating.fit import fit as fit
 from thinlayer.estimating.fit import read_measurements as read_measurements
 from thinlayer.estimating.frequencies import estimate_frequencies as estimate_frequencies
 from thinlayer.estimating.frequencies import frequency_derivatives as frequency_derivatives
+from thinlayer.estimating.refinement import solve_to as solve_to
 from thinlayer.estimating.sensitivity import sensitivity as sensitivity
 from thinlayer.estimating.strength import MohrCoulombCriterion as MohrCoulombCriterion
 from thinlayer.estimating.strength import QuadraticCriterion as QuadraticCriterion

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import basix
 import numpy as np
 
-from forms.base import InputError
+from forms.base import InputError, is_integer, require
 from geometry.joint import Joint
 from geometry.refusals import place_text, refuse
 from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, is_tensor, lagrange
@@ -198,16 +198,26 @@ def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) 
     return lines, FacetLines(line_no.reshape(joint.surface.shape), is_reversed.reshape(joint.surface.shape))
 
 
-def level_heights(degree: int, cells_through: int, fractions: Sequence[float]) -> FloatArray:
+def level_heights(degree: int, cells_through: int | Sequence[float], fractions: Sequence[float]) -> FloatArray:
     """Return the heights of a layer's levels of nodes, as increasing fractions of the thickness from 0 to 1.
 
     Args:
         degree: degree of the cells' geometry; with 2 there is also a level in the middle of each cell.
         cells_through: number of cells through the thickness. Each sublayer gets its fraction of them, rounded, and at
-            least one.
+            least one. Or the heights between which cells lie.
         fractions: thickness of each sublayer over the layer's, from the lower to the upper face; () for no sublayers.
+
+    Raises:
+        InputError: the heights do not increase from 0 to 1, or cells would lie in two sublayers.
     """
     parts = np.asarray(fractions if len(fractions) else [1.0])
+    if not is_integer(cells_through, 1):
+        levels, n = np.asarray(cells_through, float), np.size(cells_through) - 1
+        distances = np.abs(levels[:, None] - np.cumsum(parts)).min(axis=0, initial=1.0)
+        is_valid = levels[:1] == 0 and levels[-1:] == 1 and (np.diff(levels) > 0).all()
+        allowed = "heights that increase from 0 to 1, among them those of sublayers"
+        require(is_valid and distances.max() <= HEIGHT_TOLERANCE, "cells_through", cells_through, allowed)
+        return np.interp(np.arange(degree * n + 1) / degree, np.arange(n + 1), levels)
     n_levels = degree * np.maximum(1, np.rint(cells_through * parts).astype(int))
     bounds = [0.0, *np.cumsum(parts)[:-1], 1.0]
     heights = [np.linspace(*ends, n + 1)[1:] for ends, n in zip(pairwise(bounds), n_levels, strict=True)]

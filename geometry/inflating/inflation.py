@@ -19,7 +19,16 @@ from geometry.inflating.junctions import (
     junction_corners,
 )
 from geometry.inflating.kept_bodies import NOT_KEPT_MESSAGE, THICKNESS_TOLERANCE, body_translations, require_room
-from geometry.inflating.layering import Layering, Names, Profiles, Sizes, check_junctions, check_layering, moved_facets
+from geometry.inflating.layering import (
+    CellsThrough,
+    Layering,
+    Names,
+    Profiles,
+    Sizes,
+    check_junctions,
+    check_layering,
+    moved_facets,
+)
 from geometry.joint import InflatedBand, Joint
 from geometry.periodic import with_sides
 from geometry.refusals import refuse
@@ -32,7 +41,7 @@ def inflate(
     eps: float | Mapping[str, float],
     *,
     profile: Profiles = None,
-    cells_through: int = 4,
+    cells_through: CellsThrough = 4,
     fractions: Sequence[float] | Mapping[str, Sequence[float]] = (),
     bodies: str = "kept",
     junctions: Sequence[str] = (),
@@ -49,7 +58,8 @@ def inflate(
             thickness is eps times these numbers at the vertices of S, and linear in between. None: the thickness is eps
             everywhere.
         cells_through: number of cells through the thickness, at least 1; each sublayer gets at least one. It must be
-            even where layers meet.
+            even where layers meet. Or {name of a seam: heights between which cells lie, as fractions of the thickness
+            from 0 to 1}, among them those of sublayers.
         fractions: thickness of each sublayer over the layer's thickness, from the lower to the upper face, with sum 1;
             () for a layer without sublayers.
         bodies: "kept": the bodies keep their shape and move apart by eps at each facet of S, with the least jumps along

@@ -12,7 +12,8 @@ Cells that fill junctions: the polygon that opens there is divided into blocks, 
 
 A polygon has a quadrilateral block at each corner. The four key points of a block are the corner, the middles of the
 two sides that meet there, and the polygon's centre. Each node of the block's grid is a bilinear interpolation of the
-key points with integer weights. Nodes of two blocks are the same node if they have equal weights on equal key points.
+key points. In a uniform grid it would have integer weights; nodes of two blocks are the same node if these are equal on
+equal key points.
 """
 
 from __future__ import annotations
@@ -195,7 +196,8 @@ def junction_cells(
 
     Args:
         joint: the joint as drawn, before S is opened.
-        lines: all lines of nodes through the layers. Those at junctions have an even number of cells, the same for all.
+        lines: all lines of nodes through the layers. Those at junctions have an even number of cells and symmetric
+            heights, the same for all.
         corners: corners of the polygons at the vertices of each junction.
         values: (n, d) values at nodes and copies, such as their motion in d dimensions; the added nodes get bilinear
             interpolations of them.
@@ -215,15 +217,21 @@ def junction_cells(
     weights = np.stack([(n_half - p) * (n_half - q), p * (n_half - q), (n_half - p) * q, p * q], axis=-1)
     radix = n_half**2 + 1
     codes = np.where(weights > 0, key_point_numbers[:, None, None] * radix + weights, -1)
-    unique_codes, inverse = np.unique(np.sort(codes.reshape(-1, 4), axis=1), axis=0, return_inverse=True)
+    unique_codes, first, inverse = np.unique(
+        np.sort(codes.reshape(-1, 4), axis=1), axis=0, return_index=True, return_inverse=True
+    )
     code_no, node_numbers = inverse.reshape(codes.shape[:3]), np.full(len(unique_codes), -1)
     for side, side_codes in zip(sides.T, (code_no[:, :, 0], code_no[:, 0]), strict=True):
         starts_here = (lines.ends[side, 0] == copies)[:, None]
         node_numbers[side_codes] = lines.node_numbers(side[:, None], np.where(starts_here, level, 2 * n_half - level))
     new_codes = np.flatnonzero(node_numbers < 0)
     node_numbers[new_codes] = lines.first_inner_node + lines.n_inner_nodes + np.arange(len(new_codes))
-    key, weight = np.divmod(unique_codes[new_codes], radix)
-    new_values = np.einsum("nk,nkd->nd", np.where(key < 0, 0, weight) / n_half**2, key_point_values[key])
+    corner, at_p, at_q = np.unravel_index(first[new_codes], codes.shape[:3])
+    to_middle = 2 * lines.heights[lines.seam_no[corners.sides.flat[0]]]  # 0 at the corner, 1 at the middles
+    a, b = to_middle[at_p], to_middle[at_q]
+    shares = np.stack([(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b], axis=-1)
+    new_values = np.einsum("nk,nkd->nd", shares, key_point_values[key_point_numbers[corner]])
+    new_nodes = key_point_nodes[unique_codes[new_codes, -1] // radix]
 
     grid = node_numbers[code_no]
     quad_nodes = np.stack([grid[:, :-1, :-1], grid[:, 1:, :-1], grid[:, :-1, 1:], grid[:, 1:, 1:]], axis=-1)
@@ -233,7 +241,7 @@ def junction_cells(
     else:
         cells = _extrude(_split_quads(quads, lines.ends[corners.sides[:, 0], 0] != corners.copies[:, :1]))
     corner_numbers = np.repeat(np.arange(len(quads)), cells.shape[1])
-    return JunctionCells(cells.reshape(-1, cells.shape[2]), corner_numbers, new_values, key_point_nodes[key[:, -1]])
+    return JunctionCells(cells.reshape(-1, cells.shape[2]), corner_numbers, new_values, new_nodes)
 
 
 def _split_quads(quads: IntArray, is_reversed: BoolArray) -> IntArray:

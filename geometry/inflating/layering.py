@@ -22,6 +22,7 @@ Names = Sequence[str]
 Sizes = float | Mapping[str, float]
 Shares = Sequence[float] | Mapping[str, Sequence[float]]
 Profiles = Profile | Mapping[str, Profile | None] | None
+CellsThrough = int | Mapping[str, Sequence[float]]
 
 
 def value_by_seam(
@@ -48,16 +49,17 @@ def value_by_seam(
     return {name: value[name] if name in value else default[0] for name in joint.seams}
 
 
-def check_layering(cells_through: int, bodies: str) -> None:
+def check_layering(cells_through: CellsThrough, bodies: str) -> None:
     """Raise InputError unless the arguments `cells_through` and `bodies` of `inflate` are allowed.
 
     Args:
-        cells_through: number of cells through the thickness, a whole number >= 1.
+        cells_through: number of cells through the thickness, a whole number >= 1, or {name of a seam: heights}.
         bodies: "kept" or "extended".
     """
     require_known("way to make room for the layer (bodies=...)", bodies, BODY_CHOICES)
     wanted = "the layer needs a whole number >= 1 of cells"
-    require(is_integer(cells_through, 1), "cells_through", cells_through, wanted)
+    is_allowed = isinstance(cells_through, Mapping) or is_integer(cells_through, 1)
+    require(is_allowed, "cells_through", cells_through, wanted)
 
 
 class Layering(NamedTuple):
@@ -84,7 +86,14 @@ class Layering(NamedTuple):
 
     @classmethod
     def of(
-        cls, joint: Joint, eps: Sizes, profile: Profiles, through: int, fractions: Shares, junctions: Names, gaps: Names
+        cls,
+        joint: Joint,
+        eps: Sizes,
+        profile: Profiles,
+        through: CellsThrough,
+        fractions: Shares,
+        junctions: Names,
+        gaps: Names,
     ) -> Self:
         """Return the checked arguments of `inflate` with values for each seam.
 
@@ -93,7 +102,7 @@ class Layering(NamedTuple):
             eps: thickness of the layers, a length > 0, or {name of a seam: thickness}.
             profile: function of coordinates (d, n) of n points in d dimensions that returns n factors of eps > 0; or
                 {name of a seam: function}; None: all factors are 1.
-            through: number of cells through the thickness.
+            through: number of cells through the thickness, or {name of a seam: heights between which cells lie}.
             fractions: thickness of each sublayer over the layer's, () for no sublayers; or {name of a seam: such
                 fractions}.
             junctions: names of the first seams in the order of priority for the cells of junctions.
@@ -123,7 +132,8 @@ class Layering(NamedTuple):
             raise InputError(f"{tip}: the layer has no room at its tip and cannot be meshed; use the interface model")
         at_nodes = np.stack([size * joint.relative_thickness(profiles[name], name) for name, size in eps_of.items()])
         thickness = at_nodes[joint.seam_numbers[:, None], joint.surface]
-        heights = [level_heights(joint.degree, through, part) for part in fractions_of.values()]
+        through_of: dict[str, int | Sequence[float]] = value_by_seam(joint, through, "cells_through", 1)
+        heights = [level_heights(joint.degree, through_of[name], part) for name, part in fractions_of.items()]
         varying_seams = tuple(name for name in joint.seams if profiles[name] is not None)
         junction_priority = [name for name in dict.fromkeys([*junctions, *joint.seams]) if name not in gaps]
         eps_of = {name: float(size) for name, size in eps_of.items()}

@@ -140,17 +140,18 @@ def _matrix(blocks: Array, dofs: IntArray, n: int) -> scipy.sparse.csr_matrix:
 class TractionImprovement:
     """Lowers the complementary energy of stresses in equilibrium by a few conjugate-gradient steps on tractions.
 
-    The preconditioner inverts the energy's second derivative among the changes that touch the layers' cells, as thin
-    cells couple the tractions along a layer strongly. For all others it is the diagonal, without the coupling of
-    facets. Any number of steps leaves each cell in balance.
+    The preconditioner inverts the energy's second derivative among the changes that touch some cells: those of the
+    layers, as thin cells couple the tractions along a layer strongly, or all cells. For all others it is the diagonal,
+    without the coupling of facets, with which cells of very different sizes need many steps. Any number of steps leaves
+    each cell in balance.
 
     Args:
         stresses: stresses of the cells.
         is_free: (nf, d) mask of the components of tractions that may change.
-        is_layer: (nc,) mask of the layers' cells.
+        coupled: (nc,) mask of the cells.
     """
 
-    def __init__(self, stresses: Stresses, is_free: BoolArray, is_layer: BoolArray) -> None:
+    def __init__(self, stresses: Stresses, is_free: BoolArray, coupled: BoolArray) -> None:
         self._stresses, cells = stresses, stresses.cells
         self._T = balanced_changes(cells, is_free)
         n, k = self._T.shape[0], cells.closure.shape[1] * cells.d
@@ -163,7 +164,7 @@ class TractionImprovement:
         facet_dofs = np.swapaxes(self._dofs.reshape(len(sign), -1, k), 0, 1)
         facet_matrix = _matrix(facet_blocks.reshape(-1, k, k), facet_dofs.reshape(-1, k), n)
         self._diagonal = np.maximum(np.asarray(T.multiply(facet_matrix @ T).sum(axis=0)).ravel(), 1e-300)
-        self._in_block = self._touching(self._dofs[is_layer].ravel())
+        self._in_block = self._touching(self._dofs[coupled].ravel())
         near = np.asarray(abs(T[:, self._in_block]).sum(axis=1)).ravel() > 0
         cells_near = near[self._dofs].any(axis=1)
         block = T[:, self._in_block]

@@ -19,7 +19,7 @@ from forms.tensors import Expr
 from geometry.domain import Domain
 from geometry.inflating.dividing import RefinedLayers, refined_towards_ends
 from geometry.inflating.inflation import inflate, without_bodies
-from geometry.inflating.layering import check_layering
+from geometry.inflating.layering import CellsThrough, check_layering
 from geometry.joint import InflatedBand, Joint
 from geometry.parallel import on_root
 from geometry.refusals import require_known
@@ -49,7 +49,7 @@ class FullModel(Model):
     inflated_joint: Joint
 
     def __init__(
-        self, structure: Structure, layer: Layers, bodies: str, cells_through: int, junctions: str | None
+        self, structure: Structure, layer: Layers, bodies: str, cells_through: CellsThrough, junctions: str | None
     ) -> None:
         self._body_shape, self._cells_through = bodies, cells_through
         self._junctions = () if junctions is None else (junctions,)
@@ -153,7 +153,7 @@ class LayerModel(FullModel):
     Args:
         model: the interface model.
         layers: name of a seam -> its layer.
-        cells_through: number of cells through the thickness.
+        cells_through: number of cells through the thickness, or {name of a seam: heights between which cells lie}.
         at_ends: largest length of cells along S at free ends and junctions, divided by the least thickness of the
             layers. None: the cells are as long as the facets of S.
 
@@ -165,7 +165,7 @@ class LayerModel(FullModel):
     refined_layers: RefinedLayers | None = None
 
     def __init__(
-        self, model: Model, layers: Mapping[str, ThinLayer], cells_through: int, at_ends: float | None = None
+        self, model: Model, layers: Mapping[str, ThinLayer], cells_through: CellsThrough, at_ends: float | None = None
     ) -> None:
         structure, joint = model.structure.with_layers_only(layers), model.joint
         if at_ends is not None:

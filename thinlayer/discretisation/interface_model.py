@@ -91,6 +91,15 @@ class InterfaceModel(Model):
                 add_side_loads(forces, self, layer, self.sides_of(layer.name))
         return forces
 
+    def with_joint(self, joint: Joint) -> InterfaceModel:
+        """Return the same model on another mesh `joint`, as drawn, with the same names. Collective.
+
+        Warnings issued before are not repeated.
+        """
+        new = InterfaceModel(self.structure.with_joint(joint), self.on_seams, self._body_shape)
+        new.issued_warnings = self.issued_warnings
+        return new
+
     @cached_property
     def split_mesh(self) -> Splitting:
         """The joint's mesh after cutting it along all seams that have no `Bond`."""

@@ -294,6 +294,12 @@ class Structure:
         new.data_hash = digest([self.data_hash, require_same(self.comm, **hashed)])
         return new
 
+    def with_joint(self, joint: Joint) -> Self:
+        """Return the same structure on another mesh `joint` with the same names. Collective."""
+        new = copy_without_caches(self)
+        new.joint, new.data_hash = joint, digest([self.data_hash, require_same(self.comm, joint=joint)])
+        return new
+
     def with_layers_only(self, names: Collection[str]) -> Self:
         """Return the structure that has only the layers on the seams `names`, with their own loads, on one process.
 

@@ -12,6 +12,7 @@ import numpy as np
 import scipy.sparse
 
 from forms.base import InputError, is_finite, require
+from geometry.inflating.layering import CellsThrough
 from geometry.refusals import require_known
 from geometry.seam import S
 from thinlayer.discretisation.applicability import Applicability
@@ -48,6 +49,7 @@ def estimate(
     *,
     seam: str = S,
     width: float = DEFAULT_WIDTH,
+    cells_through: CellsThrough = 4,
     options: Options | None = None,
 ) -> Estimate:
     """Estimate how much results change if a layer's mesh is dropped, without meshing it between its bodies. Collective.
@@ -65,7 +67,9 @@ def estimate(
         goals: quantities of interest, whose change is estimated.
         seam: name of the seam whose layer is meshed for the estimate; all other seams keep their laws. "S": all seams.
         width: largest width of bounds, relative to the estimated change of their goal, > 0. The iteration ends when all
-            bounds are at most so wide, or after five steps.
+            bounds are at most so wide, or after five steps (15 if `width` is below its default).
+        cells_through: number of cells through the thickness of the meshed layers, or {name of a seam: heights between
+            which cells lie, as fractions of the thickness from 0 to 1}.
         options: {name of a PETSc option without its prefix: value}, as in `solve`.
 
     Returns:
@@ -108,7 +112,7 @@ def estimate(
             goal.check(model)
     order_1_layers = {name: order_1_layer(model.applicability[name]) for name in seams}
     meshed_layers = {name: replace(thin_layer, order=0, edges=None) for name, thin_layer in order_1_layers.items()}
-    subproblem = LayerSubproblem(model, meshed_layers, solution.t)
+    subproblem = LayerSubproblem(model, meshed_layers, solution.t, cells_through)
     goal_values = {name: goal.value(solution, model) for name, goal in named_goals.items()}
     bounds: dict[str, GoalBounds] = {}
     old_state: State | None = None

@@ -50,7 +50,7 @@ from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.layer_subproblem import MESH_ADVICE, LayerSubproblem, line_search_fraction
 from thinlayer.solving.part_sum import FORCE_ROUNDING, PartSum
 
-MAX_ITERATIONS = 5
+MAX_ITERATIONS, MAX_FINE_ITERATIONS = 5, 15  # the second for bounds narrower than by default
 ITERATE_TOLERANCE = 1e-10  # relative difference of two iterates that counts as rounding
 RESULTANT_TOLERANCE = 1e-9  # resultant of the forces on a layer, over the sum of their sizes, that counts as rounding
 COUPLE_REDUCTION = 0.01  # largest resultant that couples leave, over the resultant that counts as rounding
@@ -546,7 +546,7 @@ class GlobalLocal:
     def run(
         self, goals: Mapping[str, Goal], values: Mapping[str, float], bounds: dict[str, GoalBounds], width: float | None
     ) -> tuple[BodyEquilibrium, dict[str, BodyEquilibrium]]:
-        """Iterate until the bounds of all goals are narrow, or `MAX_ITERATIONS` times. Collective.
+        """Iterate until the bounds of all goals are narrow, or a limited number of times. Collective.
 
         Args:
             goals: name -> goal.
@@ -564,14 +564,15 @@ class GlobalLocal:
         self_adjoint = [name for name, (_, z) in duals.items() if iterate.is_near(z)]
         linear_goals = {name: goal for name, goal in goals.items() if goal.is_linear(self.model)}
         values_at_rest = {name: goal.at_rest(self.state, self.model) for name, goal in linear_goals.items()}
-        for step in range(MAX_ITERATIONS + 1):
+        n_steps = MAX_ITERATIONS if width is None or width >= DEFAULT_WIDTH else MAX_FINE_ITERATIONS
+        for step in range(n_steps + 1):
             for name, value_at_rest in values_at_rest.items():
                 q, z = duals[name]
                 if width is None:
                     bounds[name] = GoalBounds(self.goal_estimate(value_at_rest, q, iterate, z), math.nan, math.nan)
                 else:
                     bounds[name] = self.goal_bounds(value_at_rest, q, iterate, z).cut_to(bounds.get(name, GoalBounds()))
-            if step == MAX_ITERATIONS or self.may_end(iterate, values, bounds, width):
+            if step == n_steps or self.may_end(iterate, values, bounds, width):
                 break
             iterate = self.cg_step(iterate)
             duals = {name: (q, iterate if name in self_adjoint else self.cg_step(z)) for name, (q, z) in duals.items()}

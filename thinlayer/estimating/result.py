@@ -228,7 +228,7 @@ class Estimate:
         coarse, z, model = self._subproblem, self._adjoint_solutions[goal], self.better.model
         assert isinstance(model, InterfaceModel)
         layers = {name: error.layer for name, error in self.layers.items()}
-        fine = DirichletLayers(LayerModel(model, layers, coarse.n_cells_through, at_ends), self.state.t)
+        fine = DirichletLayers(LayerModel(model, layers, coarse.cells_through, at_ends), self.state.t)
         coarse_w = coarse.dirichlet_displacements(coarse.to_layers(self.better.u.x.array), coarse.load, coarse.side_u)
         coarse_w_z, goal_values = coarse.dirichlet_displacements(z.face_u, z.load, z.side_u), []
         fine_vectors = coarse.interpolate_to_refined(coarse_w, fine), coarse.interpolate_to_refined(coarse_w_z, fine)
@@ -336,7 +336,9 @@ class Estimate:
                 sentences.append(f"the layer{seam_text} bears no {self._traction_name}")
             elif seam_text:
                 sentences.append(f"{name}: {', '.join(self._fields_text(error))}")
-        cells_text = f"for these cells of the bodies, and {self._subproblem.n_cells_through} cells through the layer"
+        through = self._subproblem.cells_through
+        numbers = [through] if isinstance(through, int) else sorted({len(levels) - 1 for levels in through.values()})
+        cells_text = f"for these cells of the bodies, and {' or '.join(map(str, numbers))} cells through the layer"
         return [*sentences, cells_text, *self.caveats]
 
     @property

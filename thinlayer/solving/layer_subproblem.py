@@ -13,6 +13,7 @@ from dolfinx import fem
 from scipy.sparse.csgraph import connected_components
 
 from forms.base import Array
+from geometry.inflating.layering import CellsThrough
 from geometry.joint import Joint
 from geometry.topology import FACET_TYPES, BoolArray, IntArray, facet_nodes, vertex_weights
 from thinlayer.discretisation.constraints import local_csr
@@ -261,7 +262,7 @@ class LayerSubproblem(DirichletLayers):
 
     Attributes:
         seams: names of the layers' seams.
-        n_cells_through: number of cells through a layer's thickness.
+        cells_through: number of cells through a layer's thickness, or {name of a seam: heights between them}.
         free_faces: (n,) mask of the face displacements that supports do not constrain.
         R: (n, m) orthonormal motions of the layers that need no energy and that supports allow, for each connected
             piece.
@@ -270,12 +271,14 @@ class LayerSubproblem(DirichletLayers):
         interface: the interface model.
         layers: name of a seam -> its layer.
         t: time at which the layers, so far at rest, are loaded suddenly.
-        through: number of cells through a layer's thickness.
+        through: number of cells through a layer's thickness, or {name of a seam: heights between them}.
     """
 
-    def __init__(self, interface: InterfaceModel, layers: Mapping[str, ThinLayer], t: float, through: int = 4) -> None:
+    def __init__(
+        self, interface: InterfaceModel, layers: Mapping[str, ThinLayer], t: float, through: CellsThrough = 4
+    ) -> None:
         super().__init__(LayerModel(interface, layers, through), t)
-        self.seams, self.n_cells_through, self._comm = [*layers], through, interface.comm
+        self.seams, self.cells_through, self._comm = [*layers], through, interface.comm
         self._body_dofs, self._face_dofs = _matching_dofs(interface, self.model)
         counts = self._comm.allreduce(np.bincount(self._face_dofs, minlength=len(self.load)))
         # a face displacement of several bodies, which could not separate there

@@ -2,6 +2,7 @@
 
 # ruff: noqa: F401
 from thinlayer.output.plotting.along import along
+from thinlayer.output.plotting.cells import cells
 from thinlayer.output.plotting.curves import curves, load_displacement, rates, response
 from thinlayer.output.plotting.movies import movie
 from thinlayer.output.plotting.scene import View

@@ -1,0 +1,274 @@
+"""Cells that reach a wished tolerance: goals of the continuum are bounded, and the cells that cause the width divided.
+
+The interval of a goal is the sum of parts, its indicators (attribute `by_cell` of `ContinuumBounds`). What is refined
+is a cell of the bodies; a facet of S, with the cells above it that are wider than high; a row of the layer's cells, for
+those that are higher than wide; or the iteration that leads from the interface law to the meshed layer. The largest
+parts with half of the sum are taken (Doerfler 1996).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from forms.base import Array, InputError, is_finite, is_integer, require
+from geometry.inflating.band_cells import level_heights
+from geometry.joint import Joint
+from geometry.refining import refined
+from geometry.refusals import place_text, require_known
+from geometry.topology import BoolArray, FloatArray, IntArray, is_tensor
+from thinlayer.discretisation.full_model import LayerModel
+from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.errors import SolveError, Violation, warn
+from thinlayer.estimating.continuum import ContinuumBounds, percent
+from thinlayer.estimating.estimate import estimate
+from thinlayer.estimating.global_local import DEFAULT_WIDTH
+from thinlayer.estimating.goals import Compliance, Goal
+from thinlayer.estimating.result import Estimate
+from thinlayer.solving.petsc import Options
+from thinlayer.solving.solve import solve
+from thinlayer.system.progress import report
+from thinlayer.system.table import Table
+
+MARKED_SHARE = 0.5  # share of the interval whose causes are refined at once
+WIDTH_REDUCTION = 0.1  # factor of the estimate's `width` if the interface law causes a large part of the interval
+MIN_WIDTH = 1e-6  # least `width`, at which steps from the interface law have only rounding errors
+MAX_CELLS = 20_000  # number of cells of bodies and layers above which a mesh is the last
+Heights = dict[str, FloatArray]  # name of a seam -> heights between which the rows of its layer lie, from 0 to 1
+
+
+@dataclass(frozen=True)
+class Indicators:
+    """Parts of the width of an interval, by what can be refined; their sum is 1.
+
+    Attributes:
+        bodies: (n_cells,) parts of the cells of bodies.
+        facets: (n_S,) parts of the layers' cells that are wider than high, summed over those above a facet of S.
+        rows: name of a seam -> parts of the other cells of its layer, by rows from the lower to the upper face. Where
+            layers meet, the cells of the junctions belong to the first seam.
+        law: part of the interface law.
+    """
+
+    bodies: FloatArray
+    facets: FloatArray
+    rows: Mapping[str, FloatArray]
+    law: float
+
+    @classmethod
+    def of(cls, parts: Array, law: float, joint: Joint, layers: LayerModel, heights: Heights) -> Indicators:
+        """Return the indicators from parts (nc,) of all cells, and the part of the interface law."""
+        inflated, d, n_bodies = layers.inflated_joint, joint.dim, len(joint.cells)
+        x, vertices = inflated.points[inflated.corners[n_bodies:]], joint.points[joint.surface[:, : joint.dim]]
+        volumes = np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) / math.factorial(d)
+        edges = vertices[:, 1:] - vertices[:, :1]
+        areas = np.sqrt(np.linalg.det(edges @ np.swapaxes(edges, 1, 2))) / math.factorial(d - 1)
+        facet_parts, row_parts, first = np.zeros(len(areas)), {}, 0
+        of_layers = parts[n_bodies:]
+        for name, levels in heights.items():
+            facets, n_rows = joint.facets_of(name), len(levels) - 1
+            shape, size = (n_rows, d, len(facets)), n_rows * d * len(facets)
+            of_seam, volume = (values[first : first + size].reshape(shape) for values in (of_layers, volumes))
+            is_wide = areas[facets] ** (d / (d - 1)) > d * volume  # area^(1/(d-1)) is a width, d volume/area a height
+            facet_parts[facets] += np.where(is_wide, of_seam, 0.0).sum(axis=(0, 1))
+            row_parts[name] = np.where(is_wide, 0.0, of_seam).sum(axis=(1, 2))
+            first += size
+        next(iter(row_parts.values()))[0] += of_layers[first:].sum()
+        return cls(parts[:n_bodies], facet_parts, row_parts, law)
+
+    def marked(self) -> tuple[IntArray, IntArray, dict[str, BoolArray], bool]:
+        """Return the causes of half of the interval: cells of bodies, facets of S, rows (masks), and whether the law."""
+        all_parts = np.concatenate([self.bodies, self.facets, *self.rows.values(), [self.law]])
+        order = np.argsort(-all_parts, kind="stable")
+        sums = np.cumsum(all_parts[order])
+        is_marked = np.zeros(len(order), bool)
+        is_marked[order[: np.searchsorted(sums, MARKED_SHARE * sums[-1]) + 1]] = True
+        n, m = len(self.bodies), len(self.facets)
+        ends = np.cumsum([n, m, *map(len, self.rows.values())])
+        bodies, facets, *rows, law = np.split(is_marked, ends)
+        return np.flatnonzero(bodies), np.flatnonzero(facets), dict(zip(self.rows, rows, strict=True)), bool(law[0])
+
+
+@dataclass(frozen=True, repr=False)
+class Refinement:
+    """Goals of the continuum with bounds as narrow as wished, the result of `solve_to`.
+
+    Attributes:
+        bounds: name of a goal -> its bounds for any mesh, on the last cells. Their `value` is that of the interface
+            model on the cells that the user gave.
+        estimate: the estimate on the last cells, with state, joint and model.
+        tolerance: the tolerance that was asked for.
+        table: a row for each mesh: "unknowns" (of the interface model), "cells" (of bodies and layers), "seconds" (so
+            far), then for each goal "NAME lower", "NAME upper" and "NAME error": half the interval over the quantity to
+            which the tolerance is relative.
+        reason: why the tolerance was not reached; "": it was.
+    """
+
+    bounds: Mapping[str, ContinuumBounds]
+    estimate: Estimate
+    tolerance: float
+    table: Table
+    reason: str
+
+    @property
+    def reached(self) -> bool:
+        """Whether all goals are known to the tolerance."""
+        return not self.reason
+
+    def __str__(self) -> str:
+        last = self.table.rows[-1]
+        goals = [
+            f"{name} {bounds.lower:.6g} to {bounds.upper:.6g}, +- {percent(float(last[f'{name} error'] or 0))}"
+            for name, bounds in self.bounds.items()
+        ]
+        text = f"{'; '.join(goals)}; for any mesh, by {last['unknowns']} unknowns"
+        return f"{text}; {self.reason}" if self.reason else text
+
+    def __repr__(self) -> str:
+        return f"Refinement({self})"
+
+
+@report("solve_to")
+def solve_to(
+    model: InterfaceModel,
+    goals: Sequence[Goal] = (Compliance(),),
+    tolerance: float = 0.02,
+    *,
+    of: str = "goal",
+    t: float = 0.0,
+    max_cells: int = MAX_CELLS,
+    options: Options | None = None,
+) -> Refinement:
+    """Solve on finer and finer cells until goals of the continuum are known to a tolerance.
+
+    Bounds hold for any mesh, see `Estimate.continuum`: the true goal differs from the middle of its bounds by at most
+    the tolerance. The given cells are divided where they cause the width of the interval: those of bodies, on both sides
+    of S alike, and the layer's, along S and through its thickness. Names, supports, loads and laws stay the same. Curved
+    sides stay the polygons that the given cells describe.
+
+    Args:
+        model: the interface model, `structure.interface(layer)`, on the first cells: straight triangles or tetrahedra.
+        goals: quantities of interest.
+        tolerance: largest half of the interval, > 0, relative to what `of` says.
+        of: "goal": relative to the goal's value. "change": relative to its change if the given model is replaced by the
+            continuum, which answers whether the layer's mesh may be dropped.
+        t: time of loads and supports.
+        max_cells: number of cells of bodies and layers above which a mesh is the last.
+        options: {name of a PETSc option without its prefix: value}, as in `solve`.
+
+    Returns:
+        Bounds, and the estimate on the last cells. If the tolerance is not reached, a warning and `reason` say why.
+
+    Raises:
+        InputError: a structure or goal without bounds for any mesh, or cells that cannot be divided, with a key and a
+            remedy.
+        SolveError: the structure on the first cells has no unique solution.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, ThinLayer, solve_to
+        >>> steel = LinearElastic.young(E=210e3, nu=0.3)
+        >>> glue = LinearElastic.young(E=2e3, nu=0.4)
+        >>> plates = Structure(
+        ...     sandwich(4, 1, 2, h=0.5),
+        ...     body=steel,
+        ...     supports={"BOTTOM": 0},
+        ...     tractions={"TOP": (3, -10)},
+        ... )
+        >>> model = plates.interface(ThinLayer(glue, eps=0.05))
+        >>> print(solve_to(model, tolerance=0.01))
+        ...
+    """
+    _check_arguments(model, tolerance, of, max_cells)
+    start, width, last = time.perf_counter(), DEFAULT_WIDTH, None
+    table, first_values = Table(), dict[str, float]()
+    heights = {name: level_heights(1, 4, layer.as_thin_layer.fractions) for name, layer in model.layers.items()}
+    while True:
+        try:
+            through = {name: tuple(map(float, levels)) for name, levels in heights.items()}
+            result = estimate(solve(model, t, options=options), None, goals, width=width, cells_through=through)
+            bounds = result.continuum()
+        except (InputError, SolveError) as error:
+            if last is None:
+                raise
+            return _ended(*last, tolerance, table, f"the next cells have no bounds: {error}")
+        first_values = first_values or {name: b.value for name, b in bounds.items()}
+        bounds = {name: replace(b, value=first_values[name]) for name, b in bounds.items()}
+        last, layers = (bounds, result), result.inside.model
+        assert isinstance(layers, LayerModel)
+        errors = {name: _relative_half(b, of) for name, b in bounds.items()}
+        n_cells = len(layers.inflated_joint.cells)
+        row: dict[str, Any] = {"unknowns": model.unknowns, "cells": n_cells, "seconds": time.perf_counter() - start}
+        for name, b in bounds.items():
+            row |= {f"{name} lower": b.lower, f"{name} upper": b.upper, f"{name} error": errors[name]}
+        table.append(row)
+        wide = {name: bounds[name] for name, error in errors.items() if not error <= tolerance}
+        if not wide:
+            return _ended(*last, tolerance, table, "")
+        if n_cells > max_cells:
+            worst = max(wide, key=lambda name: errors[name])
+            inflated, largest = layers.inflated_joint, int(np.argmax(bounds[worst].by_cell))
+            place = place_text(inflated.points[inflated.corners[largest]].mean(axis=0))
+            reason = (
+                f"{worst} is known to {percent(errors[worst])}, with the largest part near {place}, by {n_cells} cells"
+            )
+            reason += f", more than max_cells={max_cells}"
+            return _ended(*last, tolerance, table, reason)
+        weights = {name: 1 / (b.upper - b.lower) / len(wide) for name, b in wide.items()}
+        parts = sum((weights[name] * b.by_cell for name, b in wide.items()), np.zeros(n_cells))
+        law = sum(b.law / len(wide) for b in wide.values())
+        parts[len(model.joint.cells) :] *= 1 - law / max(float(parts[len(model.joint.cells) :].sum()), law)
+        cells, facets, rows, is_law = Indicators.of(parts, law, model.joint, layers, heights).marked()
+        width = max(width * WIDTH_REDUCTION, MIN_WIDTH) if is_law else width
+        heights = _divided(heights, rows, model.joint.seams_meet)
+        if len(cells) or len(facets):
+            model = model.with_joint(refined(model.joint, cells, model.joint.surface_rows[facets]))
+
+
+def _divided(heights: Heights, rows: Mapping[str, BoolArray], together: bool) -> Heights:
+    """Return the heights with marked rows halved, symmetrically; if layers meet (`together`), in all layers alike."""
+    out = {}
+    for name, levels in heights.items():
+        mask = np.logical_or.reduce([*rows.values()]) if together else rows[name]
+        out[name] = np.sort(np.append(levels, (levels[1:] + levels[:-1])[mask | mask[::-1]] / 2))
+    return out
+
+
+def _relative_half(bounds: ContinuumBounds, of: str) -> float:
+    """Return half the interval over the goal or, `of` = "change", over its change."""
+    middle = (bounds.lower + bounds.upper) / 2
+    size = abs(middle) if of == "goal" else abs(middle - bounds.value)
+    half = (bounds.upper - bounds.lower) / 2
+    return half / size if size else math.inf if half else 0.0
+
+
+def _ended(
+    bounds: Mapping[str, ContinuumBounds], result: Estimate, tolerance: float, table: Table, reason: str
+) -> Refinement:
+    if reason:
+        remedy = "the bounds hold all the same; allow more cells, or a larger tolerance"
+        warn(
+            "tolerance",
+            f"solve_to: the tolerance {percent(tolerance)} is not reached: {reason}; {remedy}",
+            result.state.model.comm,
+        )
+    return Refinement(bounds, result, tolerance, table, reason)
+
+
+def _check_arguments(model: InterfaceModel, tolerance: float, of: str, max_cells: int) -> None:
+    require(isinstance(model, InterfaceModel), "solve_to: model", model, "give structure.interface(layer)")
+    require(is_finite(tolerance) and tolerance > 0, "solve_to: tolerance", tolerance, "allowed: > 0, such as 0.02")
+    require_known("reference (of=...)", of, ("goal", "change"), "solve_to")
+    require(is_integer(max_cells, 1), "solve_to: max_cells", max_cells, "allowed: whole numbers >= 1")
+    if model.bonds:
+        reason = f"bodies are bonded at {', '.join(model.bonds)}, so that the layer is not known"
+        raise Violation("bonded", reason, "give the layer, structure.interface(layer)").error("solve_to: ")
+    if is_tensor(model.joint.cell_type):
+        raise Violation(
+            "divided", f"cells of the type {model.joint.cell_type} are not divided", "use triangles or tetrahedra"
+        ).error("solve_to: ")
