@@ -39,7 +39,8 @@ class PointValues:
         x: (n, d) coordinates in d dimensions, ordered by cell or facet, then by position.
         values: (n, ...) values at these points; tensors are (n, 3, 3).
         weights: (n,) quadrature weights; the sum of weights times values is the integral of the variable over the
-            volume. At points on S they are areas times the thickness of the layer or sublayer, at order 1 half of it.
+            volume. At points on S they are areas times the thickness of the layer or sublayer, at order 1 half of it;
+            for laws of jumps, areas.
         entity: (n,) number of the cell of each point in the joint. At points on S it is the row of the facet in the
             joint's `table` of facets.
     """
