@@ -36,7 +36,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     table, n = record.new_table("table.csv"), 60 if quick else 120
     for name, (kind, with_mass) in MODELS.items():
         model = half_plates(kind, GLUE[2] * with_mass)
-        history = march(model, END * np.arange(1, n + 1) / n, observe=quantities(model), keep="last")
+        history = march(model, [END * k / n for k in range(1, n + 1)], observe=quantities(model), keep="last")
         rows = history.table
         record.check(f"{name}: change of the energy", np.ptp(rows["energy"]) / rows["energy"][0], high=1e-8)
         for k, t in enumerate(rows["t"]):

@@ -25,13 +25,14 @@ from geometry.topology import BoolArray, FloatArray, IntArray, is_tensor
 from thinlayer.discretisation.full_model import LayerModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.errors import SolveError, Violation, warn
-from thinlayer.estimating.continuum import ContinuumBounds, percent
+from thinlayer.estimating.continuum import ContinuumBounds
 from thinlayer.estimating.estimate import estimate
 from thinlayer.estimating.global_local import DEFAULT_WIDTH
 from thinlayer.estimating.goals import Compliance, Goal
 from thinlayer.estimating.result import Estimate
 from thinlayer.solving.petsc import Options
 from thinlayer.solving.solve import solve
+from thinlayer.system.units import percent
 from thinlayer.system.progress import report
 from thinlayer.system.table import Table
 

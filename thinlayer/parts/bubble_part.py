@@ -113,7 +113,7 @@ class BubbledPart(CompiledPart):
         b = bubble.field.x.array[: bubble.own_size] if state is None else bubble.own_values_before(state)
         self._b.array[:] = b
         self._B.mult(self._b, self._e_b)
-        return super()._strain(u) + self._e_b.array_r.reshape(self.points.count, -1)
+        return np.asarray(super()._strain(u) + self._e_b.array_r.reshape(self.points.count, -1))
 
     def bubble_forces(self) -> Array:
         """Return the forces on the layer's own unknowns on this rank, for the last call of `evaluate`."""

@@ -105,7 +105,7 @@ class DirichletLayers:
 
     def add_inertia(self, mass: Inertia, a: Array) -> None:
         """Load the layers by the inertia of their mass, for accelerations `a` (n,), and linearise them at their state."""
-        M, n_u = mass.mass_matrix(self.model, self.model.layers), self._n_u
+        M, n_u = mass.mass_matrix(self.model, [*self.model.layers]), self._n_u
         forces = -local_csr(M) @ a[:n_u]
         destroy(M)
         for loads in (self.nodal_loads, self._equations.loads.array):

@@ -420,6 +420,6 @@ def _facet_shares(surface: SurfaceMesh, state: State) -> Array:
             if BROKEN in law.share_columns:
                 broken, breaking = (law.shares(internal)[name][cells] for name in (BROKEN, BREAKING))
                 values = np.stack([broken, breaking, 1.0 - broken - breaking]).mean(axis=2)
-                np.add.at(sums, (slice(None), facets_here), values)
+                np.add.at(sums.T, facets_here, values.T)
     shares = state.model.comm.allreduce(sums)
     return np.asarray(shares / np.maximum(shares.sum(axis=0), 1.0))

@@ -14,7 +14,7 @@ from geometry.topology import is_tensor
 from thinlayer.discretisation.full_model import LayerModel
 from thinlayer.estimating.continuum import ContinuumBounds
 from thinlayer.estimating.result import Estimate
-from thinlayer.output.plotting.picture import GivenAxes, Picture, draw_on_root, make_panels
+from thinlayer.output.plotting.picture import AxesInput, Picture, draw_on_root, make_panels
 from thinlayer.output.plotting.scene import COLOUR_BAR_STYLE, COLOUR_MAP
 
 SHARE_RANGE = 1e4  # largest share of a cell over the smallest with a colour of its own
@@ -27,7 +27,7 @@ def cells(
     zoom: tuple[float, float, float, float] | None = None,
     save: str | Path | None = None,
     title: str = "",
-    ax: GivenAxes = None,
+    ax: AxesInput = None,
 ) -> Picture | None:
     """Draw the cells of bodies and layers, coloured by their shares of the width of an interval for any mesh, in 2D.
 
@@ -79,7 +79,7 @@ def cells(
     def draw() -> Figure:
         (axes,) = make_panels(ax, (1, 1), 1, (6.7, 3.6))
         colours: dict[str, Any] = {"cmap": COLOUR_MAP, "norm": LogNorm(largest / SHARE_RANGE, largest)}
-        drawn = PolyCollection(joint.points[corners], edgecolors="#444444", linewidths=0.2, **colours)
+        drawn = PolyCollection([*joint.points[corners]], edgecolors="#444444", linewidths=0.2, **colours)
         drawn.set_array(shares)
         axes.add_collection(drawn)
         axes.set_aspect("equal")

@@ -300,10 +300,10 @@ def response(
                 style: dict[str, Any] = {"color": options["colours"][label]}
                 for panel in panels:
                     panel.axvline(hertz, lw=0.8, ls=":", **style)
-                place = {"xycoords": ("data", "axes fraction"), "xytext": (-1, 4), "textcoords": "offset points"}
+                style |= {"xycoords": ("data", "axes fraction"), "xytext": (-1, 4), "textcoords": "offset points"}
                 box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}
                 text, at = f"loss {loss:.2g}", (hertz, k % 3 / 5)  # below the peaks, in turn at three heights
-                panels[0].annotate(text, at, rotation=90, ha="right", fontsize=8, bbox=box, **place, **style)
+                panels[0].annotate(text, at, rotation=90, ha="right", fontsize=8, bbox=box, **style)
     return finish_picture(panels, save, title)
 
 
