@@ -112,7 +112,7 @@ def cure(name: str, eps: float, times: Array) -> History:
 def middle(surface: Surface, state: State) -> float:
     """Return the temperature in the middle of the resin, halfway along the plates."""
     if surface.model.broken:
-        return float(surface.value_in_layer(state).mean())
+        return float(surface.value_in_layer(state, 0.0).mean())
     return float(Probe(state).value(surface.in_layer(np.array([[5.0, 0.0]]), np.zeros(1)))[0])
 
 

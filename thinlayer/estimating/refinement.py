@@ -32,9 +32,9 @@ from thinlayer.estimating.goals import Compliance, Goal
 from thinlayer.estimating.result import Estimate
 from thinlayer.solving.petsc import Options
 from thinlayer.solving.solve import solve
-from thinlayer.system.units import percent
 from thinlayer.system.progress import report
 from thinlayer.system.table import Table
+from thinlayer.system.units import percent
 
 MARKED_SHARE = 0.5  # share of the interval whose causes are refined at once
 WIDTH_REDUCTION = 0.1  # factor of the estimate's `width` if the interface law causes a large part of the interval

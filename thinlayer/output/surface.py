@@ -101,29 +101,32 @@ class Surface(SurfaceMesh):
         state.model.kinematics.require(ScalarField.unknown, "flux", "traction")
         return self.traction(state)[0]
 
-    def value_in_layer(self, state: State, height: float = 0.0) -> Array:
-        """Return the values (n, q) of a scalar field inside the layers of an interface model, at one height. Collective.
+    def value_in_layer(self, state: State, height: float | None = None) -> Array:
+        """Return the values (n, q) of a scalar field in the layers of an interface model. Collective.
 
         At order 2 they are quadratic in the height, else linear. In a meshed layer see `Probe.value`.
 
         Args:
             state: a state of an interface model.
             height: distance from the middle along n over the thickness, from -1/2 at the lower to 1/2 at the upper face.
+                None: the mean through the thickness is meant.
 
         Raises:
             InputError: height out of range; a state of another kind of model, of displacements, or of another joint.
         """
-        require(is_finite(height) and abs(height) <= 0.5, "height", height, "allowed: from -1/2 to 1/2")
+        is_height = height is None or (is_finite(height) and abs(height) <= 0.5)
+        require(is_height, "height", height, "allowed: from -1/2 to 1/2, or None")
+        z, shape = (0.0, 1.0) if height is None else (height, 6 * (1 / 4 - height**2))
         lower, upper = self.displacements(state)
         model = state.model
         model.kinematics.require(ScalarField.unknown, "value_in_layer", "jump")
         if not isinstance(model, InterfaceModel):
             raise InputError(f"value_in_layer is of layers without cells, not of {model!r}; take Probe(state).value")
-        values = (lower + upper)[0] / 2 + height * (upper - lower)[0]
+        values = (lower + upper)[0] / 2 + z * (upper - lower)[0]
         for name, layer in model.layers.items():
             if layer.bubble_key in state.fields:
                 b = self.side_values(state.fields[layer.bubble_key], model, self.quadrature)[1, 0]
-                values += 6 * (1 / 4 - height**2) * b * (self.seams == name)[:, None]
+                values += shape * b * (self.seams == name)[:, None]
         return np.asarray(values)
 
     def reaction(self, state: State) -> Array:
