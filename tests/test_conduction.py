@@ -10,42 +10,26 @@ import ufl
 
 from forms import Conduction, FluxLaw, Heat
 from geometry import sandwich
+from tests.fourier import K, blocks, compliance, transfer
 from tests.orders import observed_orders
 from tests.refused import refused
 from thinlayer import InputError, RangeWarning, Structure, Surface, ThinLayer, march, solve
 
-LOWER, UPPER, K_LOWER, K_UPPER = 0.4, 0.7, 2.0, 0.5  # heights and conductivities of two unlike blocks, 1 wide
-
-
-def _blocks(h=1 / 8):
-    joint = sandwich(1, LOWER, UPPER, h=h, cell="quadrilateral")
-    laws = dict(zip(joint.bodies, (Conduction(K_LOWER), Conduction(K_UPPER)), strict=True))
-    fluxes = {"TOP": lambda x, t: ufl.cos(ufl.pi * x[0])}
-    return Structure(joint, body=laws, supports={"BOTTOM": 0}, fluxes=fluxes)
-
 
 def _closed_compliance(k, eps, law):
-    """Return the compliance under the flux cos(K x), K = pi, from the transfer of (T, q) through blocks and layer."""
-    K = math.pi
-
-    def block(k, H):
-        return np.array([[math.cosh(K * H), math.sinh(K * H) / (k * K)], [k * K * math.sinh(K * H), math.cosh(K * H)]])
-
-    across, along = k / eps, eps * k * K**2
+    """Return the compliance under the flux cos(K x) of blocks and layer."""
     if law == "meshed":
-        layer = block(k, eps)
-    else:  # (q_lower + q_upper)/2 = h [T], q_upper - q_lower = G <T>
-        h, G = {"order 1": (across + along / 12, along), "order 0": (across, 0.0), "lumped": (across, along)}[law]
-        layer = np.linalg.solve([[-G / 2, 1.0], [h, -0.5]], [[G / 2, 1.0], [h, 0.5]])
-    transfer = block(K_UPPER, UPPER) @ layer @ block(K_LOWER, LOWER)
-    return transfer[0, 1] / transfer[1, 1] / 2  # the integral of cos^2 is 1/2
+        return compliance(transfer(k, eps))
+    across, along = k / eps, eps * k * K**2  # (q_lower + q_upper)/2 = h [T], q_upper - q_lower = G <T>
+    h, G = {"order 1": (across + along / 12, along), "order 0": (across, 0.0), "lumped": (across, along)}[law]
+    return compliance(np.linalg.solve([[-G / 2, 1.0], [h, -0.5]], [[G / 2, 1.0], [h, 0.5]]))
 
 
 @pytest.mark.parametrize("k", [1 / 16, 3.0, 16.0])
 def test_both_models_converge_to_their_closed_forms(k):
     eps, sizes, errors = 1 / 16, (1 / 4, 1 / 8), []
     for h in sizes:
-        plates, layer = _blocks(h), ThinLayer(Conduction(k), eps)
+        plates, layer = blocks(h), ThinLayer(Conduction(k), eps)
         models = {"meshed": plates.full(layer), "order 1": plates.interface(layer)}
         errors.append([solve(model).load_work() - _closed_compliance(k, eps, law) for law, model in models.items()])
     for column in np.transpose(errors):
@@ -54,7 +38,7 @@ def test_both_models_converge_to_their_closed_forms(k):
 
 def test_no_mean_of_the_layer_replaces_the_twelfth():
     """On a fine mesh S has the closed form of order 1, and not that without the energy of the jump's gradient."""
-    plates, eps, k = _blocks(1 / 16), 1 / 16, 1 / 16
+    plates, eps, k = blocks(1 / 16), 1 / 16, 1 / 16
     value = solve(plates.interface(ThinLayer(Conduction(k), eps))).load_work()
     assert value == pytest.approx(_closed_compliance(k, eps, "order 1"), abs=1e-6)
     assert value != pytest.approx(_closed_compliance(k, eps, "lumped"), abs=1e-5)
@@ -63,7 +47,7 @@ def test_no_mean_of_the_layer_replaces_the_twelfth():
 @pytest.mark.filterwarnings("ignore::thinlayer.RangeWarning")  # of order 0, which leaves its range
 def test_order_1_is_uniform_in_the_ratio_of_conductivities():
     """C/(1 + K^2 delta^2) <= C_S <= C for K = pi and delta = eps/sqrt(12), for any ratio; order 0 breaks it."""
-    eps, plates = 1 / 16, _blocks()
+    eps, plates = 1 / 16, blocks()
     model = plates.interface(ThinLayer(Conduction(1.0), eps))
     zeroth = plates.interface(ThinLayer(Conduction(1.0), eps, order=0))
     broken = []

@@ -1,6 +1,5 @@
 """What goes into structures of a scalar field: refusals by name, stacks, seams that meet, periodic cells, scripts."""
 
-import math
 import warnings
 from dataclasses import dataclass
 
@@ -22,6 +21,7 @@ from forms import (
 from forms.base import InputError
 from forms.work import Interface
 from geometry import block, bond_cell, periodic, sandwich, wall
+from tests.fourier import K, blocks, compliance, transfer
 from tests.mpirun import CLONE
 from tests.orders import observed_orders
 from tests.refused import refused
@@ -194,25 +194,6 @@ def test_a_part_in_ufl_acts_on_a_scalar_field():
 
 
 # ---------------------------------------------------------------- stacks
-LOWER, UPPER, K_LOWER, K_UPPER, K = 0.4, 0.7, 2.0, 0.5, math.pi
-
-
-def blocks(h=1 / 8, **data):
-    joint = sandwich(1, LOWER, UPPER, h=h, cell="quadrilateral")
-    fluxes = {"TOP": lambda x, t: ufl.cos(K * x[0])}
-    body = dict(zip(joint.bodies, (Conduction(K_LOWER), Conduction(K_UPPER)), strict=True))
-    return Structure(joint, **({"body": body, "supports": {"BOTTOM": 0.0}, "fluxes": fluxes} | data))
-
-
-def meshed_compliance(*sublayers):
-    """That of meshed blocks and sublayers (thickness, k), closed: transfer through each of them."""
-    M = np.eye(2)
-    for H, k in ((LOWER, K_LOWER), *sublayers, (UPPER, K_UPPER)):
-        c, s = math.cosh(K * H), math.sinh(K * H)
-        M = np.array([[c, s / (k * K)], [k * K * s, c]]) @ M
-    return M[0, 1] / M[1, 1] / 2
-
-
 @pytest.mark.parametrize(
     ("fractions", "conductivities", "errors"),
     [
@@ -234,7 +215,7 @@ def test_stacks(fractions, conductivities, errors):
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             state = solve(blocks(1 / 16).interface(layer))
-        want = meshed_compliance(*((a * eps, k) for a, k in zip(fractions, ks, strict=True)))
+        want = compliance(*(transfer(k, a * eps) for a, k in zip(fractions, ks, strict=True)))
         assert want - state.energies()["loads"] == pytest.approx(error, rel=0.1)
         assert any("spreads the field" in str(w.message) for w in caught) == (len(ks) == 3)
 
