@@ -20,7 +20,7 @@ from forms import (
 )
 from forms.base import InputError
 from forms.work import Interface
-from geometry import block, bond_cell, periodic, sandwich, wall
+from geometry import block, bond_cell, periodic, ring, sandwich, wall
 from tests.fourier import K, blocks, compliance, transfer
 from tests.mpirun import CLONE
 from tests.orders import observed_orders
@@ -150,6 +150,9 @@ REFUSED = {
     ).interface(LAYER),
     "no equilibrium without time.*for a steady state take Conduction in place of Heat": lambda: solve(heating()),
     "estimate: Heat remembers steps beside.*take Conduction in place of Heat": lambda: estimate(march(heating(), [1])),
+    "order=1 of a Stack on a curved S: .*mesh the layer.*, or use order=0": lambda: Structure(
+        ring(1.0, 1.5, 2.0, 0.5, angle=1.2, cell="quadrilateral"), body=GLUE, supports={"INSIDE": 0.0}
+    ).interface(ThinLayer(Stack((0.5, GLUE), (0.5, Conduction(1.0))), EPS), bodies="extended"),
     "homogenised_stiffness is for laws of a displacement": lambda: homogenised_stiffness(cell().interface(LAYER)),
 }
 

@@ -259,6 +259,11 @@ def _order_1_conditions(r: Applicability) -> Iterator[Violation]:
         remedy = "use bodies='extended', for the interface and the full model alike"
         yield Violation("bent", f"order=1 {r.bend_text} needs bodies at their true places", remedy)
     if structure.kinematics.has_value_in_strain:
+        if len(thin.law.sublayers) > 1 and (not sheet.planar or (r.bend_text and thin.profile is None)):
+            reason = (
+                f"order=1 of a Stack {r.bend_text}: its sublayers have other areas than S, by thickness over radius"
+            )
+            yield Violation("bent stack", reason, f"{MESH_REMEDY}, or use order=0, whose errors are of this size")
         return  # a scalar field does not lock, and its energy of order 1 is positive at tips and junctions, too
     if structure.degree != 2:
         yield Violation("element", f"order=1 has gradients on S, elements are {structure.element}", "use degree 2")
