@@ -20,7 +20,7 @@ GLUE = (4.0, 0.45, 1.8e-9)
 HALF_LENGTH, HEIGHTS, EPS = 40.0, (2.0, 1.0), 0.5  # mm
 PAD_LENGTH, PAD_STIFFNESS = 6.0, 8.0  # mm; MPa/mm, of a pad under each end
 SPEED = 3e3  # mm/s, of a fall from 0.46 m
-END = 1.8e-4  # s, when the plates leave the pads
+END = 1.7e-4  # s, when the plates leave the pads
 MODELS = {"meshed layer": ("full", 1), "law on S": ("interface", 1), "no mass on S": ("interface", 0)}
 
 
@@ -86,14 +86,15 @@ def quantities(model: Model) -> dict[str, Callable[[State], float]]:
 
 
 def draw(record: Record) -> None:
-    """Draw forces over time, from table.csv in the folder of `record`."""
+    """Draw forces and energies over time, from table.csv in the folder of `record`."""
     models = record.load("table.csv").split("model")
     panels = {
         title: {name: (rows["ms"], sign * rows[column]) for name, rows in models.items()}
         for title, column, sign in (
             ("force of a pad (N/mm)", "pad", 1),
             ("shear force of the glue (N/mm)", "shear", -1),
+            ("kinetic energy (N)", "kinetic", 1),
         )
     }
     title = "glass glued to aluminium falls onto pads"
-    plotting.curves(panels, "time (ms)", title=title, columns=2, save=record.path("drop.svg"))
+    plotting.curves(panels, "time (ms)", title=title, save=record.path("drop.svg"))
