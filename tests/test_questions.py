@@ -43,6 +43,7 @@ WARNINGS = {  # key of a RangeWarning -> words of its message
     "strains": "strains of",
     "thick": "its law is for thin layers",
     "time step": "is not well below a time of",
+    "tolerance": "with the largest part near",
     "too stiff": "lets no material flow",
     "zoom": "% from those of the bodies",
 }

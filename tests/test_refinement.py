@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -98,12 +99,12 @@ def test_bodies_alone_do_not_reach_it(monkeypatch):
     """A wrong twin that divides neither the layer nor S, where half of the interval comes from."""
     monkeypatch.setattr(refinement, "_divided", lambda heights, *_: heights)
     marked = Indicators.marked
-    monkeypatch.setattr(Indicators, "marked", lambda self: (marked(self)[0], np.empty(0, np.int64), *marked(self)[2:]))
+    monkeypatch.setattr(Indicators, "marked", lambda self: marked(replace(self, facets=0 * self.facets)))
     with pytest.warns(RangeWarning, match="is not reached: compliance is known to .* with the largest part near"):
-        result = solve_to(blocks(), tolerance=0.02, of="change", max_cells=300)
+        result = solve_to(blocks(), tolerance=0.02, of="change", max_cells=100)
     assert not result.reached
     assert result.bounds["compliance"].lower < TRUTH < result.bounds["compliance"].upper
-    assert "more than max_cells=300" in str(result)
+    assert "the limit is max_cells=100" in str(result)
 
 
 def test_several_goals_seams_and_plies():
@@ -111,14 +112,13 @@ def test_several_goals_seams_and_plies():
     body, mortar = LinearElastic.young(12.0, 0.2), LinearElastic.young(2.0, 0.1)
     structure = Structure(joint, body=body, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.1, -0.5)})
     qois = goals.Compliance(), goals.Reaction("BOTTOM", (0, 1))
-    result = solve_to(structure.interface(ThinLayer(mortar, 0.1)), qois, 0.004)
+    result = solve_to(structure.interface(ThinLayer(mortar, 0.1)), qois, 0.01)
     assert result.reached
     assert result.bounds[qois[1].name].lower <= 0.5 * 2.5 <= result.bounds[qois[1].name].upper
     plies = ThinLayer(Stack((0.4, mortar), (0.6, body)), 0.1)
     pair = Structure(sandwich(2.0, 1.0, 1.0, 1.0), body=body, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.3, 0.1)})
     through = solve_to(pair.interface(plies), tolerance=0.002).estimate._subproblem.cells_through["S"]
     assert 0.4 in through
-    assert len(through) > 5
 
 
 def test_marked_parts_are_half_of_the_interval():

@@ -45,6 +45,7 @@ from thinlayer import (
     homogenised_stiffness,
     march,
     solve,
+    solve_to,
     thin_enough,
 )  # fmt: skip
 from thinlayer.errors import RangeWarning
@@ -78,6 +79,7 @@ WATER, SOLID = Incompressible(1.0), Rubber.shear(1.0, 0.4999)
 ONE: dict[str, Any] = {"order": 1}
 FREE: dict[str, Any] = {"order": 1, "edges": "free"}
 quads = partial(sandwich, 4.0, 1.0, 1.2, 0.5, cell="quadrilateral")
+triangles = partial(sandwich, 4.0, 1.0, 1.2, 1.0)
 short = partial(sandwich, 0.3, 1.0, 1.2, 0.1)
 crack = lambda: in_one_body(partly(quads(), lambda x: np.abs(x[:, 0] - 2) < 1.2), (0.0, 1.0))
 cell = lambda: periodic(fibre(0.3, (1.0, 1.2), 0.2), ("LEFT", "RIGHT"), ("BOTTOM", "TOP"))
@@ -223,6 +225,10 @@ CASES = [
     ("law alone", lambda: bounds(**SIDE, law=True), lambda: bounds(law=True)),
     ("law alone", lambda: bounds(goal=mean_of(lambda u: u[0]), law=True), lambda: bounds(law=True)),
     ("volume", lambda: bounds(glue(WATER)), lambda: bounds(glue(Rubber.shear(1.0, 0.49)))),
+    ("divided", lambda: solve_to(law_of(glue()), tolerance=0.5),
+        lambda: solve_to(law_of(glue(), joint=triangles), tolerance=0.5)),
+    ("bonded", lambda: solve_to(law_of(Bond(), joint=triangles)),
+        lambda: solve_to(law_of(glue(), joint=triangles), tolerance=0.5)),
     ("march(model, times)", lambda: solved(glue(KELVIN)), lambda: march(law_of(glue(KELVIN)), [1.0])),
     ("march(model, times)", lambda: solved(glue(FLAWED)), lambda: march(law_of(glue(FLAWED)), [1.0])),
     ("method='newton'", lambda: solve(law_of(glue(CUBIC)), method="linear"),

@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,13 +39,28 @@ from thinlayer.system.units import percent
 MARKED_SHARE = 0.5  # share of the interval whose causes are refined at once
 WIDTH_REDUCTION = 0.1  # factor of the estimate's `width` if the interface law causes a large part of the interval
 MIN_WIDTH = 1e-6  # least `width`, at which steps from the interface law have only rounding errors
+MAX_MESHES = 60  # largest number of meshes
 MAX_CELLS = 20_000  # number of cells of bodies and layers above which a mesh is the last
 Heights = dict[str, FloatArray]  # name of a seam -> heights between which the rows of its layer lie, from 0 to 1
 
 
+class Causes(NamedTuple):
+    """What is refined: numbers of bodies' cells and of facets of S, masks of rows by seams, whether steps from the law."""
+
+    cells: IntArray
+    facets: IntArray
+    rows: dict[str, BoolArray]
+    law: bool
+
+    @property
+    def any_cells(self) -> bool:
+        """Whether any cells are divided."""
+        return bool(len(self.cells) or len(self.facets) or any(mask.any() for mask in self.rows.values()))
+
+
 @dataclass(frozen=True)
 class Indicators:
-    """Parts of the width of an interval, by what can be refined; their sum is 1.
+    """Parts of the width of an interval, by what can be refined.
 
     Attributes:
         bodies: (n_cells,) parts of the cells of bodies.
@@ -62,14 +77,15 @@ class Indicators:
 
     @classmethod
     def of(cls, parts: Array, law: float, joint: Joint, layers: LayerModel, heights: Heights) -> Indicators:
-        """Return the indicators from parts (nc,) of all cells, and the part of the interface law."""
+        """Return the indicators from parts (nc,) of all cells, of which `law`, in the layers, is the interface law's."""
         inflated, d, n_bodies = layers.inflated_joint, joint.dim, len(joint.cells)
         x, vertices = inflated.points[inflated.corners[n_bodies:]], joint.points[joint.surface[:, : joint.dim]]
         volumes = np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) / math.factorial(d)
         edges = vertices[:, 1:] - vertices[:, :1]
         areas = np.sqrt(np.linalg.det(edges @ np.swapaxes(edges, 1, 2))) / math.factorial(d - 1)
         facet_parts, row_parts, first = np.zeros(len(areas)), {}, 0
-        of_layers = parts[n_bodies:]
+        total = float(parts[n_bodies:].sum())
+        of_layers = parts[n_bodies:] * max(1 - law / total, 0.0) if total else parts[n_bodies:]
         for name, levels in heights.items():
             facets, n_rows = joint.facets_of(name), len(levels) - 1
             shape, size = (n_rows, d, len(facets)), n_rows * d * len(facets)
@@ -81,17 +97,18 @@ class Indicators:
         next(iter(row_parts.values()))[0] += of_layers[first:].sum()
         return cls(parts[:n_bodies], facet_parts, row_parts, law)
 
-    def marked(self) -> tuple[IntArray, IntArray, dict[str, BoolArray], bool]:
-        """Return the causes of half of the interval: cells of bodies, facets of S, rows (masks), and whether the law."""
+    def marked(self) -> Causes:
+        """Return the causes of half of the interval, the largest parts."""
         all_parts = np.concatenate([self.bodies, self.facets, *self.rows.values(), [self.law]])
         order = np.argsort(-all_parts, kind="stable")
         sums = np.cumsum(all_parts[order])
         is_marked = np.zeros(len(order), bool)
         is_marked[order[: np.searchsorted(sums, MARKED_SHARE * sums[-1]) + 1]] = True
-        n, m = len(self.bodies), len(self.facets)
-        ends = np.cumsum([n, m, *map(len, self.rows.values())])
+        ends = np.cumsum([len(self.bodies), len(self.facets), *map(len, self.rows.values())])
         bodies, facets, *rows, law = np.split(is_marked, ends)
-        return np.flatnonzero(bodies), np.flatnonzero(facets), dict(zip(self.rows, rows, strict=True)), bool(law[0])
+        return Causes(
+            np.flatnonzero(bodies), np.flatnonzero(facets), dict(zip(self.rows, rows, strict=True)), bool(law)
+        )
 
 
 @dataclass(frozen=True, repr=False)
@@ -99,21 +116,22 @@ class Refinement:
     """Goals of the continuum with bounds as narrow as wished, the result of `solve_to`.
 
     Attributes:
-        bounds: name of a goal -> its bounds for any mesh, on the last cells. Their `value` is that of the interface
-            model on the cells that the user gave.
-        estimate: the estimate on the last cells, with state, joint and model.
-        tolerance: the tolerance that was asked for.
+        bounds: name of a goal -> its bounds for any mesh, on the best cells: the last ones if the tolerance is reached.
+            Their `value` is that of the interface model on the cells that the user gave.
+        errors: name of a goal -> half the interval over the quantity to which the tolerance is relative.
+        of: "goal" or "change": that quantity.
+        estimate: the estimate on these cells, with state, joint and model.
         table: a row for each mesh: "unknowns" (of the interface model), "cells" (of bodies and layers), "seconds" (so
-            far), then for each goal "NAME lower", "NAME upper" and "NAME error": half the interval over the quantity to
-            which the tolerance is relative.
+            far), then for each goal "NAME lower", "NAME upper" and "NAME error", of `errors`.
         reason: why the tolerance was not reached; "": it was.
     """
 
     bounds: Mapping[str, ContinuumBounds]
+    errors: Mapping[str, float]
+    of: str
     estimate: Estimate
-    tolerance: float
     table: Table
-    reason: str
+    reason: str = ""
 
     @property
     def reached(self) -> bool:
@@ -121,16 +139,22 @@ class Refinement:
         return not self.reason
 
     def __str__(self) -> str:
-        last = self.table.rows[-1]
-        goals = [
-            f"{name} {bounds.lower:.6g} to {bounds.upper:.6g}, +- {percent(float(last[f'{name} error'] or 0))}"
-            for name, bounds in self.bounds.items()
-        ]
-        text = f"{'; '.join(goals)}; for any mesh, by {last['unknowns']} unknowns"
+        of_change, goals = " of the change" * (self.of == "change"), []
+        for name, bounds in self.bounds.items():
+            half = f"+- {percent(self.errors[name])}{of_change}"
+            goals.append(f"{name} {bounds.lower:.6g} to {bounds.upper:.6g}, {half}")
+        text = f"{'; '.join(goals)}; for any mesh, by {self.estimate.state.model.unknowns} unknowns"
         return f"{text}; {self.reason}" if self.reason else text
 
     def __repr__(self) -> str:
         return f"Refinement({self})"
+
+    def ended(self, tolerance: float, reason: str) -> Refinement:
+        """Return the result of a tolerance that is not reached, for a reason, after a warning."""
+        remedy = "the bounds hold all the same; allow more cells, or a larger tolerance"
+        text = f"solve_to: the tolerance {percent(tolerance)} is not reached: {reason}; {remedy}"
+        warn("tolerance", text, self.estimate.state.model.comm)
+        return replace(self, reason=reason)
 
 
 @report("solve_to")
@@ -182,12 +206,13 @@ def solve_to(
         ...     tractions={"TOP": (3, -10)},
         ... )
         >>> model = plates.interface(ThinLayer(glue, eps=0.05))
-        >>> print(solve_to(model, tolerance=0.01))
-        ...
+        >>> result = solve_to(model, tolerance=0.01)
+        >>> print(result.table["unknowns"], result.reached)
+        [588. 608.] True
     """
     _check_arguments(model, tolerance, of, max_cells)
-    start, width, last = time.perf_counter(), DEFAULT_WIDTH, None
-    table, first_values = Table(), dict[str, float]()
+    start, width, table, best = time.perf_counter(), DEFAULT_WIDTH, Table(), None
+    first_values: dict[str, float] = {}
     heights = {name: level_heights(1, 4, layer.as_thin_layer.fractions) for name, layer in model.layers.items()}
     while True:
         try:
@@ -195,40 +220,38 @@ def solve_to(
             result = estimate(solve(model, t, options=options), None, goals, width=width, cells_through=through)
             bounds = result.continuum()
         except (InputError, SolveError) as error:
-            if last is None:
+            if best is None:
                 raise
-            return _ended(*last, tolerance, table, f"the next cells have no bounds: {error}")
+            return best.ended(tolerance, f"finer cells have no bounds: {error}")
         first_values = first_values or {name: b.value for name, b in bounds.items()}
         bounds = {name: replace(b, value=first_values[name]) for name, b in bounds.items()}
-        last, layers = (bounds, result), result.inside.model
-        assert isinstance(layers, LayerModel)
         errors = {name: _relative_half(b, of) for name, b in bounds.items()}
-        n_cells = len(layers.inflated_joint.cells)
+        worst, layers = max(errors, key=lambda name: errors[name]), result.inside.model
+        assert isinstance(layers, LayerModel)
+        inflated = layers.inflated_joint
+        n_cells = len(inflated.cells)
         row: dict[str, Any] = {"unknowns": model.unknowns, "cells": n_cells, "seconds": time.perf_counter() - start}
         for name, b in bounds.items():
             row |= {f"{name} lower": b.lower, f"{name} upper": b.upper, f"{name} error": errors[name]}
         table.append(row)
-        wide = {name: bounds[name] for name, error in errors.items() if not error <= tolerance}
-        if not wide:
-            return _ended(*last, tolerance, table, "")
-        if n_cells > max_cells:
-            worst = max(wide, key=lambda name: errors[name])
-            inflated, largest = layers.inflated_joint, int(np.argmax(bounds[worst].by_cell))
-            place = place_text(inflated.points[inflated.corners[largest]].mean(axis=0))
-            reason = (
-                f"{worst} is known to {percent(errors[worst])}, with the largest part near {place}, by {n_cells} cells"
-            )
-            reason += f", more than max_cells={max_cells}"
-            return _ended(*last, tolerance, table, reason)
-        weights = {name: 1 / (b.upper - b.lower) / len(wide) for name, b in wide.items()}
-        parts = sum((weights[name] * b.by_cell for name, b in wide.items()), np.zeros(n_cells))
-        law = sum(b.law / len(wide) for b in wide.values())
-        parts[len(model.joint.cells) :] *= 1 - law / max(float(parts[len(model.joint.cells) :].sum()), law)
-        cells, facets, rows, is_law = Indicators.of(parts, law, model.joint, layers, heights).marked()
-        width = max(width * WIDTH_REDUCTION, MIN_WIDTH) if is_law else width
-        heights = _divided(heights, rows, model.joint.seams_meet)
-        if len(cells) or len(facets):
-            model = model.with_joint(refined(model.joint, cells, model.joint.surface_rows[facets]))
+        if best is None or errors[worst] <= max(best.errors.values()):
+            best = Refinement(bounds, errors, of, result, table)
+        if errors[worst] <= tolerance:
+            return best
+        largest = inflated.points[inflated.corners[int(np.argmax(bounds[worst].by_cell))]].mean(axis=0)
+        width_text = f"{worst} is known to {percent(errors[worst])}, with the largest part near {place_text(largest)}"
+        if n_cells > max_cells or len(table.rows) == MAX_MESHES:
+            limit = f"max_cells={max_cells}" if n_cells > max_cells else f"{MAX_MESHES} meshes"
+            return best.ended(tolerance, f"{width_text}, by {n_cells} cells; the limit is {limit}")
+        wide = [b for name, b in bounds.items() if errors[name] > tolerance]
+        parts = sum((b.by_cell / (b.upper - b.lower) for b in wide), np.zeros(n_cells))
+        causes = Indicators.of(parts, sum(b.law for b in wide), model.joint, layers, heights).marked()
+        if causes.law and width <= MIN_WIDTH and not causes.any_cells:
+            return best.ended(tolerance, f"{width_text}; steps from the interface law do not lower it")
+        width = max(width * WIDTH_REDUCTION, MIN_WIDTH) if causes.law else width
+        heights = _divided(heights, causes.rows, model.joint.seams_meet)
+        if len(causes.cells) or len(causes.facets):
+            model = model.with_joint(refined(model.joint, causes.cells, model.joint.surface_rows[causes.facets]))
 
 
 def _divided(heights: Heights, rows: Mapping[str, BoolArray], together: bool) -> Heights:
@@ -246,19 +269,6 @@ def _relative_half(bounds: ContinuumBounds, of: str) -> float:
     size = abs(middle) if of == "goal" else abs(middle - bounds.value)
     half = (bounds.upper - bounds.lower) / 2
     return half / size if size else math.inf if half else 0.0
-
-
-def _ended(
-    bounds: Mapping[str, ContinuumBounds], result: Estimate, tolerance: float, table: Table, reason: str
-) -> Refinement:
-    if reason:
-        remedy = "the bounds hold all the same; allow more cells, or a larger tolerance"
-        warn(
-            "tolerance",
-            f"solve_to: the tolerance {percent(tolerance)} is not reached: {reason}; {remedy}",
-            result.state.model.comm,
-        )
-    return Refinement(bounds, result, tolerance, table, reason)
 
 
 def _check_arguments(model: InterfaceModel, tolerance: float, of: str, max_cells: int) -> None:
