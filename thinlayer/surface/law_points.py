@@ -1,4 +1,4 @@
-"""Stresses and internal variables of laws at quadrature points in a state, and volume fractions of a layer's phases."""
+"""Stresses, internal variables and tractions of laws at points in a state, and volume fractions of a layer's phases."""
 
 from __future__ import annotations
 
