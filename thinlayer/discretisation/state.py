@@ -386,7 +386,8 @@ class State(Configuration):
                 yield p, stress(p, self.u), p.measure
                 continue
             if p.measure.integral_type() != "cell":
-                raise InputError(f"{type(p.law.law_3d).__name__} on S has no field of stress; see Surface.traction")
+                hint = "see Surface.traction" if p.bubble_strain is None else "use order=1, or see Surface.traction"
+                raise InputError(f"{type(p.law.law_3d).__name__} on S has no field of stress; {hint}")
             items = self.model.quadratures.items()
             key, points = next((key, quadrature) for key, quadrature in items if quadrature.term.measure is p.measure)
             values = self.stresses.get(key, np.zeros((points.count, len(MANDEL_PAIRS))))

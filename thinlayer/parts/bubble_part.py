@@ -16,7 +16,7 @@ from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.mesh_functions import SharedDofs, broken_space
 from thinlayer.discretisation.state import Configuration
 from thinlayer.parts.compiled_part import CompiledPart
-from thinlayer.parts.part import DISPLACEMENT_KEY, Block, FieldPart, FileOrder, StepOutcome
+from thinlayer.parts.part import Block, FieldPart, FileOrder, StepOutcome
 from thinlayer.pointwise.quadrature import assemble_values
 from thinlayer.system.ranks import destroy
 
@@ -26,22 +26,23 @@ class BubblePart(FieldPart):
 
     The field is <T> + z [T] + 6 (1/4 - z^2) b at the height z, from -1/2 to 1/2 of the thickness. The equation of b is
     the balance of fluxes, sinks and sources in the layer, for virtual fields of the same shape. The nodes are those of
-    the upper side of S; b is zero where a support holds the side of the layer, and free where it is insulated.
+    the upper side of S; b is zero where a support holds the side of the layer, and free where it is insulated. Marches
+    begin with b = 0, a field that is linear through the layer.
 
     Args:
         model: the model.
         layer: the layer, of order 2.
 
     Attributes:
-        points: the layer's law at the heights at which it is evaluated.
+        laws: the layer's law at the heights at which it is evaluated.
     """
 
     on_S = True
 
     def __init__(self, model: InterfaceModel, layer: SeamLayer) -> None:
         self.key, self._model, self._name = layer.bubble_key, model, layer.name
-        space, self._cells, self._nodes, is_held = _nodes_on_upper_side(model, layer)
-        self.field, self.points = fem.Function(space), list[BubbledPart]()
+        space, self._rows, self._cells, self._nodes, is_held = _nodes_on_upper_side(model, layer)
+        self.field, self.laws = fem.Function(space), list[EnrichedPart]()
         dofs = np.asarray(space.dofmap.list)[self._cells[:, None], self._nodes]
         is_free = np.zeros(len(self.field.x.array), bool)
         is_free[dofs[~is_held]] = True
@@ -58,13 +59,13 @@ class BubblePart(FieldPart):
         return self._zero_dofs, np.zeros(len(self._zero_dofs))
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
-        """Do nothing: the parts `points` evaluate the law."""
+        """Do nothing: the parts `laws` do."""
 
     def add_forces(self, out: PETSc.Vec) -> float:
         return 0.0
 
     def own_residual(self) -> Array:
-        return np.asarray(sum(part.bubble_forces() for part in self.points) - self.load)
+        return np.asarray(sum(part.bubble_forces() for part in self.laws) - self.load)
 
     def tangents(self, relative_residual: float) -> list[Block]:
         return []
@@ -80,13 +81,10 @@ class BubblePart(FieldPart):
         dofs = np.asarray(self.field.function_space.dofmap.list)[self._cells[:, None], self._nodes]
         x = np.zeros((len(self.field.x.array), domain.joint.dim))
         x[dofs] = self._model.node_coordinates[np.asarray(V.dofmap.list)[self._cells[:, None], self._nodes]]
-        joint, numbers = domain.joint, domain.original_cells[self._cells]
-        rows = joint.rows_of(self._name)
-        upper = joint.surface_cells[np.searchsorted(joint.surface_rows, rows), 1]
-        return FileOrder.by_place(rows[np.argsort(upper)][np.searchsorted(np.sort(upper), numbers)], dofs, x)
+        return FileOrder.by_place(self._rows, dofs, x)
 
 
-class BubbledPart(CompiledPart):
+class EnrichedPart(CompiledPart):
     """A layer's law of order 2 at one height: a compiled law whose strain also has a part of the layer's own unknown.
 
     Args:
@@ -101,12 +99,8 @@ class BubbledPart(CompiledPart):
         assert term.bubble_strain is not None
         self._bubble, points, trial = bubble, self.points, ufl.TrialFunction(bubble.field.function_space)
         self._B = points.matrix_to_strains(term.bubble_strain(trial))
-        self._b, self._own_forces, self._e_b = (
-            self._B.createVecRight(),
-            self._B.createVecRight(),
-            self._B.createVecLeft(),
-        )
-        bubble.points.append(self)
+        (self._b, self._e_b), self._own_forces = self._B.createVecs(), self._B.createVecRight()
+        bubble.laws.append(self)
 
     def _strain(self, u: fem.Function, state: Configuration | None = None) -> Array:
         bubble = self._bubble
@@ -124,15 +118,11 @@ class BubbledPart(CompiledPart):
     def tangents(self, relative_residual: float) -> list[Block]:
         blocks, points, key = super().tangents(relative_residual), self.points, self._bubble.key
         D = points.point_matrix(self._response.tangent)
-        for left, right, row, column in (
-            (points.B, self._B, DISPLACEMENT_KEY, key),
-            (self._B, points.B, key, DISPLACEMENT_KEY),
-            (self._B, self._B, key, key),
-        ):
-            product = D.matMult(right)
-            blocks.append(Block(left.transposeMatMult(product), row=row, column=column))
-            product.destroy()
-        D.destroy()
+        u_column, b_column = D.matMult(points.B), D.matMult(self._B)
+        blocks.append(Block(points.B.transposeMatMult(b_column), column=key))
+        blocks.append(Block(self._B.transposeMatMult(u_column), row=key))
+        blocks.append(Block(self._B.transposeMatMult(b_column), row=key, column=key))
+        destroy(D, u_column, b_column)
         return blocks
 
     def pullback(self, weights: Array, z: fem.Function) -> tuple[PETSc.Vec, Array]:
@@ -146,14 +136,15 @@ class BubbledPart(CompiledPart):
 
 def _nodes_on_upper_side(
     model: InterfaceModel, layer: SeamLayer
-) -> tuple[fem.FunctionSpace, IntArray, IntArray, BoolArray]:
+) -> tuple[fem.FunctionSpace, IntArray, IntArray, IntArray, BoolArray]:
     """Return a space with the element of the unknown, which has dofs at nodes on the upper side of a seam. Collective.
 
     All other nodes share one dof, without effect on S.
 
     Returns:
-        The space. For each of n facets of the seam the local number (n,) of its upper cell, and the positions (n, m) in
-        this cell of the m nodes of the facet. And a mask (n, m) of those where a support holds the layer's side.
+        The space. For each of n facets of the seam its row (n,) in the joint's table, the local number (n,) of its upper
+        cell, and the positions (n, m) in this cell of its m nodes. And a mask (n, m) of those where a support holds the
+        layer's side.
     """
     domain, V, joint = model.domain, model.V, model.domain.joint
     rows = joint.rows_of(layer.name)
@@ -175,4 +166,4 @@ def _nodes_on_upper_side(
     has_vertex = vertex_weights(FACET_TYPES[cell_type], 1 + (cell_dofs.shape[1] > joint.corners.shape[1])) > 0
     at_held_rim = ~(~np.isin(corners, held_rim.vertices)[:, None] & has_vertex[None, : nodes.shape[1]]).any(axis=2)
     is_bc = np.isin(cell_dofs[cells[:, None], nodes], model.bc_dofs_in(V))
-    return W, cells, nodes, at_held_rim & is_bc
+    return W, rows[is_local], cells, nodes, at_held_rim & is_bc

@@ -24,7 +24,7 @@ from thinlayer.discretisation.prescribed_strains import VaryingStrainIntegrals
 from thinlayer.discretisation.rigid_motions import model_motions
 from thinlayer.discretisation.state import Audit, Configuration, Report, State
 from thinlayer.errors import SolveError
-from thinlayer.parts.bubble_part import BubbledPart, BubblePart
+from thinlayer.parts.bubble_part import BubblePart, EnrichedPart
 from thinlayer.parts.compiled_part import SAMPLED_STEP_FRACTIONS, CompiledPart
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.parts.form_part import LinearPart
@@ -507,7 +507,7 @@ def layer_parts(model: Model, bc_dofs: Indices, from_bodies: Sequence[Part]) -> 
     terms_by_key = {key: [p for p in ufl_terms if p.key == key] for key in dict.fromkeys(p.key for p in ufl_terms)}
     parts: list[Part] = [LinearPart(f"{key}/forms", model.V, key_terms) for key, key_terms in terms_by_key.items()]
     for layer in model.layers.values():
-        parts += _bubbled_parts(model, layer)
+        parts += _enriched_parts(model, layer)
     parts += _compiled_parts(model, [p for p in model.layer_terms if not p.bubble_strain])
     if constrained := [p for p in model.layer_terms if p.law.traits.constrained]:
         scale = _largest_stiffness(model, parts) or _largest_stiffness(model, from_bodies) or 1.0
@@ -533,13 +533,13 @@ def _compiled_parts(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:
     return [CompiledPart(key, model.V, term, model.origin, symmetric=model.symmetric) for key, term in terms_by_key]
 
 
-def _bubbled_parts(model: Model, layer: SeamLayer) -> list[Part]:
+def _enriched_parts(model: Model, layer: SeamLayer) -> list[Part]:
     terms = compiled_terms(p for p in model.layer_terms if p.bubble_strain and p.key == layer.key)
     if not terms:
         return []
     assert isinstance(model, InterfaceModel)
     bubble = BubblePart(model, layer)
-    return [*(BubbledPart(key, model, term, bubble) for key, term in terms.items()), bubble]
+    return [*(EnrichedPart(key, model, term, bubble) for key, term in terms.items()), bubble]
 
 
 def sum_diagonals_at_rest(parts: Sequence[Part], out: PETSc.Vec) -> PETSc.Vec:
