@@ -3,6 +3,7 @@
 import math
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pytest
@@ -124,6 +125,22 @@ def test_sources_within_a_column():
     assert rise == pytest.approx(Q * eps / k * (1 / 4 - z**2) / 2, rel=1e-9)
     refused(InputError, "take Probe", surface.value_in_layer, full)
     refused(InputError, "height is 0.6", surface.value_in_layer, state, 0.6)
+
+
+@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of order 1
+@pytest.mark.parametrize(("k", "c", "orders"), [(1, 0, (1, 2)), (0, 0, (2, 5)), (-1, -1, (2, 6))])
+def test_heat_that_is_released_in_a_layer_in_time(k, c, orders):
+    """A source of 1 per area, with k and c proportional to eps^k and eps^c: orders of the mean on S, at orders 1 and 2."""
+    joint, sizes, errors = sandwich(0.5, 0.5, 0.5, h=1 / 8, h_S=1 / 2, cell="quadrilateral"), (1 / 8, 1 / 16), []
+    for eps in sizes:
+        data = {"fluxes": {"TOP": 1.0}, "sources": {"S": 1 / eps}, "supports": {"BOTTOM": 0}, "initial": 0}
+        plates, layer = Structure(joint, body=Heat(1.0, 1.0), **data), partial(ThinLayer, Heat(eps**k, eps**c), eps)
+        models = plates.full(layer(), cells_through=6), *(plates.interface(layer(order=order)) for order in (1, 2))
+        lasts = [march(model, [0.05, 0.1, 0.15]).last for model in models]
+        exact, *means = (Surface(last.model).displacements(last).mean() for last in lasts)
+        errors.append(np.abs(np.subtract(means, exact)))
+    assert [observed_orders(sizes, column)[-1] for column in np.transpose(errors)] == pytest.approx(orders, abs=0.4)
+    assert (errors[0][1] < 0.02 * errors[0][0]).all()
 
 
 ROUGH = {
