@@ -45,7 +45,7 @@ WARNINGS = {  # key of a RangeWarning -> words of its message
     "time step": "is not well below a time of",
     "tolerance": "with the largest part near",
     "too stiff": "lets no material flow",
-    "zoom": "% from those of the bodies",
+    "zoom": "from those of the bodies",
 }
 SEARCHED = {
     "howto/contact.md": "contact friction",
