@@ -366,5 +366,5 @@ def test_what_nobody_would_ask_of_a_law_is_refused():
         (BulkLaw, {"internal": {"q": (2, 2)}}, r"variable 'q' is \(2, 2\); allowed: \(\), \(3,\), \(3, 3\)"),
     ]:
         refused(InputError, message, law_of, parent, **names | {"stress" if parent is BulkLaw else "traction": of_mid})
-    own = type("Own", (forms.Conduction,), {"end_constants": lambda law: None})
-    refused(InputError, "Own has a method end_constants that is never called", own, 0.4)
+    conduction = type("Own", (forms.Conduction,), {"end_constants": lambda law: None})
+    refused(InputError, "Own has a method end_constants that is never called", conduction, 0.4)

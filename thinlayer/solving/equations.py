@@ -342,7 +342,9 @@ class Equations(PartSum):
         return self._reduced_tangent
 
     def on_unknowns(self, A: PETSc.Mat) -> PETSc.Mat:
-        """Return a new matrix of the unknowns for a matrix `A` of nodal displacements, without Dirichlet conditions."""
+        """Return the matrix of the unknowns, which may be `A`, for a matrix `A` of nodal displacements. Collective."""
+        if self._T is None and not self.field_parts:
+            return A
         full = TangentMatrix(self.comm, self._layout.sizes).fill([Block(A, kept=True)])
         return full if self._T is None else full.ptap(self._T)
 

@@ -79,7 +79,7 @@ class Pencil:
         equations.begin(TimeStep(equations.rest_state(0.0), 0.0, 0.0, 1.0))
         self._x, self._r = equations.create_vector(), equations.create_vector()
         equations.residual(self._x, self._r)
-        self.K, self.M = equations.tangent().copy(), equations.on_unknowns(self._part.M)
+        self.K, self.M = equations.tangent(), equations.on_unknowns(self._part.M)
         first, end = self.K.getOwnershipRange()
         self.free_dofs = np.setdiff1d(np.arange(end - first), equations.bc_dofs)
         rows = (first + self.free_dofs).astype(PETSc.IntType)
@@ -306,11 +306,10 @@ def _nearest_pairs(model: Model, K: PETSc.Mat, M: PETSc.Mat, n: int, shift: floa
 
     A third array has estimates of values that come next. All are found in the space that the inverse of K - shift M
     spans from a block of random vectors (block Lanczos, all vectors orthogonal). M may be singular. The blocks find
-    values that are equal, as for rigid motions.
+    values that are equal, as for rigid motions. To save memory K becomes K - shift M.
     """
-    A = K.copy()
-    A.axpy(-shift, M, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    ksp, n_local = _direct_solver(A), A.getLocalSize()[0]
+    K.axpy(-shift, M, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    ksp, n_local = _direct_solver(K), K.getLocalSize()[0]
     block = ksp_solve(ksp, np.random.default_rng(model.comm.rank).standard_normal((n_local, n + EXTRA_VECTORS)))
     Q, MQ, W = (np.empty((n_local, 0)) for _ in range(3))
     for _ in range(MAX_BLOCKS):
@@ -334,12 +333,13 @@ def _nearest_pairs(model: Model, K: PETSc.Mat, M: PETSc.Mat, n: int, shift: floa
         if len(inverses) == n and (norms <= MODE_TOLERANCE * np.abs(inverses)).all():
             V = W @ (Y / inverses)  # without parts that have no mass
             scale = np.sqrt(_products(model, V, multiply(M, V)).diagonal())
-            destroy(A, ksp)
+            destroy(ksp)
             return shift + 1 / inverses, V / scale, shift + 1 / next_inverses[next_inverses != 0]
         values = shift + 1 / inverses
         elastic = values[values > MAX_SPREAD * abs(shift)]
         if shift < 0 and len(elastic) and abs(inverses[0]) > MAX_SPREAD * abs(inverses[-1]):
-            destroy(A, ksp)  # rigid motions are too near: the other frequencies give a better shift
+            destroy(ksp)  # rigid motions are too near: the other frequencies give a better shift
+            K.axpy(shift, M, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
             return _nearest_pairs(model, K, M, n, -float(elastic.min()) / 10)
         block = image
     if Q.shape[1] < n:
