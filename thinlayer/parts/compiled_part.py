@@ -20,8 +20,7 @@ from thinlayer.discretisation.key import LAYER_KIND
 from thinlayer.discretisation.state import Configuration
 from thinlayer.discretisation.time_functions import TimeLevel
 from thinlayer.parts.part import Block, FileOrder, Part, PartTraits, Softening, StepOutcome, TimeStep
-from thinlayer.pointwise.column_term import ColumnTerm
-from thinlayer.pointwise.compiled_term import CompiledTerm
+from thinlayer.pointwise.compiled_term import ColumnTerm, CompiledTerm
 from thinlayer.pointwise.quadrature import MeshOrigin, add_integral_to_nodes
 from thinlayer.system.ranks import destroy
 
