@@ -32,7 +32,8 @@ LONG = """
     howto/derivatives.md#changes-by-a-parameter-and-a-fit howto/lap_joint.md#single-lap-joint howto/many_runs.md#an-ensemble
     howto/joints_that_break.md#results howto/networks.md#networks-walls-faults-grains howto/own_law.md#jumps
     howto/own_law.md#strains howto/results.md#read-results-draw-pictures howto/time.md#time-creep-steps-restart
-    howto/yielding.md#layers-and-bodies-that-yield theory/continuum.md#2--please tutorials/estimate.md tutorials/own_script.md
+    howto/yielding.md#layers-and-bodies-that-yield theory/continuum.md#2--please
+    tutorials/estimate.md tutorials/own_script.md
 """
 LONG = {f"{DOCS}{name}" for name in LONG.split()} | {"README.md#a-question-without-a-script"}
 assert SECTIONS.keys() >= LONG

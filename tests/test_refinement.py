@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from forms import LinearElastic, Stack
+from forms import HolonomicCoulomb, LinearElastic, Stack
 from geometry import sandwich, wall
 from geometry.inflating.band_cells import level_heights
 from geometry.inflating.inflation import inflate
@@ -134,6 +134,8 @@ def test_refusals():
     layer = ThinLayer(BODY, 0.1)
     assert refused(InputError, "use triangles or", solve_to, quads.interface(layer)).key == "divided"
     assert refused(InputError, "give the layer", solve_to, quads.bonded()).key == "bonded"
+    law = HolonomicCoulomb(200.0, 80.0, 0.5)
+    assert refused(InputError, "", solve_to, blocks().structure.interface(law)).key == "no thickness"
     refused(InputError, "tolerance", solve_to, blocks(), tolerance=0.0)
     refused(InputError, "structure.interface", solve_to, quads.full(layer))
     refused(InputError, "change", solve_to, blocks(), of="value")

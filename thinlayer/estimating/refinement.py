@@ -244,7 +244,7 @@ def solve_to(
             limit = f"max_cells={max_cells}" if n_cells > max_cells else f"{MAX_MESHES} meshes"
             return best.ended(tolerance, f"{width_text}, by {n_cells} cells; the limit is {limit}")
         wide = [b for name, b in bounds.items() if errors[name] > tolerance]
-        parts = sum((b.by_cell / (b.upper - b.lower) for b in wide), np.zeros(n_cells))
+        parts = np.sum([b.by_cell / (b.upper - b.lower) for b in wide], axis=0)
         causes = Indicators.of(parts, sum(b.law for b in wide), model.joint, layers, heights).marked()
         if causes.law and width <= MIN_WIDTH and not causes.any_cells:
             return best.ended(tolerance, f"{width_text}; steps from the interface law do not lower it")
@@ -279,6 +279,8 @@ def _check_arguments(model: InterfaceModel, tolerance: float, of: str, max_cells
     if model.bonds:
         reason = f"bodies are bonded at {', '.join(model.bonds)}, so that the layer is not known"
         raise Violation("bonded", reason, "give the layer, structure.interface(layer)").error("solve_to: ")
+    for name in model.layers:
+        model.applicability[name].require("estimate", "solve_to: ")
     if is_tensor(model.joint.cell_type):
         raise Violation(
             "divided", f"cells of the type {model.joint.cell_type} are not divided", "use triangles or tetrahedra"
