@@ -223,7 +223,7 @@ NONE = {17: "depends on the mean strain that the mean stress causes", 38: "conta
 
 
 @pytest.mark.few(10)
-@pytest.mark.parametrize("seed", [14, 0, 3, 4, 8, 9, 12, 15, 17, 18, 20, 26, 27, 30, 32, 34, 36, 38, 39, 50])
+@pytest.mark.parametrize("seed", [14, 0, 3, 4, 8, 9, 30, 15, 17, 18, 20, 26, 27, 12, 32, 34, 36, 38, 39, 50])
 def test_structures_at_random(seed):
     """Derivatives of an energy and a traction, by parameters at random, are differences of whole marches."""
     mixture, follow = Mixture(seed), partial(march, times=mixtures.TIMES)
