@@ -13,6 +13,7 @@ from forms.tensors import isotropic_tensor
 from geometry.topology import lagrange
 from thinlayer.bounding.cells import StraightCells, mass_matrix
 from thinlayer.bounding.loops import TractionImprovement
+from thinlayer.bounding.parts import Parts
 from thinlayer.bounding.stresses import Stresses
 from thinlayer.bounding.tractions import CellLoads, TractionBalance
 
@@ -20,8 +21,8 @@ TRIANGLES = np.array([[0, 1, 3], [0, 2, 3]])
 TETRAHEDRA = np.array([[0, 1, 3, 7], [0, 1, 5, 7], [0, 2, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 4, 6, 7]])
 
 
-def box(counts, sizes, jitter, rng):
-    """Return points and corners of a box of simplices, with inner points moved at random."""
+def box(counts, sizes, jitter, rng, cell_type=None):
+    """Return points and corners of a box of simplices or quadrilaterals, with inner points moved at random."""
     d = len(counts)
     grid = np.stack(np.meshgrid(*[np.linspace(0, 1, n + 1) for n in counts], indexing="ij"), axis=-1).reshape(-1, d)
     inner = ((grid > 0) & (grid < 1)).all(axis=1)
@@ -29,6 +30,8 @@ def box(counts, sizes, jitter, rng):
     strides = np.array([int(np.prod(np.array(counts[k + 1 :]) + 1)) for k in range(d)])
     first = np.stack(np.meshgrid(*[np.arange(n) for n in counts], indexing="ij"), axis=-1).reshape(-1, d) @ strides
     cube = np.array([[(k >> (d - 1 - i)) & 1 for i in range(d)] for k in range(2**d)]) @ strides
+    if cell_type == "quadrilateral":
+        return x * sizes, first[:, None] + cube
     return x * sizes, (first[:, None] + cube)[:, TRIANGLES if d == 2 else TETRAHEDRA].reshape(-1, d + 1)
 
 
@@ -80,41 +83,47 @@ class Problem:
 
     def stress_in_equilibrium(self, U, loads, steps=8):
         """The seed, the stress in equilibrium and the balance."""
-        stresses = Stresses(self.cells)
-        seed, (moments, balance) = (
-            stresses.of(self.cells.stress(U)),
-            TractionBalance(self.cells, loads.is_free).moments(self.cells.stress(U), loads, U),
-        )
-        is_layer = np.zeros(len(self.cells.corners), bool)
-        improvement = TractionImprovement(stresses, loads.is_free, is_layer)
+        parts, stress = Parts(self.cells, loads.is_free), self.cells.stress(U)
+        moments, balance = TractionBalance(self.cells, loads.is_free).moments(stress, loads, U)
+        stress, loads, stresses = parts.stress(stress, U), parts.loads(loads), Stresses(parts.cells)
+        seed, moments = stresses.of(stress), parts.moments(moments, stress, loads)
+        is_layer = np.zeros(len(parts.cells.corners), bool)
+        improvement = TractionImprovement(stresses, parts.is_free, is_layer)
         return stresses, seed, improvement.improved(loads, moments, seed, steps), balance
 
     def squared_error(self):
         """Squared energy norm of the error of the finite element solution."""
-        x, w = basix.make_quadrature(basix.CellType[self.cells.cell_type], 6)
-        places = self.cells.points[self.cells.corners[:, :1]] + x @ np.swapaxes(self.cells.A, 1, 2)
-        error = self.stress(places) - self.cells.stress_values(x) @ self.cells.stress(self.U)
-        return float(np.einsum("cqr,crs,cqs,q,c->", error, self.cells.compliance, error, w, self.cells.J))
+        parts = Parts(self.cells, self.loads.is_free)
+        cells = parts.cells
+        x, w = basix.make_quadrature(basix.CellType[cells.cell_type], 6)
+        error = replace(self, cells=cells).stress(places(cells, x))
+        error -= cells.stress_values(x) @ cells.stress(parts.displacements(self.U))
+        return float(np.einsum("cqr,crs,cqs,q,c->", error, cells.compliance, error, w, cells.J))
 
 
-def random_problem(d, rng, degree=None, rollers=None):
+def places(cells, x):
+    """Places (nc, k, d) in all cells of points `x` (k, d) of the reference cell."""
+    return lagrange(cells.cell_type, 1).tabulate(0, x)[0, :, :, 0] @ cells.points[cells.corners]
+
+
+def random_problem(d, rng, degree=None, rollers=None, cell_type=None):
     """Return a box with a random exact polynomial solution of one degree more than its cells."""
     p = degree or int(rng.choice([1, 2, 2]))
     counts = rng.integers(2, 6 if d == 2 else 3, size=d)
-    points, corners = box([*counts], rng.uniform(0.3, 2, size=d), rng.uniform(0, 0.9), rng)
+    points, corners = box([*counts], rng.uniform(0.3, 2, size=d), rng.uniform(0, 0.9), rng, cell_type)
     E, nu, nv = 10 ** rng.uniform(-2, 4), rng.uniform(0, 0.45), 3 * (d - 1)
     pick = [0, 1, 3] if d == 2 else [*range(6)]
     C = isotropic_tensor(E * nu / (1 + nu) / (1 - 2 * nu), E / 2 / (1 + nu))[np.ix_(pick, pick)]
     if rng.random() < 0.3:
         Q = rng.normal(size=(nv, nv))
         C = C + E * 0.5 * Q @ Q.T
-    cell_type = "triangle" if d == 2 else "tetrahedron"
+    cell_type = cell_type or ("triangle" if d == 2 else "tetrahedron")
     cells = StraightCells(points, corners, cell_type, p, np.broadcast_to(C, (len(corners), nv, nv)))
     rollers = bool(rng.random() < 0.5) if rollers is None else rollers
     exact = Polynomial(d, p + 1, rollers, rng)
     n, m = cells.nodes.shape[1], cells.facet_nodes.shape[1]
     problem = Problem(cells, None, None, exact, None, None)
-    at = cells.points[cells.corners[:, :1]] + lagrange(cells.cell_type, p).points @ np.swapaxes(cells.A, 1, 2)
+    at = places(cells, lagrange(cells.cell_type, p).points)
     f = -np.einsum("kcqr,rik->cqi", np.stack([problem.stress(at, k) for k in range(d)]), cells.basis)
     moments, mass = np.zeros((len(cells.facets), m, d)), mass_matrix(cells.facet_type, p)
     centres, is_free = points[cells.facets], np.repeat(~cells.is_outer[:, None], d, axis=1)
@@ -124,8 +133,8 @@ def random_problem(d, rng, degree=None, rollers=None):
             is_free[side, k] = True
         elif k == 0:
             is_free[side] = True
-    for facet in range(d + 1):
-        x = cells.points[cells.corners[:, :1]] + cells.facet_points(facet) @ np.swapaxes(cells.A, 1, 2)
+    for facet in range(cells.sign.shape[1]):
+        x = places(cells, cells.facet_points(facet))
         t = np.einsum("cqr,rij,cj->cqi", problem.stress(x), cells.basis, cells.area_vectors[:, facet])
         outer = cells.is_outer[cells.cell_facets[:, facet]]
         moments.reshape(-1, d)[cells.moment_rows[outer, facet]] = (mass @ t)[outer]

@@ -1,8 +1,8 @@
-"""Straight triangles, tetrahedra or parallelograms as arrays, with their facets, nodes and stiffnesses."""
+"""Straight triangles, tetrahedra or quadrilaterals as arrays, with their facets, nodes and stiffnesses."""
 
 from __future__ import annotations
 
-from functools import cache, cached_property
+from functools import cached_property
 
 import basix
 import numpy as np
@@ -23,30 +23,21 @@ from geometry.topology import (
 )
 
 
-@cache
-def polynomials(cell_type: str, degree: int) -> basix.finite_element.FiniteElement:
-    """Return Basix's scalar Lagrange element of any degree; up to degree 2 it is that of `geometry.topology.lagrange`."""
-    variant = basix.LagrangeVariant.gll_warped
-    return basix.create_element(basix.ElementFamily.P, basix.CellType[cell_type], degree, variant)
-
-
 def mass_matrix(cell_type: str, degree: int) -> FloatArray:
     """Return the integrals (n, n) of products of a Lagrange element's n shape functions, for a cell of volume 1."""
     x, w = basix.make_quadrature(basix.CellType[cell_type], 2 * degree)
-    values = polynomials(cell_type, degree).tabulate(0, x)[0, :, :, 0]
+    values = lagrange(cell_type, degree).tabulate(0, x)[0, :, :, 0]
     return np.asarray(values.T @ ((w / w.sum())[:, None] * values))
 
 
 def area_vectors(cell_type: str) -> FloatArray:
     """Return the outward normals (facets, d) of the facets of the reference cell, each as long as the facet's area."""
-    if cell_type == "quadrilateral":
-        return np.array([[0.0, -1.0], [-1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     d = 2 if cell_type == "triangle" else 3
     return np.vstack([np.ones(d), -np.eye(d)]) / (d - 1)
 
 
 class StraightCells:
-    """Affine cells of bodies and layers with shape functions of a degree, and the facets between them.
+    """Straight cells of bodies and layers with shape functions of a degree, and the facets between them.
 
     In d dimensions a cell has n nodes, l vertices, f facets and nv components of stress (Mandel's order); a facet has
     m nodes. A moment is the integral of a traction times the shape function of a node. It is stored once for each facet,
@@ -56,7 +47,7 @@ class StraightCells:
         d, degree, cell_type: dimension; degree 1 or 2 of displacements; "triangle", "tetrahedron", "quadrilateral".
         basis: (nv, d, d) symmetric tensors of norm 1, to which the components of stress belong.
         corners: (nc, l) numbers of the vertices of nc cells.
-        A, A_inverse: (nc, d, d) Jacobians of the cells and their inverses.
+        A, A_inverse: (nc, d, d) Jacobians of the cells and their inverses, of quadrilaterals at the first corner.
         J, volume: (nc,) absolute determinants of the Jacobians, and volumes of the cells; areas in 2D.
         C, compliance: (nc, nv, nv) stiffness of each cell (unit: stress), and its inverse.
         nodes: (nc, n) numbers of the nodes of each cell.
@@ -71,7 +62,7 @@ class StraightCells:
 
     Args:
         points: (n_points, d) coordinates, lengths.
-        corners: (nc, l) numbers of the vertices of each cell; of a quadrilateral a parallelogram's.
+        corners: (nc, l) numbers of the vertices of each cell.
         cell_type: type of the cells.
         degree: polynomial degree of displacements.
         C: (nc, nv, nv) stiffness of each cell in Mandel's order (unit: stress).
@@ -85,8 +76,18 @@ class StraightCells:
         self.C, self.compliance = C, np.linalg.inv(C)
         self.A = np.swapaxes(points[corners[:, 1 : self.d + 1]] - points[corners[:, :1]], 1, 2)
         self.A_inverse, self.J = np.linalg.inv(self.A), np.abs(np.linalg.det(self.A))
-        self.volume = self.J / {"triangle": 2, "tetrahedron": 6, "quadrilateral": 1}[cell_type]
-        self.area_vectors = self.J[:, None, None] * (area_vectors(cell_type) @ self.A_inverse)
+        self._inverses, self._weights = self.A_inverse[:, None], self.J[:, None] * self._rule[1]
+        if is_tensor(cell_type):
+            gradients = np.moveaxis(lagrange(cell_type, 1).tabulate(1, self._rule[0])[1:, :, :, 0], 0, 2)
+            jacobians = np.einsum("qnk,cni->cqik", gradients, points[corners])
+            self._inverses, dets = np.linalg.inv(jacobians), np.abs(np.linalg.det(jacobians))
+            self._weights, sides = dets * self._rule[1], points[corners[:, local_facets(cell_type)]]
+            normals = (sides[:, :, 1] - sides[:, :, 0])[..., ::-1] * np.array([1.0, -1.0])
+            outward = sides.mean(axis=2) - points[corners].mean(axis=1, keepdims=True)
+            self.area_vectors = normals * np.sign((normals * outward).sum(axis=2, keepdims=True))
+        else:
+            self.area_vectors = self.J[:, None, None] * (area_vectors(cell_type) @ self.A_inverse)
+        self.volume = self._weights.sum(axis=1)
         table = FacetTable.of(corners, self.cell_type)
         self.facets, self.facet_cells = table.vertices, table.cells
         self.cell_facets = table.index(corners[:, local_facets(self.cell_type)].reshape(-1, self.d))
@@ -138,6 +139,11 @@ class StraightCells:
         return np.asarray(self.facet_cells[:, 1] < 0)
 
     @cached_property
+    def _rule(self) -> tuple[FloatArray, FloatArray]:
+        """Quadrature points and weights; on quadrilaterals those of the package's laws, so that nodes are in balance."""
+        return basix.make_quadrature(basix.CellType[self.cell_type], 2 * self.degree + is_tensor(self.cell_type))
+
+    @cached_property
     def _stress_element(self) -> basix.finite_element.FiniteElement | None:
         """Element that contains the strains of displacements in a cell; None: they are constant."""
         if is_tensor(self.cell_type):
@@ -148,17 +154,22 @@ class StraightCells:
     def stress_points(self) -> FloatArray:
         """(k, d) points of the reference cell whose stresses determine those of displacements in the whole cell."""
         element = self._stress_element
+        if is_tensor(self.cell_type):
+            return self._rule[0]
         return np.asarray(element.points if element else lagrange(self.cell_type, 1).points.mean(axis=0, keepdims=True))
 
     def stress_values(self, x: FloatArray) -> FloatArray:
         """Return (n, k) factors that make the stresses at n points `x` (n, d) from those at the k `stress_points`."""
         element = self._stress_element
-        return np.asarray(element.tabulate(0, x)[0, :, :, 0] if element else np.ones((len(x), 1)))
+        values = element.tabulate(0, x)[0, :, :, 0] if element else np.ones((len(x), 1))
+        if element and is_tensor(self.cell_type):
+            values = values @ np.linalg.inv(element.tabulate(0, self.stress_points)[0, :, :, 0])
+        return np.asarray(values)
 
     def strain(self, U: Array) -> Array:
         """Return the strains (nc, k, nv) of displacements `U` (nc, n, d) at the `stress_points`."""
         gradients = np.moveaxis(self.element.tabulate(1, self.stress_points)[1:, :, :, 0], 0, 2)
-        grad_u = np.einsum("qnk,cni->cqik", gradients, U) @ self.A_inverse[:, None]
+        grad_u = np.einsum("qnk,cni->cqik", gradients, U) @ self._inverses
         return np.asarray(np.einsum("cqij,rij->cqr", grad_u, self.basis))
 
     def stress(self, U: Array) -> Array:
@@ -167,15 +178,16 @@ class StraightCells:
 
     def nodal_forces(self, stress: Array) -> Array:
         """Return the forces (nc, n, d) on each cell's nodes that balance stresses (nc, k, nv) at `stress_points`."""
-        x, w = basix.make_quadrature(basix.CellType[self.cell_type], 2 * self.degree)
+        x = self._rule[0]
         gradients = np.moveaxis(self.element.tabulate(1, x)[1:, :, :, 0], 0, 2)
         tensors = np.einsum("cqr,rij->cqij", self.stress_values(x) @ stress, self.basis)
-        tensors = tensors @ np.swapaxes(self.A_inverse, 1, 2)[:, None]
-        return np.asarray(np.einsum("cqik,qnk,q,c->cni", tensors, gradients, w, self.J, optimize=True))
+        tensors = tensors @ np.swapaxes(self._inverses, 2, 3) * self._weights[..., None, None]
+        return np.asarray(np.einsum("cqik,qnk->cni", tensors, gradients, optimize=True))
 
     def nodal_loads(self, f: Array) -> Array:
         """Return the loads (nc, n, d) on each cell's nodes of a force per volume with values `f` (nc, n, d) there."""
-        return np.asarray(self.volume[:, None, None] * (mass_matrix(self.cell_type, self.degree) @ f))
+        values = self.element.tabulate(0, self._rule[0])[0, :, :, 0]
+        return np.asarray(values.T @ (self._weights[..., None] * (values @ f)))
 
     def facet_points(self, facet: int) -> FloatArray:
         """Return the places (m, d) of a reference cell's nodes on a facet."""

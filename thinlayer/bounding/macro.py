@@ -15,10 +15,9 @@ import numpy as np
 
 from forms.base import Array
 from forms.tensors import MANDEL_BASIS, MANDEL_PAIRS
-from geometry.topology import FACET_TYPES, FloatArray, is_tensor, lagrange, local_facets
-from thinlayer.bounding.cells import area_vectors, mass_matrix, polynomials
+from geometry.topology import FACET_TYPES, FloatArray, lagrange, local_facets
+from thinlayer.bounding.cells import area_vectors, mass_matrix
 
-SIMPLEX_TYPES = {2: "triangle", 3: "tetrahedron"}
 RANK_TOLERANCE = 1e-10  # singular value of the equations, over the largest, that counts as zero
 
 
@@ -41,18 +40,16 @@ class MacroCell:
         mass: (parts, nk, nk) integrals of products of shape functions on each part.
 
     Args:
-        cell_type: "triangle", "tetrahedron" or "quadrilateral".
-        degree: degree of displacements, and of the tractions. Stresses of triangles and tetrahedra have this degree, too.
-            Gradients of displacements on quadrilaterals have a degree that is higher by one, and so have stresses.
+        cell_type: "triangle" or "tetrahedron".
+        degree: degree of displacements, tractions and stresses.
     """
 
     def __init__(self, cell_type: str, degree: int) -> None:
         corners, facets = lagrange(cell_type, 1).points, local_facets(cell_type)
         d, centre, facet_type = corners.shape[1], corners.mean(axis=0), FACET_TYPES[cell_type]
-        k = degree + is_tensor(cell_type)
-        self._element = element = polynomials(SIMPLEX_TYPES[d], k)
-        facet_points, inside = polynomials(facet_type, k).points, lagrange(SIMPLEX_TYPES[d], max(k - 1, 1)).points
-        inside = inside if k > 1 else inside.mean(axis=0, keepdims=True)
+        self._element = element = lagrange(cell_type, degree)
+        facet_points, inside = lagrange(facet_type, degree).points, lagrange(cell_type, 1).points
+        inside = inside if degree > 1 else inside.mean(axis=0, keepdims=True)
         densities = lagrange(facet_type, degree).tabulate(0, facet_points)[0, :, :, 0]
         self.to_tractions = densities @ np.linalg.inv(mass_matrix(facet_type, degree))
         self._basis = MANDEL_BASIS[[j < d for _, j in MANDEL_PAIRS]][:, :d, :d]
@@ -68,18 +65,17 @@ class MacroCell:
         self.n_data = sum(map(len, rows))
         for a, b in combinations(range(len(facets)), 2):
             v = np.vstack([corners[np.intersect1d(facets[a], facets[b])], centre])
-            if len(v) == d:  # else opposite parts
-                edges = v[1:] - v[0]
-                normal = np.cross(*edges) if d == 3 else np.array([edges[0, 1], -edges[0, 0]])
-                x = v[0] + facet_points @ edges
-                rows.append(self._traction_rows(a, x, normal) - self._traction_rows(b, x, normal))
+            edges = v[1:] - v[0]
+            normal = np.cross(*edges) if d == 3 else np.array([edges[0, 1], -edges[0, 0]])
+            x = v[0] + facet_points @ edges
+            rows.append(self._traction_rows(a, x, normal) - self._traction_rows(b, x, normal))
         self.equations = np.vstack(rows)
         U, s, Vt = np.linalg.svd(self.equations)
         rank = int((s > RANK_TOLERANCE * s[0]).sum())
         self.particular = (Vt[:rank].T / s[:rank]) @ U[: self.n_data, :rank].T
         self.null_space = Vt[rank:].T
         part_volumes = np.abs(np.linalg.det(self._parts[:, 1:] - self._parts[:, :1])) / (2 if d == 2 else 6)
-        self.mass = part_volumes[:, None, None] * mass_matrix(SIMPLEX_TYPES[d], k)
+        self.mass = part_volumes[:, None, None] * mass_matrix(cell_type, degree)
 
     def _reference_points(self, part: int, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the points `x` (k, d) in the coordinates of a part as reference cell, and their gradient (d, d)."""

@@ -66,10 +66,6 @@ class StructureCells:
         self.is_layer = np.arange(len(joint.cells)) >= n_bodies
         degree = model.structure.degree
         self.cells = StraightCells(joint.points, joint.corners, joint.cell_type, degree, self._stiffnesses())
-        if joint.cell_type == "quadrilateral":
-            x = joint.points[joint.corners]
-            if np.abs(x[:, 0] + x[:, 3] - x[:, 1] - x[:, 2]).max() > SHAPE_TOLERANCE * joint.size:
-                raise refusal("cells", "some quadrilaterals are no parallelograms", "use triangles")
         body_points = model.domain.joint.cell_points
         difference = self.cells.A[:n_bodies] - np.swapaxes(body_points[:, 1 : d + 1] - body_points[:, :1], 1, 2)
         assert np.abs(difference).max() <= SHAPE_TOLERANCE * joint.size, "cells are not those of the interface model"
@@ -342,8 +338,8 @@ class _Density:
         x, probes = cells.element.points, CELL_PROBES[cells.d]
         vertex = lagrange(cells.cell_type, 1).tabulate(0, np.vstack([x, probes]))[0, :, :, 0]
         values = self._values(vertex @ corners, np.zeros((len(corners), len(vertex), cells.d)))
-        corner_values = values[:, : cells.corners.shape[1]]
-        fitted = vertex @ corner_values if cells.degree == 2 else values.mean(axis=1, keepdims=True)
+        linear = np.insert(vertex @ corners, 0, 1.0, axis=2)[:, :, : 1 + (cells.degree - 1) * cells.d]
+        fitted = linear @ (np.linalg.pinv(linear) @ values)
         _require_degree(values, fitted, cells.degree - 1, "volume")
         return values[:, : len(x)]
 
@@ -414,7 +410,7 @@ def _check_structure(model: InterfaceModel, layers: LayerSubproblem) -> None:
     elements = ("Q1", "Q2") if joint.cell_type == "quadrilateral" else ("P1", "P2")
     if joint.cell_type == "hexahedron" or model.element not in elements:
         reason = f"cells are of the type {joint.cell_type}, elements {model.element}"
-        raise refusal("cells", reason, "use triangles or tetrahedra with P1 or P2, or parallelograms with Q1 or Q2")
+        raise refusal("cells", reason, "use triangles or tetrahedra with P1 or P2, or quadrilaterals with Q1 or Q2")
     if joint.degree > 1:
         raise refusal("curved", "cells are curved", "make a joint with straight ones (degree 1)")
     if joint.periods or structure.strain is not None or structure.stress is not None:

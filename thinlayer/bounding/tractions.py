@@ -59,10 +59,7 @@ class TractionBalance:
         self._rows, signs = np.unique(rows), np.broadcast_to(cells.sign[:, :, None], rows.shape)
         entries = (signs.ravel(), (rows.ravel(), cells.moment_rows.ravel()))
         self._sums = scipy.sparse.csr_matrix(entries, (n_cells * n, n_rows))[self._rows]
-        self._softness = np.trace(cells.compliance, axis1=1, axis2=2) * cells.volume
-        of_cells = np.repeat(self._softness[:, None], cells.sign.shape[1], axis=1)
-        self._totals = sum_by_number(cells.cell_facets, of_cells, len(cells.facets))
-        weight = np.repeat(self._totals / cells.areas**2, cells.facet_nodes.shape[1])
+        weight = np.repeat(_softness(cells)[1] / cells.areas**2, cells.facet_nodes.shape[1])
         self._is_free = np.repeat(is_free, cells.facet_nodes.shape[1], axis=0)
         self._projections: list[_Projection] = []  # one for each component
         for component, mask in enumerate(self._is_free.T):
@@ -84,7 +81,7 @@ class TractionBalance:
         largest = float((cells.node_stiffness * np.abs(U).max(axis=(1, 2))).max())
         if size <= MIN_FORCE_RATIO * largest:  # a motion without strain
             return np.where(self._is_free, 0.0, loads.moments), 0.0
-        moments = np.where(self._is_free, self._mean_moments(stress), loads.moments)
+        moments = np.where(self._is_free, mean_moments(cells, stress), loads.moments)
         for component, projection in enumerate(self._projections):
             mask, cell_forces = self._is_free[:, component], forces[:, :, component].ravel()[self._rows]
             for _ in range(2):  # the second solve removes rounding errors of the first
@@ -93,17 +90,23 @@ class TractionBalance:
             unbalanced = max(unbalanced, float(np.abs(cell_forces - self._sums @ moments[:, component]).max()))
         return moments, unbalanced / size
 
-    def _mean_moments(self, stress: Array) -> Array:
-        """Return the weighted means (nf m, d) of the moments that stresses (nc, k, nv) have on both sides of facets."""
-        cells, mass = self._cells, mass_matrix(self._cells.facet_type, self._cells.degree)
-        cell_moments = np.empty((*cells.moment_rows.shape, cells.d))
-        for facet in range(cells.sign.shape[1]):
-            values = cells.stress_values(cells.facet_points(facet)) @ stress
-            cell_moments[:, facet] = mass @ np.einsum(
-                "cqr,rij,cj->cqi", values, cells.basis, cells.area_vectors[:, facet]
-            )
-        sums = cells.moment_sums((self._softness[:, None] * cells.sign)[:, :, None, None] * cell_moments)
-        return np.asarray(sums / np.repeat(self._totals, cells.facet_nodes.shape[1])[:, None])
+
+def _softness(cells: StraightCells) -> tuple[Array, Array]:
+    """Return the trace of the compliance times the volume of cells (nc,), and its sums (nf,) over the cells at facets."""
+    of_cells = np.trace(cells.compliance, axis1=1, axis2=2) * cells.volume
+    at_facets = np.repeat(of_cells[:, None], cells.sign.shape[1], axis=1)
+    return of_cells, sum_by_number(cells.cell_facets, at_facets, len(cells.facets))
+
+
+def mean_moments(cells: StraightCells, stress: Array) -> Array:
+    """Return the weighted means (nf m, d) of the moments that stresses (nc, k, nv) have on both sides of facets."""
+    mass, cell_moments = mass_matrix(cells.facet_type, cells.degree), np.empty((*cells.moment_rows.shape, cells.d))
+    for facet in range(cells.sign.shape[1]):
+        values = cells.stress_values(cells.facet_points(facet)) @ stress
+        cell_moments[:, facet] = mass @ np.einsum("cqr,rij,cj->cqi", values, cells.basis, cells.area_vectors[:, facet])
+    weights, totals = _softness(cells)
+    sums = cells.moment_sums((weights[:, None] * cells.sign)[:, :, None, None] * cell_moments)
+    return np.asarray(sums / np.repeat(totals, cells.facet_nodes.shape[1])[:, None])
 
 
 class _Projection:

@@ -244,7 +244,7 @@ class Estimate:
     ) -> dict[str, ContinuumBounds]:
         """Return bounds of the goals of the continuum, which hold for any mesh: errors of the laws and of all cells.
 
-        The structure must be of straight triangles, tetrahedra or parallelograms, with linear laws. Goals must be the
+        The structure must be of straight triangles, quadrilaterals or tetrahedra, with linear laws. Goals must be the
         compliance, reactions, or integrals of displacements. The whole structure is not solved again.
 
         Args:

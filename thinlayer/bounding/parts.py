@@ -1,0 +1,127 @@
+"""Quadrilaterals cut into four triangles about the mean of their corners, on which stresses are made."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from forms.base import Array
+from geometry.topology import BoolArray, is_tensor, lagrange, local_facets
+from thinlayer.bounding.cells import StraightCells, mass_matrix
+from thinlayer.bounding.loops import RANK_TOLERANCE
+from thinlayer.bounding.tractions import CellLoads, mean_moments
+
+NEWTON_STEPS = 6  # for the places of nodes in the reference cell; cells of a mesh are convex, so that it converges fast
+COUNT = 4  # triangles of a quadrilateral
+
+
+class Parts:
+    """Triangles of quadrilaterals, with displacements of degree 2; triangles and tetrahedra are parts of their own.
+
+    Displacements of quadrilaterals are interpolated on the parts, where their stresses are polynomials. They stay
+    continuous and keep their values on the sides of quadrilaterals. Letters in shapes are those of `StraightCells`.
+
+    Attributes:
+        cells: the parts; four in a row belong to a quadrilateral.
+        is_free: (nf, d) mask of the components of tractions on the parts' facets that are not known.
+        count: number of parts of a cell.
+
+    Args:
+        cells: the cells.
+        is_free: the same mask for the facets of the cells.
+    """
+
+    def __init__(self, cells: StraightCells, is_free: BoolArray) -> None:
+        self._whole, self.cells, self.is_free, self.count = cells, cells, is_free, 1
+        if not is_tensor(cells.cell_type):
+            return
+        self.count, n_cells, n_points = COUNT, len(cells.corners), len(cells.points)
+        x = cells.points[cells.corners]
+        sides, centres = cells.corners[:, local_facets(cells.cell_type)], np.arange(n_cells)[:, None] + n_points
+        corners = np.dstack([sides, np.broadcast_to(centres, (n_cells, COUNT))]).reshape(-1, 3)
+        points, C = np.vstack([cells.points, x.mean(axis=1)]), np.repeat(cells.C, COUNT, axis=0)
+        self.cells = parts = StraightCells(points, corners, "triangle", 2, C)
+        self.is_free = np.ones((len(parts.facets), cells.d), bool)
+        self.is_free[parts.cell_facets[:, 2]] = is_free[cells.cell_facets].reshape(-1, cells.d)
+        linear = lagrange("triangle", 1).tabulate(0, parts.element.points)[0, :, :, 0]
+        vertices = np.array([[*side, len(sides[0])] for side in local_facets(cells.cell_type)])
+        reference = np.vstack([lagrange(cells.cell_type, 1).points, np.full((1, cells.d), 0.5)])
+        self._vertices = reference[vertices]
+        places = linear @ points[corners].reshape(n_cells, COUNT, 3, cells.d)
+        X: Array = np.broadcast_to(linear @ self._vertices, places.shape).reshape(-1, cells.d)
+        for _ in range(NEWTON_STEPS):
+            values = lagrange(cells.cell_type, 1).tabulate(1, X)[..., 0].reshape(3, n_cells, -1, 4)
+            J = np.einsum("kcqn,cni->cqik", values[1:], x)
+            distance = places.reshape(n_cells, -1, cells.d) - values[0] @ x
+            X = X + np.linalg.solve(J, distance[..., None]).reshape(X.shape)
+        self._interpolation = cells.element.tabulate(0, X)[0, :, :, 0].reshape(n_cells, -1, cells.nodes.shape[1])
+
+    def repeated(self, values: Array) -> Array:
+        """Return values (nc, ...) of cells for each of their parts."""
+        return np.asarray(np.repeat(values, self.count, axis=0))
+
+    def displacements(self, U: Array) -> Array:
+        """Return the displacements of the nodes of the parts, from those of the cells."""
+        if self.count == 1:
+            return U
+        return np.asarray((self._interpolation @ U).reshape(*self.cells.nodes.shape, U.shape[2]))
+
+    def stress(self, stress: Array, U: Array) -> Array:
+        """Return stresses at the `stress_points` of the parts, near those of the cells at theirs.
+
+        `U` are displacements of the cells' nodes that cause the stress, up to eigenstresses and pressures.
+        """
+        if self.count == 1:
+            return stress
+        rest = stress - self._whole.stress(U)
+        rest = self._whole.stress_values(self._vertices.reshape(-1, self.cells.d)) @ rest
+        return self.cells.stress(self.displacements(U)) + rest.reshape(len(self.cells.corners), 3, -1)
+
+    def loads(self, loads: CellLoads) -> CellLoads:
+        """Return the loads on the parts."""
+        if self.count == 1:
+            return loads
+        force, moments = self.displacements(loads.body_force), self._side_moments(loads.moments)
+        return CellLoads(force, moments, self.is_free, self.repeated(loads.eigenstress))
+
+    def _side_moments(self, moments: Array) -> Array:
+        """Return the parts' moments of the same tractions on the sides of cells; zero between parts of a cell."""
+        whole, parts = self._whole, self.cells
+        quadratic, element = parts.facet_element, whole.facet_element
+        values = element.tabulate(0, quadratic.points)[0, :, :, 0]
+        to_quadratic = mass_matrix("interval", 2) @ values @ np.linalg.inv(mass_matrix("interval", whole.degree))
+        of_cells = to_quadratic @ (moments[whole.moment_rows] * whole.sign[:, :, None, None])
+        out = np.zeros((parts.facet_nodes.size, parts.d))
+        out[parts.moment_rows[:, 2]] = of_cells.reshape(len(parts.corners), -1, parts.d) * parts.sign[:, 2, None, None]
+        return out
+
+    def moments(self, moments: Array, stress: Array, loads: CellLoads) -> Array:
+        """Return moments that balance each part, from those that balance each cell.
+
+        Args:
+            moments: moments on the facets of cells.
+            stress: stresses at the `stress_points` of the parts; tractions between parts are near theirs.
+            loads: the loads on the parts.
+        """
+        if self.count == 1:
+            return moments
+        parts, d = self.cells, self.cells.d
+        is_inner = np.ones(parts.facet_nodes.size, bool)
+        is_inner[parts.moment_rows[:, 2]] = False
+        out = np.where(is_inner[:, None], mean_moments(parts, stress), self._side_moments(moments))
+        x = parts.points[parts.node_vertices].mean(axis=1)[parts.nodes]
+        arms = x - x[:, 2:3]  # the last vertex is the centre of the cell
+        arms = arms / np.linalg.norm(arms, axis=2).max(axis=1)[:, None, None]
+        turns = np.stack([-arms[..., 1], arms[..., 0]], axis=2)[..., None]
+        motions = np.concatenate([np.broadcast_to(np.eye(d), (*arms.shape, d)), turns], axis=3)  # (parts, nodes, d, 3)
+        on_facets = motions[:, parts.closure] * parts.sign[:, :, None, None, None]
+        left = np.einsum("cfmi,cfmir->cr", out[parts.moment_rows], on_facets)
+        left += np.einsum("cni,cnir->cr", parts.nodal_loads(loads.body_force), motions)
+        E = np.zeros((len(left) // COUNT, COUNT, 3, COUNT, 3, d))  # resultants of parts by moments between them
+        by_cell, rows = on_facets.reshape(-1, COUNT, *on_facets.shape[1:]), np.empty((len(E), COUNT, 3), np.int64)
+        for part, ends in enumerate(local_facets(self._whole.cell_type)):
+            for facet, corner in zip((1, 0), ends, strict=True):
+                E[:, part, :, corner] += np.moveaxis(by_cell[:, part, facet], 3, 1)
+                rows[:, corner] = parts.moment_rows[part::COUNT, facet]
+        change = -np.linalg.pinv(E.reshape(len(E), COUNT * 3, -1), RANK_TOLERANCE) @ left.reshape(len(E), -1, 1)
+        out[rows.ravel()] += change.reshape(-1, d)
+        return out
