@@ -20,6 +20,7 @@ from geometry.refining import refined
 from geometry.topology import positions
 from thinlayer import RangeWarning, Structure, ThinLayer, estimate, examples, goals, plotting, solve, solve_to
 from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.discretisation.supports import Place, Support
 from thinlayer.estimating.continuum import ContinuumBounds
 from thinlayer.estimating.result import Estimate
 from thinlayer.running.record import Record
@@ -32,18 +33,14 @@ COMPLIANCE = goals.Compliance()
 def lap() -> InterfaceModel:
     """Make the lap joint of README, in mm and MPa, with 0.2 mm of glue."""
     joint = sandwich(width=40, lower=4, upper=6, h=1, h_S=0.4)
-    plates = Structure(
-        joint,
-        body=young(210e3, 0.3),
-        supports={"RIGHT/LOWER": 0, "LEFT/UPPER": {"y": 0}},
-        tractions={"LEFT/UPPER": (-60, 0)},
-    )
+    held: dict[Place, Support] = {"RIGHT/LOWER": 0, "LEFT/UPPER": {"y": 0}}
+    plates = Structure(joint, body=young(210e3, 0.3), supports=held, tractions={"LEFT/UPPER": (-60, 0)})
     return plates.interface(ThinLayer(young(2e3, 0.3), eps=0.2))
 
 
 def bearing() -> InterfaceModel:
     """Make a strip of rubber, 60 mm wide and 6 mm thick, between steel plates, of which the upper one is lifted."""
-    supports: dict[str, float | dict[str, float]] = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": 0.01}}
+    supports: dict[Place, Support] = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": 0.01}}
     plates = Structure(sandwich(60, 10, 10, h=4), body=young(210e3, 0.3), supports=supports)
     return plates.interface(ThinLayer(Rubber.shear(1.2, 0.49), eps=6, order=1))
 
@@ -105,23 +102,21 @@ def run(record: Record, *, quick: bool = False) -> None:
             uniform = uniform_rows(model, 1 if quick else 2)
         bounds = adapted.bounds["compliance"]
         middle, half = (bounds.lower + bounds.upper) / 2, (bounds.upper - bounds.lower) / 2
-        rows = [
-            {"unknowns": row["unknowns"], "cells": row["cells"], "seconds": row["seconds"]}
-            | {key: row[f"compliance {key}"] for key in ("lower", "upper", "error")}
-            for row in adapted.table.rows
-        ]
+        columns = {key: adapted.table[key] for key in ("unknowns", "cells", "seconds")}
+        columns |= {key: adapted.table[f"compliance {key}"] for key in ("lower", "upper")}
+        rows = [dict(zip(columns, map(float, values), strict=True)) for values in zip(*columns.values(), strict=True)]
         change = value - bounds.value
         for kind, kind_rows in (("adapted", rows), ("uniform", uniform)):
             for row in kind_rows:
-                row["error"] = (float(row["upper"]) - float(row["lower"])) / 2 / abs(change)  # type: ignore[arg-type]
+                row["error"] = (row["upper"] - row["lower"]) / 2 / abs(change)
                 table.append({"structure": name, "mesh": kind, **row})
         for tolerance in tolerances:
-            first = next(row for row in rows if float(row["error"]) <= 1.02 * tolerance)  # type: ignore[arg-type]
+            first = next(row for row in rows if row["error"] <= 1.02 * tolerance)
             asked.append({"structure": name, "tolerance": tolerance, **first})
         record.check(f"{name}: distance of the overkill from the middle, over half the interval",
                      abs(value - middle) / half, high=1.0)  # fmt: skip
         record.check(f"{name}: true error over the change", abs((value - middle) / change), high=tolerances[-1])
-        lower, upper = (np.array([float(row[key]) for row in [*rows, *uniform]]) for key in ("lower", "upper"))
+        lower, upper = (np.array([row[key] for row in [*rows, *uniform]]) for key in ("lower", "upper"))
         record.check(f"{name}: intervals intersect", (upper.min() - lower.max()) / abs(change), low=0.0)
 
 
@@ -139,7 +134,7 @@ def overkill(result: Estimate) -> float:
     return COMPLIANCE.value(solve(full), full)
 
 
-def uniform_rows(model: InterfaceModel, n: int) -> list[dict[str, object]]:
+def uniform_rows(model: InterfaceModel, n: int) -> list[dict[str, float]]:
     """Return the rows of the given cells, and of n refinements of all of them."""
     rows = []
     for k in range(n + 1):

@@ -15,6 +15,7 @@ from forms.kernel import KernelLaw
 from forms.kinematics import KINEMATICS_BY_NAME, SCALAR_KINEMATICS_BY_NAME, ScalarField
 from forms.law import BulkLaw, Law, explained_errors
 from forms.law_tangents import declared_or_computed_tangent, depends_on_normal, require_stable
+from geometry.inflating.layering import CellsThrough
 from geometry.joint import Joint
 from geometry.refusals import require_known
 from geometry.seam import LAYER, FacetName, S
@@ -171,7 +172,7 @@ class Structure:
 
     # ---------------------------------------------------------------- models
     def full(
-        self, layer: Layers, *, bodies: str = "kept", cells_through: int = 4, junctions: str | None = None
+        self, layer: Layers, *, bodies: str = "kept", cells_through: CellsThrough = 4, junctions: str | None = None
     ) -> FullModel:
         """Make the model whose layer is meshed. Collective.
 
@@ -183,7 +184,8 @@ class Structure:
                 kept, and each body gives up half of the thickness (on a rigid base all of it).
             cells_through: number of cells through the layer's thickness, an even one where layers meet. For a law that
                 softens it has little effect, and a single cell is sufficient and fastest. The mean of the strains
-                through the thickness drives such a law, as on S, and deviations from the mean are elastic.
+                through the thickness drives such a law, as on S, and deviations from the mean are elastic. Or {name of
+                a seam: heights between which cells lie, as fractions of the thickness from 0 to 1}.
             junctions: name of a seam whose law also fills the cells where it meets other seams. At other junctions, and
                 by default, this is the law of the first of the joint's seams that end there. These cells need the law
                 of a layer, with moduli that decrease with the thickness. Other laws would tie the corners of the bodies
