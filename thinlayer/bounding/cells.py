@@ -168,9 +168,11 @@ class StraightCells:
 
     def strain(self, U: Array) -> Array:
         """Return the strains (nc, k, nv) of displacements `U` (nc, n, d) at the `stress_points`."""
-        gradients = np.moveaxis(self.element.tabulate(1, self.stress_points)[1:, :, :, 0], 0, 2)
-        grad_u = np.einsum("qnk,cni->cqik", gradients, U) @ self._inverses
-        return np.asarray(np.einsum("cqij,rij->cqr", grad_u, self.basis))
+        gradients = np.moveaxis(self.element.tabulate(1, self.stress_points)[1:, :, :, 0], 0, 1)  # (k, d, n)
+        grad_u = np.swapaxes(self._inverses, 2, 3) @ (gradients.reshape(-1, gradients.shape[2]) @ U).reshape(
+            len(U), -1, self.d, self.d
+        )
+        return np.asarray(grad_u.reshape(*grad_u.shape[:2], -1) @ self.basis.reshape(len(self.basis), -1).T)
 
     def stress(self, U: Array) -> Array:
         """Return the stresses (nc, k, nv) of displacements `U` (nc, n, d) at the `stress_points`."""
@@ -180,8 +182,8 @@ class StraightCells:
         """Return the forces (nc, n, d) on each cell's nodes that balance stresses (nc, k, nv) at `stress_points`."""
         x = self._rule[0]
         gradients = np.moveaxis(self.element.tabulate(1, x)[1:, :, :, 0], 0, 2)
-        tensors = np.einsum("cqr,rij->cqij", self.stress_values(x) @ stress, self.basis)
-        tensors = tensors @ np.swapaxes(self._inverses, 2, 3) * self._weights[..., None, None]
+        tensors = self.stress_values(x) @ stress @ self.basis.reshape(len(self.basis), -1) * self._weights[..., None]
+        tensors = tensors.reshape(*tensors.shape[:2], self.d, self.d) @ np.swapaxes(self._inverses, 2, 3)
         return np.asarray(np.einsum("cqik,qnk->cni", tensors, gradients, optimize=True))
 
     def nodal_loads(self, f: Array) -> Array:

@@ -11,6 +11,7 @@ from thinlayer.bounding.loops import RANK_TOLERANCE
 from thinlayer.bounding.tractions import CellLoads, mean_moments
 
 NEWTON_STEPS = 6  # for the places of nodes in the reference cell; cells of a mesh are convex, so that it converges fast
+PLACE_TOLERANCE = 1e-14  # distance from the places, over the coordinates, that is rounding
 COUNT = 4  # triangles of a quadrilateral
 
 
@@ -49,9 +50,11 @@ class Parts:
         places = linear @ points[corners].reshape(n_cells, COUNT, 3, cells.d)
         X: Array = np.broadcast_to(linear @ self._vertices, places.shape).reshape(-1, cells.d)
         for _ in range(NEWTON_STEPS):
-            values = lagrange(cells.cell_type, 1).tabulate(1, X)[..., 0].reshape(3, n_cells, -1, 4)
-            J = np.einsum("kcqn,cni->cqik", values[1:], x)
+            values = lagrange(cells.cell_type, 1).tabulate(1, X)[..., 0].reshape(3, n_cells, -1, COUNT)
             distance = places.reshape(n_cells, -1, cells.d) - values[0] @ x
+            if np.abs(distance).max() < PLACE_TOLERANCE * np.abs(x).max():  # at once in parallelograms
+                break
+            J = np.stack([values[1] @ x, values[2] @ x], axis=3)
             X = X + np.linalg.solve(J, distance[..., None]).reshape(X.shape)
         self._interpolation = cells.element.tabulate(0, X)[0, :, :, 0].reshape(n_cells, -1, cells.nodes.shape[1])
 
