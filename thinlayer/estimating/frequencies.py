@@ -86,14 +86,15 @@ def frequency_derivatives(
     changes, slopes = chosen_changes(model, parameters, of or {}), dict[str, Array]()
     model.family.is_shared = True  # changed models need the same stiffness of the bodies
     for name, change in changes.items():
-        pencils = []
+        pairs = []
         for factor in FACTORS:
-            pencils.append(Pencil(changed_model(model, change, factor)))
-            pencils[-1].equations.destroy()
-        more, less = pencils
-        more.K.axpy(-1.0, less.K)  # before products, so that entries that do not change leave no rounding
-        more.M.axpy(-1.0, less.M)
-        slope = (natural_modes.quotients(more.K) - omega**2 * natural_modes.quotients(more.M)) / (2 * STEP)
+            pencil = Pencil(changed_model(model, change, factor))
+            pairs.append((pencil.K.copy(), pencil.M.copy()))
+            pencil.equations.destroy()  # the next model takes over the bodies' matrices
+        (K, M), (K_less, M_less) = pairs
+        K.axpy(-1.0, K_less)  # before products, so that entries that do not change leave no rounding
+        M.axpy(-1.0, M_less)
+        slope = (natural_modes.quotients(K) - omega**2 * natural_modes.quotients(M)) / (2 * STEP)
         slopes[name] = np.where(omega > 0, slope / (2 * np.where(omega > 0, omega, 1.0)), 0.0)
     return slopes
 
