@@ -33,8 +33,8 @@ COMPLIANCE = goals.Compliance()
 def lap() -> InterfaceModel:
     """Make the lap joint of README, in mm and MPa, with 0.2 mm of glue."""
     joint = sandwich(width=40, lower=4, upper=6, h=1, h_S=0.4)
-    held: dict[Place, Support] = {"RIGHT/LOWER": 0, "LEFT/UPPER": {"y": 0}}
-    plates = Structure(joint, body=young(210e3, 0.3), supports=held, tractions={"LEFT/UPPER": (-60, 0)})
+    supports: dict[Place, Support] = {"RIGHT/LOWER": 0, "LEFT/UPPER": {"y": 0}}
+    plates = Structure(joint, body=young(210e3, 0.3), supports=supports, tractions={"LEFT/UPPER": (-60, 0)})
     return plates.interface(ThinLayer(young(2e3, 0.3), eps=0.2))
 
 

@@ -67,7 +67,7 @@ def estimate(
         goals: quantities of interest, whose change is estimated.
         seam: name of the seam whose layer is meshed for the estimate; all other seams keep their laws. "S": all seams.
         width: largest width of bounds, relative to the estimated change of their goal, > 0. The iteration ends when all
-            bounds are at most so wide, or after five steps (15 if `width` is below its default).
+            bounds are at most so wide, or after five steps (40 if `width` is below its default).
         cells_through: number of cells through the thickness of the meshed layers, or {name of a seam: heights between
             which cells lie, as fractions of the thickness from 0 to 1}.
         options: {name of a PETSc option without its prefix: value}, as in `solve`.

@@ -50,7 +50,7 @@ from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.layer_subproblem import MESH_ADVICE, LayerSubproblem, line_search_fraction
 from thinlayer.solving.part_sum import FORCE_ROUNDING, PartSum
 
-MAX_ITERATIONS, MAX_FINE_ITERATIONS = 5, 15  # the second for bounds narrower than by default
+MAX_ITERATIONS, MAX_FINE_ITERATIONS = 5, 40  # the second for bounds narrower than by default
 ITERATE_TOLERANCE = 1e-10  # relative difference of two iterates that counts as rounding
 RESULTANT_TOLERANCE = 1e-9  # resultant of the forces on a layer, over the sum of their sizes, that counts as rounding
 COUPLE_REDUCTION = 0.01  # largest resultant that couples leave, over the resultant that counts as rounding

@@ -52,11 +52,6 @@ class Causes(NamedTuple):
     rows: dict[str, BoolArray]
     law: bool
 
-    @property
-    def any_cells(self) -> bool:
-        """Whether any cells are divided."""
-        return bool(len(self.cells) or len(self.facets) or any(mask.any() for mask in self.rows.values()))
-
 
 @dataclass(frozen=True)
 class Indicators:
@@ -239,15 +234,16 @@ def solve_to(
         if errors[worst] <= tolerance:
             return best
         largest = inflated.points[inflated.corners[int(np.argmax(bounds[worst].by_cell))]].mean(axis=0)
-        width_text = f"{worst} is known to {percent(errors[worst])}, with the largest part near {place_text(largest)}"
         if n_cells > max_cells or len(table.rows) == MAX_MESHES:
             limit = f"max_cells={max_cells}" if n_cells > max_cells else f"{MAX_MESHES} meshes"
-            return best.ended(tolerance, f"{width_text}, by {n_cells} cells; the limit is {limit}")
+            text = (
+                f"{worst} is known to {percent(best.errors[worst])}, with the largest part near {place_text(largest)}"
+            )
+            return best.ended(tolerance, f"{text}, by {n_cells} cells; the limit is {limit}")
         wide = [b for name, b in bounds.items() if errors[name] > tolerance]
         parts = np.sum([b.by_cell / (b.upper - b.lower) for b in wide], axis=0)
-        causes = Indicators.of(parts, sum(b.law for b in wide), model.joint, layers, heights).marked()
-        if causes.law and width <= MIN_WIDTH and not causes.any_cells:
-            return best.ended(tolerance, f"{width_text}; steps from the interface law do not lower it")
+        law = sum(b.law for b in wide) if width > MIN_WIDTH else 0.0  # else more steps have no effect
+        causes = Indicators.of(parts, law, model.joint, layers, heights).marked()
         width = max(width * WIDTH_REDUCTION, MIN_WIDTH) if causes.law else width
         heights = _divided(heights, causes.rows, model.joint.seams_meet)
         if len(causes.cells) or len(causes.facets):
