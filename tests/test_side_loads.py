@@ -13,7 +13,7 @@ from geometry import block, disc, sandwich
 from tests.orders import observed_orders
 from tests.refused import refused
 from thinlayer import Pressure, Structure, ThinLayer, compare, solve
-from thinlayer.discretisation import side_loads
+from thinlayer.discretisation import interface_model
 from thinlayer.output.nodal_forces import nodal_forces
 
 pytestmark = pytest.mark.few(5)
@@ -37,14 +37,14 @@ def based(eps):
 
 def errors(joint_at, law, loads, monkeypatch):
     """Errors of traction and jump on the inner half of S, of the law and of one whose sides are not drawn in."""
-    right, wrong, shares = [], [], side_loads._transfer_factors
+    right, wrong, shares = [], [], interface_model._transfer_factors
     for eps in THICKNESSES:
         joint, supports = joint_at(eps)
         setup = Structure(joint, body=BODY, supports=supports, tractions=loads)
         full = solve(setup.full(ThinLayer(law, eps, at=1.0), cells_through=8))
         for rows, drawn in ((right, 1.0), (wrong, 0.0)):
             some = lambda *arguments, drawn=drawn: shares(*arguments) * [1.0, 1.0, 1.0, drawn, drawn]
-            monkeypatch.setattr(side_loads, "_transfer_factors", some)
+            monkeypatch.setattr(interface_model, "_transfer_factors", some)
             limit = solve(setup.interface(layer(law, eps)))
             row = compare(full, limit, where=lambda x: abs(x[0] - 0.5) < 0.25)
             rows.append([row["error_traction"], row["error_jump"]])

@@ -97,7 +97,7 @@ class TimeDependent:
         raise NotImplementedError
 
 
-class TimeConstant(TimeDependent, fem.Constant):
+class TimeConstant(fem.Constant, TimeDependent):  # in this order: FFCx follows the first bases
     """The time of a clock as a constant in UFL forms, or a constant that depends on this time alone.
 
     Attributes:
