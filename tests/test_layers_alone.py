@@ -272,13 +272,13 @@ def test_ranks_do_not_matter(there):
     assert there == pytest.approx(numbers(), rel=1e-5)  # widths are small differences
 
 
-def test_bounds_are_as_narrow_as_asked_but_for_what_five_steps_leave():
-    """At junctions no law of order 1 leads farther."""
+def test_bounds_are_as_narrow_as_asked():
+    """Five steps leave more at junctions, where no law of order 1 leads farther."""
     structure, layer, _ = CASES["wall"]
     state = solve(structure.interface(layer))
     wide, asked = (estimate(state, width=width).goals["compliance"] for width in (0.5, 1e-4))
     assert 0.01 < (wide.upper - wide.lower) / wide.change < 0.05
-    assert 1e-6 < (asked.upper - asked.lower) / asked.change < 1e-3
+    assert 1e-6 < (asked.upper - asked.lower) / asked.change <= 1e-4
     assert wide.lower < asked.lower < asked.upper < wide.upper
 
 
