@@ -91,7 +91,7 @@ def test_tolerance_is_reached_with_few_cells():
     assert table["compliance error"][-1] <= 0.02 < table["compliance error"][-2]
     assert table["unknowns"][-1] < 2000  # uniform cells: 4100 for 5.4 %
     assert str(result).startswith(f"compliance {bounds.lower:.6g} to {bounds.upper:.6g}, +- ")
-    picture = plotting.cells(result.estimate, bounds)
+    picture = plotting.cells(bounds.joint, bounds.by_cell)
     (shares,) = (c.get_array() for c in picture.axes[0].collections)
     assert len(shares) == table["cells"][-1]
     assert shares.sum() == pytest.approx(1)

@@ -24,6 +24,7 @@ import numpy as np
 from dolfinx import fem
 
 from forms.base import Array
+from geometry.joint import Joint
 from thinlayer.bounding.loops import TractionImprovement
 from thinlayer.bounding.parts import Parts
 from thinlayer.bounding.stresses import Stresses
@@ -60,9 +61,9 @@ class ContinuumBounds:
         lower, upper: bounds of the goal of the continuum.
         bodies, layer, law: shares of the interval, with the sum 1: from the cells of the bodies, from those of the
             layers, and from the difference between interface laws and meshed layers.
-        by_cell: (nc,) parts of `upper - lower` from the nc cells, in the order of the cells of
-            `estimate.inside.model.inflated_joint`: refine where they are large.
+        by_cell: (nc,) parts of `upper - lower` from the nc cells of `joint`: refine where they are large.
         imbalance: largest unbalanced force on a node of a cell, over the largest force on a node: rounding.
+        joint: bodies and meshed layers, with all cells.
         of_law: bounds of Q_0/Q - 1, without the error of any mesh: Q_0 is the goal with interface laws on bodies that
             are a continuum, too. None: they were not asked for.
     """
@@ -75,6 +76,7 @@ class ContinuumBounds:
     law: float
     by_cell: Array = field(compare=False)
     imbalance: float
+    joint: Joint = field(compare=False)
     of_law: tuple[float, float] | None = None
 
     @property
@@ -233,9 +235,8 @@ class Continuum:
         law = min((a.law_square * _ratio(g_z, g) + z.law_square * _ratio(g, g_z)) / 2 / total, 1.0)
         bodies = float(by_cell[~self.structure.is_layer].sum()) / total
         layer = max(1 - bodies - law, 0.0)
-        return ContinuumBounds(
-            value, middle - half, middle + half, bodies, layer, 1 - bodies - layer, by_cell, imbalance
-        )
+        law, joint = 1 - bodies - layer, self._layers.model.inflated_joint
+        return ContinuumBounds(value, middle - half, middle + half, bodies, layer, law, by_cell, imbalance, joint)
 
 
 def _require_balance(imbalance: float, remedy: str) -> None:

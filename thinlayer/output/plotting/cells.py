@@ -1,19 +1,19 @@
-"""Pictures of cells, coloured by their parts of the width of an interval."""
+"""Pictures of cells, coloured by their shares of a sum, such as an error."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from forms.base import InputError, require
+from forms.base import Array, InputError, require
+from geometry.joint import Joint
+from geometry.parallel import default_comm
 from geometry.topology import is_tensor
-from thinlayer.discretisation.full_model import LayerModel
-from thinlayer.estimating.continuum import ContinuumBounds
-from thinlayer.estimating.result import Estimate
 from thinlayer.output.plotting.picture import AxesInput, Picture, draw_on_root, make_panels
 from thinlayer.output.plotting.scene import COLOUR_BAR_STYLE, COLOUR_MAP
 
@@ -21,19 +21,21 @@ SHARE_RANGE = 1e4  # largest share of a cell over the smallest with a colour of 
 
 
 def cells(
-    estimate: Estimate,
-    bounds: ContinuumBounds,
+    joint: Joint,
+    values: Array,
+    label: str = "share of the interval",
     *,
     zoom: tuple[float, float, float, float] | None = None,
     save: str | Path | None = None,
     title: str = "",
     ax: AxesInput = None,
 ) -> Picture | None:
-    """Draw the cells of bodies and layers, coloured by their shares of the width of an interval for any mesh, in 2D.
+    """Draw the cells of a joint in 2D, coloured by their shares of a sum, such as of the width of an interval.
 
     Args:
-        estimate: the estimate, such as `solve_to(...).estimate`.
-        bounds: the bounds of a goal, by its method `continuum` or from `solve_to(...).bounds`.
+        joint: bodies, and layers if they are meshed, such as `joint` of `ContinuumBounds`.
+        values: (n_cells,) parts of the sum, >= 0, such as `by_cell` of `ContinuumBounds`.
+        label: text beside the colour bar.
         zoom: (left, right, bottom, top) of the window; None: the whole structure.
         save: name of a file to save the picture to, .png, .svg or .pdf; None: it is not saved.
         title: text over the picture.
@@ -43,7 +45,7 @@ def cells(
         The new picture on rank 0; None on other ranks, and if `ax` is given.
 
     Raises:
-        InputError: not an estimate and its bounds, or a 3D structure.
+        InputError: the values are not those of the cells, or the joint is 3D.
         OSError: the file could not be written.
 
     Example:
@@ -60,20 +62,16 @@ def cells(
         ... )
         >>> result = estimate(solve(plates.interface(ThinLayer(glue, eps=0.05))))
         >>> bounds = result.continuum()["compliance"]
-        >>> picture = plotting.cells(result, bounds, save="cells.png")
+        >>> picture = plotting.cells(bounds.joint, bounds.by_cell, save="cells.png")
     """
-    require(
-        isinstance(estimate, Estimate), "cells: estimate", estimate, "give estimate(state), or solve_to(...).estimate"
-    )
-    model = estimate.inside.model
-    assert isinstance(model, LayerModel)
-    joint = model.inflated_joint
-    is_fit = isinstance(bounds, ContinuumBounds) and len(bounds.by_cell) == len(joint.cells)
-    require(is_fit, "cells: bounds", bounds, "give those of a goal, by the method continuum of this estimate")
+    require(isinstance(joint, Joint), "cells: joint", joint, "give a joint, such as ContinuumBounds.joint")
+    parts = np.asarray(values, float)
+    is_fit = parts.shape == (len(joint.cells),) and bool((parts >= 0).all())
+    require(is_fit, "cells: values", values, f"give a number >= 0 for each of the {len(joint.cells)} cells")
     if joint.dim != 2:
-        raise InputError("cells: pictures of cells are for two dimensions; in 3D take bounds.by_cell")
+        raise InputError("cells: pictures of cells are for two dimensions; in 3D write the values to a file")
     corners = joint.corners[:, [0, 1, 3, 2]] if is_tensor(joint.cell_type) else joint.corners
-    shares = bounds.by_cell / (bounds.by_cell.sum() or 1.0)
+    shares = parts / (parts.sum() or 1.0)
     largest = float(shares.max()) or 1.0
 
     def draw() -> Figure:
@@ -88,8 +86,8 @@ def cells(
         if zoom is not None:
             axes.axis(zoom)
         figure: Any = axes.figure
-        figure.colorbar(drawn, ax=axes, **COLOUR_BAR_STYLE, extend="min", label="share of the interval")
+        figure.colorbar(drawn, ax=axes, **COLOUR_BAR_STYLE, extend="min", label=label)
         axes.set_title(title, fontsize=11)
         return figure
 
-    return draw_on_root(estimate.state.model.comm, draw, save)
+    return draw_on_root(default_comm(), draw, save)
