@@ -56,7 +56,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     errors = {
         name: compare(some["full"], some["interface"]) for name, some in {"heat": states, "stress": cooled}.items()
     }
-    record.check("flux on S: error of the law", errors["heat"]["error_traction"], high=1e-4)
+    record.check("flux on S: error of the law", errors["heat"]["error_flux"], high=1e-4)
     record.check("traction on S: error of the law", errors["stress"]["error_traction"], high=0.02)
     record.check_near(
         "peak temperature above the pad without the pad over that with it", peaks["bond"] / peaks["full"], 0.922, 2e-3
