@@ -39,16 +39,6 @@ class FluxStep(Step):
         return scalar_value(self.e)
 
     @property
-    def g_old(self) -> Expr:
-        """Gradient (3,) of the field at the beginning of the step."""
-        return scalar_gradient(self.e_old)
-
-    @property
-    def T_old(self) -> Expr:
-        """Value of the field at the beginning of the step."""
-        return scalar_value(self.e_old)
-
-    @property
     def T_rate(self) -> Expr:
         """Rate of the field's value in the step.
 

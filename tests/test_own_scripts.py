@@ -308,7 +308,7 @@ def test_refused_tags():
         (cells, facets, {LAYER: {LOWER, UPPER}}, "the same body on both sides"),
     ]:
         refused(InputError, message, BrokenMesh, grid, bodies, tags, S)
-    refused(InputError, "S has no tag 9; there are 3", lambda: blocks.broken.interface(9))
+    refused(InputError, "S has no tag 9; give a tag of S: 3", lambda: blocks.broken.interface(9))
 
 
 def test_refused_layers_parts_and_steps():

@@ -38,11 +38,15 @@ def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
     refuse((r < 0) & ~on_axis, joint.points, f"{message}, the first at {{at}}; allowed: x >= 0")
     for name in joint.seams if joint.band is None else ():
         if on_axis[joint.table.vertices[joint.rows_of(name)]].all(axis=1).any():
-            raise InputError(f"plane={kinematics.name!r}: the seam {name!r} lies on the axis, where it has no area")
+            reason = f"the seam {name!r} lies on the axis, where it has no area"
+            raise InputError(
+                f"plane={kinematics.name!r}: {reason}; move the joint to x > 0, or draw it without this seam"
+            )
     if joint.periods:
         radial = np.delete(joint.periods.vectors(joint.points), kinematics.translation_axes(joint.dim), axis=1)
         if np.abs(radial).max(initial=0.0) > AXIS_TOLERANCE * joint.size:
-            raise InputError(f"plane={kinematics.name!r}: a structure repeats along the axis (y) alone")
+            reason = "a structure repeats along the axis alone"
+            raise InputError(f"plane={kinematics.name!r}: {reason}; make it periodic along y")
 
 
 def can_shift_along(kinematics: Kinematics, normals: Array) -> bool:

@@ -212,7 +212,7 @@ class BrokenMesh:
 
     def _require_tag(self, tag: int) -> None:
         if tag not in self._facet_sides:
-            raise InputError(f"S has no tag {tag}; there are {', '.join(map(str, self._facet_sides))}")
+            raise InputError(f"S has no tag {tag}; give a tag of S: {', '.join(map(str, self._facet_sides))}")
 
     def _require_no_locking(self, tag: int, law: BulkLaw) -> None:
         """Raise InputError if lmbda/mu is so large somewhere on the facets with a tag that the law of order 1 locks."""

@@ -147,7 +147,8 @@ class Constraints:
         slaves, counts = np.unique(np.concatenate([np.empty(0, np.int64), *by_mpc]), return_counts=True)
         names = [mpc.key for mpc, its in zip(self.mpcs, by_mpc, strict=True) if np.isin(its, slaves[counts > 1]).any()]
         if conflicts := [keys for keys in self.comm.allgather(names) if keys]:
-            raise InputError(f"{' and '.join(conflicts[0])} share a node: their motions would not be independent")
+            reason = f"{' and '.join(conflicts[0])} share a node: their motions would not be independent"
+            raise InputError(f"{reason}; make them one, or give them facets without common nodes")
         return slaves
 
     def _masters_of(self, mpc: MultiPointConstraint) -> np.ndarray:
@@ -161,7 +162,8 @@ class Constraints:
         slave_numbers = self.row_start + np.flatnonzero(np.diff(mpc.R.indptr))
         masters = np.sort(np.concatenate(self.comm.allgather(slave_numbers[: mpc.n_motions])))[: mpc.n_motions]
         if len(masters) < mpc.n_motions:
-            raise InputError(f"{mpc.key} has fewer displacements than motions")
+            reason = f"{mpc.key} has fewer displacements than its {mpc.n_motions} motions"
+            raise InputError(f"{reason}; give it more facets, or use finer cells")
         return masters
 
     def _mpc_matrix(self) -> PETSc.Mat | None:

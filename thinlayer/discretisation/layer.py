@@ -62,19 +62,19 @@ class ThinLayer:
             smaller eps have the same interface law of order 0.
         order: order of the interface law; by default 0, and 1 for laws of a scalar field. Order 0 is the limit for thin
             layers, with error O(eps). Order 1 adds the next power of eps. Its error is O(eps^2) where the sides of the
-            layer are on rollers, and away from free ends that are corrected, see `edges`. Order 1 needs elements of
-            degree 2, and bodies="extended" where S is curved or the thickness varies. All sublayers of a Stack must be
-            `LinearElastic`. Other laws than `LinearElastic` and `Rubber` need lmbda/mu <= 12 under small strains from
-            rest. Order 2 exists for laws of a scalar field alone, see `Conduction`: the mean value through the layer is
-            a further unknown.
+            layer are on rollers, and away from free ends that are corrected, see `edges`. Order 1 needs
+            bodies="extended" where S is curved or the thickness varies, and for laws of strains elements of degree 2
+            and a Stack of `LinearElastic` alone. Laws of strains other than `LinearElastic`, `Rubber` and
+            `Incompressible` need lmbda/mu <= 12 under small strains from rest. Order 2 exists for laws of a scalar
+            field alone, see `Conduction`: the mean value through the layer is a further unknown.
         profile: shape of a thickness that varies along S, a numpy function of coordinates x (d, n) that returns n
             numbers > 0. The thickness at the vertices of S is eps * profile(x), linear in between. The law's parameters
             do not vary with it.
         eigenstrain: strain that the layer would have without stress, uniform through the thickness unless it follows a
-            temperature of both sides. It is a number
-            times the identity, a symmetric table, a function (x, t), `ThermalExpansion`, `Prestress`, or a list of
-            these that add up. On S it is subtracted from the strain of the jump, the symmetric part of [u] (x) n/eps.
-            In the tractions of a soft layer it is therefore a term of order eps, unless it is as large as [u]/eps.
+            temperature of both sides. It is a number times the identity, a symmetric table, a function (x, t),
+            `ThermalExpansion`, `Prestress`, or a list of these that add up. On S it is subtracted from the strain of
+            the jump, the symmetric part of [u] (x) n/eps. In the tractions of a soft layer it is therefore a term of
+            order eps, unless it is as large as [u]/eps.
         edges: correction of the interface law of order 1 for the lower stiffness near straight free ends of S
             (`forms.ends.weights`). With it the error is O(eps^2) away from these ends too. It exists for
             `LinearElastic` with nu from 0 to 0.45, `Rubber` and `Incompressible`, between much stiffer bodies. None:

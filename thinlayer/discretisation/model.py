@@ -62,7 +62,7 @@ from thinlayer.discretisation.prescribed_strains import (
 )
 from thinlayer.discretisation.rigid_motions import Resultant, free_axes, load_resultants, moment_centre, require_support
 from thinlayer.discretisation.supports import Place, SupportConditions, Supports, SupportsByPlace, is_same_or_part
-from thinlayer.discretisation.time_functions import TimeLevel, with_strains
+from thinlayer.discretisation.time_functions import TimeLevel
 from thinlayer.errors import warn
 from thinlayer.pointwise.quadrature import Quadrature, quadrature_degree
 from thinlayer.system.compat import compiled, interpolate, interpolation_points
@@ -124,13 +124,12 @@ class Model(ABC):
         comm: the domain's communicator.
         n_components: number c of components of the unknown: d displacements, or the one value of a scalar field.
         V: space of the unknown; broken across S in the interface model.
-        unknowns: number of displacement dofs, those at supports included.
-        dx: measure of the cells with their tags, for user-defined terms. With such a term the residual at u is
-            `work(model.terms_at(t), u, v) - model.external_work(v, t) + term * model.dx`, without compiled or nodal
-            laws. Compile it with `model.form`: DOLFINx 0.9 itself loses integrals over overlapping tags whose
-            quadratures differ, as for a body and its weight on quadrilaterals. Regions and facets:
-            `model.dx(model.domain.region_tags(name))`, `model.ds(model.domain.values(name))`. Only `model.form` accepts
-            plain `ufl.dx` in the same form, `dolfinx.fem.form` does not.
+        unknowns: number of dofs of V, those at supports included.
+        dx: measure of the cells with their tags, for user-defined terms. Compile forms that contain it with
+            `model.form`: DOLFINx 0.9 itself loses integrals over overlapping tags whose quadratures differ, as for a
+            body and its weight on quadrilaterals. Regions and facets: `model.dx(model.domain.region_tags(name))`,
+            `model.ds(model.domain.values(name))`. Only `model.form` accepts plain `ufl.dx` in the same form,
+            `dolfinx.fem.form` does not.
         ds: the same of the outer facets.
         bodies, layer_terms: terms of the laws of the bodies and of the layers, with prescribed strains that may depend
             on the time; `State.bodies` and `State.layers` are these terms at the time of a state.
@@ -619,10 +618,6 @@ class Model(ABC):
     def terms(self) -> list[forms.Term]:
         """Terms of the laws of all bodies and layers."""
         return self.bodies + self.layer_terms
-
-    def terms_at(self, t: float) -> list[forms.Term]:
-        """Return the terms of the laws of all bodies and layers, with their prescribed strains at the time t."""
-        return with_strains(self.terms, TimeLevel(t).at_level)
 
     def contact_surface(self, name: str) -> ContactSurface:
         """Return the facets of the seam `name` of an interface model, and the cells on their two sides."""
