@@ -131,7 +131,7 @@ class Continuum:
 
     def __init__(self, model: InterfaceModel, layers: LayerSubproblem, t: float, steps: int = DEFAULT_STEPS) -> None:
         if not (model.linear and model.symmetric):
-            raise refusal("not linear", "laws are not linear, or not symmetric", "use the energy of the estimate")
+            raise refusal("not linear", "laws are not linear, or not symmetric", "use estimate(...).energy")
         self._model, self._layers, self._steps = model, layers, steps
         self.structure = StructureCells(model, layers, t)
         self._parts = Parts(self.structure.cells, self.structure.is_free)
@@ -146,7 +146,7 @@ class Continuum:
         return TractionImprovement(self._stresses, parts.is_free, coupled)
 
     def field(self, iterate: BodyEquilibrium, loads: CellLoads) -> _ConstitutiveError:
-        """Return displacements that fit the supports, and a stress in equilibrium with the loads.
+        """Return the error between displacements that fit the supports and a stress in equilibrium with the loads.
 
         Args:
             iterate: an iterate, or the adjoint solution of a goal.

@@ -81,7 +81,7 @@ def frequency_derivatives(
     """
     model, omega = _interface_model(natural_modes, "frequency_derivatives"), natural_modes.omega
     if (gap := float(natural_modes.gaps[omega > 0].min(initial=math.inf))) < MULTIPLE_GAP:
-        text = f"frequencies are equal but for {gap:.1g} of omega^2, and a multiple frequency has no derivative"
+        text = f"squared frequencies differ by {gap:.1g} of their size, and a multiple frequency has no derivative"
         raise InputError(f"frequency_derivatives: {text}; model half of a symmetric structure")
     changes, slopes = chosen_changes(model, parameters, of or {}), dict[str, Array]()
     model.family.is_shared = True  # changed models need the same stiffness of the bodies
@@ -100,10 +100,9 @@ def frequency_derivatives(
 
 
 def _interface_model(natural_modes: Modes, what: str) -> InterfaceModel:
-    model = natural_modes.model if isinstance(natural_modes, Modes) else natural_modes
-    if not isinstance(model, InterfaceModel):
+    if not (isinstance(natural_modes, Modes) and isinstance(natural_modes.model, InterfaceModel)):
         raise InputError(f"{what}: give the result of modes for an interface model (structure.interface)")
-    return model
+    return natural_modes.model
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +111,7 @@ class FrequencyEstimate:
 
     Attributes:
         omega: (n,) frequencies of the interface model, rad per time.
-        better: (n,) estimates of the n lowest frequencies with meshed layers, from Rayleigh quotients, and upper bounds.
+        better: (n,) estimates of the n lowest frequencies with meshed layers: Ritz values, so that they are upper bounds.
         lower, upper: (n,) bounds of intervals. Each contains a frequency with meshed layers; it is not proved that there
             are no others. They are 0 and infinity where rounding is too large.
     """
@@ -131,12 +130,12 @@ class FrequencyEstimate:
 class FrequencyIteration(GlobalLocal):
     """Iteration from modes of an interface model to those of the structure with meshed layers.
 
-    Displacements are pairs of arrays, of m displacements of this rank and of n unknowns of the layers.
+    Displacements are pairs of arrays: m values in the bodies, on this rank, and n_layers unknowns of the layers.
 
     Args:
         adjoint: an interface model, linearised at rest.
-        layers: the meshed layers.
-        inertia: the mass.
+        layers: the layers, meshed by themselves.
+        inertia: the mass of bodies and layers.
     """
 
     def __init__(self, adjoint: Adjoint, layers: LayerSubproblem, inertia: Inertia) -> None:
@@ -146,11 +145,11 @@ class FrequencyIteration(GlobalLocal):
         self._M_l.resize(layers.K.shape)  # pressures have no mass
 
     def layer_displacements(self, u: Array, load: Array) -> Array:
-        """Return the layers' unknowns (n,) for displacements `u` (m,) of the bodies and forces `load` (n,) on layers."""
+        """Return the layers' unknowns (n_layers,) for displacements `u` (m,) and forces `load` (n_layers,) on layers."""
         return self.layers.dirichlet_displacements(self.layers.to_layers(u), load, np.zeros_like(load))
 
     def ritz(self, displacements: Sequence[tuple[Array, Array]], n: int) -> tuple[Array, Array, Array]:
-        """Return the n least Ritz values, and the Ritz vectors (m, n) and (n_layers, n).
+        """Return the n least Ritz values (n,) of omega^2, and their Ritz vectors (m, n) and (n_layers, n).
 
         Args:
             displacements: arrays (m, k) and (n_layers, k) of k displacements each, which span the space.
@@ -170,9 +169,13 @@ class FrequencyIteration(GlobalLocal):
         return np.asarray(self.model.comm.bcast((gram + gram.T) / 2), float)
 
     def corrections(self, values: Array, U: Array, W: Array) -> tuple[Array, Array, Array]:
-        """Return displacements (m, k), (n, k) that residuals of Ritz vectors cause, and bounds (k,) of residuals' norms.
+        """Return displacements (m, k), (n_layers, k) that residuals of k Ritz vectors cause, and bounds of their norms.
 
-        The norms are squares of r.K^-1 r for the residuals r; infinite where rounding is too large.
+        The bounds (k,) are those of the squared norms r.K^-1 r of the residuals r; infinite where rounding is too large.
+
+        Args:
+            values: (k,) Ritz values.
+            U, W: (m, k) and (n_layers, k) Ritz vectors.
         """
         R = multiply(self._K_b, U) - multiply(self._M_b, U) * values
         R_layers = self.layers.K @ W - (self._M_l @ W) * values
@@ -199,7 +202,8 @@ def estimate_frequencies(natural_modes: Modes, *, seam: str = S, width: float = 
     Args:
         natural_modes: the lowest modes of an interface model.
         seam: name of the seam whose layer is meshed; all other seams keep their laws. "S": all seams.
-        width: the iteration ends when all intervals are at most so wide, over the estimated change, or after five steps.
+        width: the iteration ends when each interval is at most this wide, over the estimated change of its frequency,
+            or after five steps.
 
     Raises:
         InputError: a model as `estimate` refuses it; rigid motions; modes that are not the lowest ones.

@@ -1,9 +1,9 @@
-"""Cells that reach a wished tolerance: goals of the continuum are bounded, and the cells that cause the width divided.
+"""Adaptive meshes for bounds of goals in the continuum: cells that widen the bounds are divided up to a tolerance.
 
-The interval of a goal is the sum of parts, its indicators (attribute `by_cell` of `ContinuumBounds`). What is refined
-is a cell of the bodies; a facet of S, with the cells above it that are wider than high; a row of the layer's cells, for
-those that are higher than wide; or the iteration that leads from the interface law to the meshed layer. The largest
-parts with half of the sum are taken (Doerfler 1996).
+The width of a goal's interval is the sum of indicators (attribute `by_cell` of `ContinuumBounds`). What is refined is a
+cell of the bodies; a facet of S, with the layer's cells above it that are wider than high; a row of the layer's cells,
+for those that are higher than wide; or the iteration that leads from the interface law to the meshed layer. The largest
+indicators with half of the sum are marked (Doerfler 1996).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from thinlayer.system.progress import report
 from thinlayer.system.table import Table
 from thinlayer.system.units import percent
 
-MARKED_SHARE = 0.5  # share of the interval whose causes are refined at once
+MARKED_SHARE = 0.5  # share of the interval's width whose causes are refined at once
 WIDTH_REDUCTION = 0.1  # factor of the estimate's `width` if the interface law causes a large part of the interval
 MIN_WIDTH = 1e-6  # least `width`, at which steps from the interface law have only rounding errors
 MAX_MESHES = 60  # largest number of meshes
@@ -45,7 +45,14 @@ Heights = dict[str, FloatArray]  # name of a seam -> heights between which the r
 
 
 class Causes(NamedTuple):
-    """What is refined: numbers of bodies' cells and of facets of S, masks of rows by seams, whether steps from the law."""
+    """Causes of the width of an interval that are refined at once.
+
+    Attributes:
+        cells: numbers of cells of the bodies.
+        facets: numbers of facets of S.
+        rows: name of a seam -> mask (n_rows,) of the rows of its layer.
+        law: whether the estimate makes more steps from the interface law to the meshed layer.
+    """
 
     cells: IntArray
     facets: IntArray
@@ -72,7 +79,15 @@ class Indicators:
 
     @classmethod
     def of(cls, parts: Array, law: float, joint: Joint, layers: LayerModel, heights: Heights) -> Indicators:
-        """Return the indicators from parts (nc,) of all cells, of which `law`, in the layers, is the interface law's."""
+        """Return the indicators of an interval.
+
+        Args:
+            parts: (nc,) parts of the width from the cells of bodies and layers.
+            law: part of the interface law, which `parts` of the layers' cells contain.
+            joint: the joint without meshed layers.
+            layers: model of the meshed layers.
+            heights: heights of the rows of each layer.
+        """
         inflated, d, n_bodies = layers.inflated_joint, joint.dim, len(joint.cells)
         x, vertices = inflated.points[inflated.corners[n_bodies:]], joint.points[joint.surface[:, : joint.dim]]
         volumes = np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) / math.factorial(d)
@@ -93,7 +108,7 @@ class Indicators:
         return cls(parts[:n_bodies], facet_parts, row_parts, law)
 
     def marked(self) -> Causes:
-        """Return the causes of half of the interval, the largest parts."""
+        """Return the largest causes, which make up half of the width of the interval."""
         all_parts = np.concatenate([self.bodies, self.facets, *self.rows.values(), [self.law]])
         order = np.argsort(-all_parts, kind="stable")
         sums = np.cumsum(all_parts[order])
@@ -145,7 +160,7 @@ class Refinement:
         return f"Refinement({self})"
 
     def ended(self, tolerance: float, reason: str) -> Refinement:
-        """Return the result of a tolerance that is not reached, for a reason, after a warning."""
+        """Warn that the tolerance is not reached, and return the result with the reason."""
         remedy = "the bounds hold all the same; allow more cells, or a larger tolerance"
         text = f"solve_to: the tolerance {percent(tolerance)} is not reached: {reason}; {remedy}"
         warn("tolerance", text, self.estimate.state.model.comm)
@@ -181,7 +196,7 @@ def solve_to(
         options: {name of a PETSc option without its prefix: value}, as in `solve`.
 
     Returns:
-        Bounds, and the estimate on the last cells. If the tolerance is not reached, a warning and `reason` say why.
+        Bounds, and the estimate on the best cells so far. If the tolerance is not reached, a warning and `reason` say why.
 
     Raises:
         InputError: a structure or goal without bounds for any mesh, or cells that cannot be divided, with a key and a
@@ -251,7 +266,7 @@ def solve_to(
 
 
 def _divided(heights: Heights, rows: Mapping[str, BoolArray], together: bool) -> Heights:
-    """Return the heights with marked rows halved, symmetrically; if layers meet (`together`), in all layers alike."""
+    """Return the heights with marked rows halved, symmetrically about the middle; `together`: in all layers alike."""
     out = {}
     for name, levels in heights.items():
         mask = np.logical_or.reduce([*rows.values()]) if together else rows[name]
