@@ -31,7 +31,7 @@ def mass_matrix(cell_type: str, degree: int) -> FloatArray:
 
 
 def area_vectors(cell_type: str) -> FloatArray:
-    """Return the outward normals (facets, d) of the facets of the reference cell, each as long as the facet's area."""
+    """Return the outward normals (facets, d) of a reference triangle or tetrahedron, each as long as its facet's area."""
     d = 2 if cell_type == "triangle" else 3
     return np.vstack([np.ones(d), -np.eye(d)]) / (d - 1)
 
@@ -39,9 +39,10 @@ def area_vectors(cell_type: str) -> FloatArray:
 class StraightCells:
     """Straight cells of bodies and layers with shape functions of a degree, and the facets between them.
 
-    In d dimensions a cell has n nodes, l vertices, f facets and nv components of stress (Mandel's order); a facet has
-    m nodes. A moment is the integral of a traction times the shape function of a node. It is stored once for each facet,
-    as a load on the first of its cells; the second cell sees it with the opposite sign.
+    In d dimensions a cell has n nodes, l vertices, f facets and nv components of stress (Mandel's order) at k points,
+    see `stress_points`; a facet has m nodes. A moment is the integral of a traction times the shape function of a node.
+    It is stored once for each facet, as a load on the first of its cells; the second cell sees it with the opposite
+    sign.
 
     Attributes:
         d, degree, cell_type: dimension; degree 1 or 2 of displacements; "triangle", "tetrahedron", "quadrilateral".

@@ -17,29 +17,29 @@ from thinlayer.solving.linear_solvers import SubmatrixFactor
 
 DEPENDENCE_SHIFT = 1e-11  # relative increase of the diagonal of changes that may depend on each other
 RANK_TOLERANCE = 1e-9  # singular value of a facet's rigid motions, over the largest, that counts as zero
-GAIN_TOLERANCE = 1e-14  # gain of a step, over the energy, at which steps end
+GAIN_TOLERANCE = 1e-14  # gain of energy by a step, over the energy, below which steps end
 
 
 class _Columns:
     """Columns of a sparse matrix, collected group by group."""
 
     def __init__(self) -> None:
-        self.rows, self.numbers = list[IntArray](), list[IntArray]()
+        self.rows, self.columns = list[IntArray](), list[IntArray]()
         self.values, self.count = list[FloatArray](), 0
 
-    def add(self, rows: IntArray, numbers: IntArray, values: FloatArray) -> None:
-        """Add entries (n,); the columns of one call are numbered from 0 in this call."""
+    def add(self, rows: IntArray, columns: IntArray, values: FloatArray) -> None:
+        """Add entries (n,) of any shape to the group; its columns are numbered from 0."""
         self.rows.append(rows.ravel())
-        self.numbers.append(numbers.ravel() + self.count)
+        self.columns.append(columns.ravel() + self.count)
         self.values.append(np.broadcast_to(values, rows.shape).ravel())
 
     def end_group(self, n: int) -> None:
-        """Begin a new group of columns, after one of `n` columns."""
+        """End a group of `n` columns, and begin the next."""
         self.count += n
 
     def matrix(self, n_rows: int) -> scipy.sparse.csr_matrix:
         """Return the matrix (n_rows, columns) without empty columns."""
-        used, columns = np.unique(np.concatenate(self.numbers), return_inverse=True)
+        used, columns = np.unique(np.concatenate(self.columns), return_inverse=True)
         entries = np.concatenate(self.values), (np.concatenate(self.rows), columns)
         return scipy.sparse.csr_matrix(entries, (n_rows, len(used)))
 
@@ -148,7 +148,7 @@ class TractionImprovement:
     Args:
         stresses: stresses of the cells.
         is_free: (nf, d) mask of the components of tractions that may change.
-        coupled: (nc,) mask of the cells.
+        coupled: (nc,) mask of the cells whose changes the preconditioner inverts together.
     """
 
     def __init__(self, stresses: Stresses, is_free: BoolArray, coupled: BoolArray) -> None:

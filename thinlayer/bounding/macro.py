@@ -30,7 +30,7 @@ class MacroCell:
     Attributes:
         points: (parts, nk, d) nodes of the parts.
         div_points: (parts, ., d) points at which the divergence is prescribed, which has degree k - 1.
-        shape: (parts, nv, nk).
+        shape: (parts, nv, nk), the shape of a stress.
         equations: (rows, parts nv nk) matrix B. Rows are first tractions times area at a lattice of degree k on each
             facet, then the divergence at `div_points`, then jumps of tractions between parts, which are zero.
         to_tractions: (., m) factors of a facet's m moments in its tractions times area, the data of the first rows.

@@ -10,13 +10,13 @@ from thinlayer.bounding.cells import StraightCells, mass_matrix
 from thinlayer.bounding.loops import RANK_TOLERANCE
 from thinlayer.bounding.tractions import CellLoads, mean_moments
 
-NEWTON_STEPS = 6  # for the places of nodes in the reference cell; cells of a mesh are convex, so that it converges fast
+MAX_NEWTON_STEPS = 6  # for coordinates in the reference cell; cells are convex, so that Newton's method converges fast
 PLACE_TOLERANCE = 1e-14  # distance from the places, over the coordinates, that is rounding
-COUNT = 4  # triangles of a quadrilateral
+N_PARTS = 4  # triangles of a quadrilateral
 
 
 class Parts:
-    """Triangles of quadrilaterals, with displacements of degree 2; triangles and tetrahedra are parts of their own.
+    """Triangles into which quadrilaterals are cut, with displacements of degree 2; other cells stay whole.
 
     Displacements of quadrilaterals are interpolated on the parts, where their stresses are polynomials. They stay
     continuous and keep their values on the sides of quadrilaterals. Letters in shapes are those of `StraightCells`.
@@ -35,11 +35,11 @@ class Parts:
         self._whole, self.cells, self.is_free, self.count = cells, cells, is_free, 1
         if not is_tensor(cells.cell_type):
             return
-        self.count, n_cells, n_points = COUNT, len(cells.corners), len(cells.points)
+        self.count, n_cells, n_points = N_PARTS, len(cells.corners), len(cells.points)
         x = cells.points[cells.corners]
         sides, centres = cells.corners[:, local_facets(cells.cell_type)], np.arange(n_cells)[:, None] + n_points
-        corners = np.dstack([sides, np.broadcast_to(centres, (n_cells, COUNT))]).reshape(-1, 3)
-        points, C = np.vstack([cells.points, x.mean(axis=1)]), np.repeat(cells.C, COUNT, axis=0)
+        corners = np.dstack([sides, np.broadcast_to(centres, (n_cells, N_PARTS))]).reshape(-1, 3)
+        points, C = np.vstack([cells.points, x.mean(axis=1)]), np.repeat(cells.C, N_PARTS, axis=0)
         self.cells = parts = StraightCells(points, corners, "triangle", 2, C)
         self.is_free = np.ones((len(parts.facets), cells.d), bool)
         self.is_free[parts.cell_facets[:, 2]] = is_free[cells.cell_facets].reshape(-1, cells.d)
@@ -47,10 +47,10 @@ class Parts:
         vertices = np.array([[*side, len(sides[0])] for side in local_facets(cells.cell_type)])
         reference = np.vstack([lagrange(cells.cell_type, 1).points, np.full((1, cells.d), 0.5)])
         self._vertices = reference[vertices]
-        places = linear @ points[corners].reshape(n_cells, COUNT, 3, cells.d)
+        places = linear @ points[corners].reshape(n_cells, N_PARTS, 3, cells.d)
         X: Array = np.broadcast_to(linear @ self._vertices, places.shape).reshape(-1, cells.d)
-        for _ in range(NEWTON_STEPS):
-            values = lagrange(cells.cell_type, 1).tabulate(1, X)[..., 0].reshape(3, n_cells, -1, COUNT)
+        for _ in range(MAX_NEWTON_STEPS):
+            values = lagrange(cells.cell_type, 1).tabulate(1, X)[..., 0].reshape(3, n_cells, -1, N_PARTS)
             distance = places.reshape(n_cells, -1, cells.d) - values[0] @ x
             if np.abs(distance).max() < PLACE_TOLERANCE * np.abs(x).max():  # at once in parallelograms
                 break
@@ -63,7 +63,7 @@ class Parts:
         return np.asarray(np.repeat(values, self.count, axis=0))
 
     def displacements(self, U: Array) -> Array:
-        """Return the displacements of the nodes of the parts, from those of the cells."""
+        """Return displacements (n_parts, n, d) of the nodes of the parts, from those `U` (nc, n, d) of the cells."""
         if self.count == 1:
             return U
         return np.asarray((self._interpolation @ U).reshape(*self.cells.nodes.shape, U.shape[2]))
@@ -80,7 +80,7 @@ class Parts:
         return self.cells.stress(self.displacements(U)) + rest.reshape(len(self.cells.corners), 3, -1)
 
     def loads(self, loads: CellLoads) -> CellLoads:
-        """Return the loads on the parts."""
+        """Return the loads on the parts, from those on the cells."""
         if self.count == 1:
             return loads
         force, moments = self.displacements(loads.body_force), self._side_moments(loads.moments)
@@ -119,12 +119,12 @@ class Parts:
         on_facets = motions[:, parts.closure] * parts.sign[:, :, None, None, None]
         left = np.einsum("cfmi,cfmir->cr", out[parts.moment_rows], on_facets)
         left += np.einsum("cni,cnir->cr", parts.nodal_loads(loads.body_force), motions)
-        E = np.zeros((len(left) // COUNT, COUNT, 3, COUNT, 3, d))  # resultants of parts by moments between them
-        by_cell, rows = on_facets.reshape(-1, COUNT, *on_facets.shape[1:]), np.empty((len(E), COUNT, 3), np.int64)
+        E = np.zeros((len(left) // N_PARTS, N_PARTS, 3, N_PARTS, 3, d))  # resultants of parts by moments between them
+        by_cell, rows = on_facets.reshape(-1, N_PARTS, *on_facets.shape[1:]), np.empty((len(E), N_PARTS, 3), np.int64)
         for part, ends in enumerate(local_facets(self._whole.cell_type)):
             for facet, corner in zip((1, 0), ends, strict=True):
                 E[:, part, :, corner] += np.moveaxis(by_cell[:, part, facet], 3, 1)
-                rows[:, corner] = parts.moment_rows[part::COUNT, facet]
-        change = -np.linalg.pinv(E.reshape(len(E), COUNT * 3, -1), RANK_TOLERANCE) @ left.reshape(len(E), -1, 1)
+                rows[:, corner] = parts.moment_rows[part::N_PARTS, facet]
+        change = -np.linalg.pinv(E.reshape(len(E), N_PARTS * 3, -1), RANK_TOLERANCE) @ left.reshape(len(E), -1, 1)
         out[rows.ravel()] += change.reshape(-1, d)
         return out

@@ -73,7 +73,8 @@ class Stresses:
         residual = y @ macro.equations.T
         residual[:, : macro.n_data] -= data
         if (left := np.abs(residual).max() / np.abs(data).max(initial=1e-300)) > ROW_TOLERANCE:
-            raise SolveError(f"tractions do not balance each cell: {left:.1e} of them is left")
+            reason = f"tractions do not balance each cell: {left:.1e} of them is left"
+            raise SolveError(reason, advice="use a thicker layer, or less contrast")
         y = y.reshape(seed.shape)
         if macro.null_space.shape[1]:
             N = macro.null_space.reshape(*macro.shape, -1)

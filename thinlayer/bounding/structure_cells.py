@@ -47,7 +47,7 @@ class StructureCells:
         cells: the cells, in the order of the joint with meshed layers.
         is_layer: (nc,) mask of the layers' cells.
         is_free: (nf, d) mask of the components of tractions that are not known: on inner facets, and at supports.
-        has_moving_supports: whether supports prescribe displacements other than zero.
+        has_moving_supports: whether supports prescribe displacements that are not zero.
 
     Args:
         model: the interface model.
@@ -404,7 +404,7 @@ def _check_structure(model: InterfaceModel, layers: LayerSubproblem) -> None:
     if structure.plane == "axisymmetric" or model.n_components != joint.dim:
         raise refusal(
             "kinematics",
-            "bounds are of plane and 3D elasticity",
+            "bounds exist for plane and 3D elasticity alone",
             "ask for `with_finer_ends`, and solve with finer cells",
         )
     elements = ("Q1", "Q2") if joint.cell_type == "quadrilateral" else ("P1", "P2")
