@@ -11,10 +11,10 @@ import ufl
 
 from forms import AnisotropicConduction, Conduction, FluxLaw, Heat
 from geometry import sandwich
+from tests.fourier import K, blocks, compliance
 from tests.on_ranks import on_ranks
 from tests.orders import observed_orders
 from tests.refused import refused
-from tests.test_conduction import K_LOWER, K_UPPER, LOWER, UPPER, _blocks
 from thinlayer import (
     InputError,
     Probe,
@@ -32,12 +32,7 @@ from thinlayer import (
 
 
 def _compliance(across, along, eps, law):
-    """Return the compliance under the flux cos(K x), K = pi, by the transfer of (T, q) through both blocks and layer."""
-    K = math.pi
-
-    def block(k, H):
-        return np.array([[math.cosh(K * H), math.sinh(K * H) / (k * K)], [k * K * math.sinh(K * H), math.cosh(K * H)]])
-
+    """Return the compliance of two blocks and a layer under the flux cos(K x)."""
     h, G = across / eps, eps * along * K**2
     y = G / h  # (kappa eps)^2 k_T/k_n
     mean, jump = {
@@ -46,9 +41,7 @@ def _compliance(across, along, eps, law):
         "order 2": ((1 + y / 60) / (1 + y / 10), 1 + y / 12),
     }[law]
     G, h = G * mean, h * jump
-    layer = np.linalg.solve([[-G / 2, 1.0], [h, -0.5]], [[G / 2, 1.0], [h, 0.5]])
-    transfer = block(K_UPPER, UPPER) @ layer @ block(K_LOWER, LOWER)
-    return transfer[0, 1] / transfer[1, 1] / 2
+    return compliance(np.linalg.solve([[-G / 2, 1.0], [h, -0.5]], [[G / 2, 1.0], [h, 0.5]]))
 
 
 @pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of a short length of variation
@@ -58,7 +51,7 @@ def test_a_foil_converges_to_its_closed_form():
     closed = {law: _compliance(across, along, eps, law) for law in ("exact", "order 1", "order 2")}
     foil, errors = ThinLayer(AnisotropicConduction.layered(along, across), eps, order=2), []
     for h in sizes:
-        state = solve(_blocks(h).interface(foil))
+        state = solve(blocks(h).interface(foil))
         errors.append(abs(state.load_work() - closed["order 2"]))
     assert observed_orders(sizes, errors)[-1] > 3.8
     assert errors[-1] < 0.05 * abs(closed["order 1"] - closed["exact"])
