@@ -49,7 +49,7 @@ class FluxStep(Step):
 
 
 def _in_ufl(value: Any, power: float) -> Expr:
-    """Return a parameter, a number or array, as UFL, since UFL cannot multiply numpy's numbers; `power` is not used."""
+    """Return a parameter, a number or array, as UFL, which cannot multiply numpy's; `power` is not used."""
     return ufl.as_tensor(value) if np.ndim(value) else ufl.as_ufl(value)
 
 
@@ -63,8 +63,8 @@ class FluxLaw(BulkLaw):
     A subclass with internal variables also defines `evolve(step)`. If the flux depends on the value T, or the sink on
     the gradient, the tangent is not symmetric: it declares `symmetric = False`.
 
-    The derivative of a potential by g_end is the flux, that by T_end the sink. If a law without `rate` defines
-    `potential(step)`, results have its integral as an energy.
+    If a law defines `potential(step)`, results have its integral as an energy. The derivative of the potential by g_end
+    is the flux, that by T_end the sink; a law with `rate` or internal variables returns the rest by `loss(step)`.
     """
 
     unknown = "scalar field"

@@ -46,7 +46,7 @@ class LoadRegion:
         base_argument: function from a displacement of the bodies, in UFL, to what the rigid base adds to this mean if
             it moves with them. None: there is no rigid base.
         jump: for a layer without cells, function from a displacement, in UFL, to its jump; None: other regions.
-        bubble_factor: value with which the layer's own unknown at order 2 does work, over the mean through the layer.
+        bubble_factor: value with which the amplitude of the bubble at order 2 does work, over the mean through the layer.
     """
 
     measure: ufl.Measure
@@ -239,7 +239,7 @@ class Forces:
         return forms
 
     def work_on_bubble(self, name: str, b: Expr) -> Expr:
-        """Return the virtual work of a layer's loads in its own unknown `b` at order 2, a UFL form linear in b."""
+        """Return the virtual work of a layer's loads in the bubble amplitude `b` of order 2, a UFL form linear in b."""
         loads = [(load, region) for _, load, region, seam in self._loads if seam == name]
         terms = (ufl.inner(load, r.bubble_factor * r.value_in_region(b)) * r.measure for load, r in loads)
         return sum(terms, ufl.Form([]))

@@ -39,7 +39,7 @@ class Key:
 
     @property
     def bubble_key(self) -> Key:
-        """Key of the layer's own unknown at order 2, made from the key of the layer's law."""
+        """Key of the bubble amplitude of a layer of order 2, made from the key of the layer's law."""
         return replace(self, kind=BUBBLE_KIND)
 
     def numbered(self, k: int) -> Key:

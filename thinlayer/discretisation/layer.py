@@ -347,7 +347,7 @@ class SeamLayer:
 
     @property
     def bubble_key(self) -> str:
-        """Key of the layer's own unknown in states, if its interface law is of order 2."""
+        """Key of the bubble amplitude in states, if the interface law is of order 2."""
         return str(Key.parse(self.key).bubble_key)
 
     @property

@@ -1,4 +1,4 @@
-"""Own unknown of a layer of order 2: the amplitude on S of a bubble through the thickness, zero on both faces."""
+"""Unknown on S of a layer of order 2: the amplitude of a bubble through the thickness, zero on both faces."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from thinlayer.system.ranks import destroy
 
 
 class BubblePart(FieldPart):
-    """Mean value of a scalar field through a layer, minus the mean of its faces, as unknowns b at nodes of S.
+    """Unknowns b at nodes of S: the mean of a scalar field through a layer, minus the mean of its faces.
 
     The field is <T> + z [T] + 6 (1/4 - z^2) b at the height z, from -1/2 to 1/2 of the thickness. The equation of b is
     the balance of fluxes, sinks and sources in the layer, for virtual fields of the same shape. The nodes are those of
@@ -34,13 +34,14 @@ class BubblePart(FieldPart):
         layer: the layer, of order 2.
 
     Attributes:
-        laws: the layer's law at the heights at which it is evaluated.
+        laws: the layer's law at each of the heights at which it is evaluated.
+        seam: name of the layer's seam.
     """
 
     on_S = True
 
     def __init__(self, model: InterfaceModel, layer: SeamLayer) -> None:
-        self.key, self._model, self._name = layer.bubble_key, model, layer.name
+        self.key, self.seam, self._model = layer.bubble_key, layer.name, model
         space, self._rows, self._cells, self._nodes, is_held = _nodes_on_upper_side(model, layer)
         self.field, self.laws = fem.Function(space), list[EnrichedPart]()
         dofs = np.asarray(space.dofmap.list)[self._cells[:, None], self._nodes]
@@ -85,13 +86,13 @@ class BubblePart(FieldPart):
 
 
 class EnrichedPart(CompiledPart):
-    """A layer's law of order 2 at one height: a compiled law whose strain also has a part of the layer's own unknown.
+    """A layer's law of order 2 at one height: a compiled law whose strain also depends on the bubble's amplitude.
 
     Args:
         key: name of the part in states and files.
         model: the model.
         term: virtual work of the law.
-        bubble: the layer's own unknown.
+        bubble: the amplitude of the bubble.
     """
 
     def __init__(self, key: str, model: InterfaceModel, term: Term, bubble: BubblePart) -> None:
@@ -110,7 +111,7 @@ class EnrichedPart(CompiledPart):
         return np.asarray(super()._strain(u) + self._e_b.array_r.reshape(self.points.count, -1))
 
     def bubble_forces(self) -> Array:
-        """Return the forces on the layer's own unknowns on this rank, for the last call of `evaluate`."""
+        """Return the forces (n_b,) on the n_b amplitudes of this rank, for the last call of `evaluate`."""
         self._e_b.array[:] = (self._response.stress * self.points.weights[:, None]).ravel()
         self._B.multTranspose(self._e_b, self._own_forces)
         return np.asarray(self._own_forces.array_r.copy())
@@ -127,7 +128,7 @@ class EnrichedPart(CompiledPart):
 
     def pullback(self, weights: Array, z: fem.Function) -> tuple[PETSc.Vec, Array]:
         remedy = "use order=1, or the layer's mesh (structure.full)"
-        raise InputError(f"derivative: a march with the layer {self._bubble.key!r} of order 2 has none yet; {remedy}")
+        raise InputError(f"derivative: a march with a layer on {self._bubble.seam!r} of order 2 has none; {remedy}")
 
     def destroy(self) -> None:
         super().destroy()
@@ -137,7 +138,7 @@ class EnrichedPart(CompiledPart):
 def _nodes_on_upper_side(
     model: InterfaceModel, layer: SeamLayer
 ) -> tuple[fem.FunctionSpace, IntArray, IntArray, IntArray, BoolArray]:
-    """Return a space with the element of the unknown, which has dofs at nodes on the upper side of a seam. Collective.
+    """Return a space of the model's element with dofs at nodes on the upper side of a seam alone. Collective.
 
     All other nodes share one dof, without effect on S.
 

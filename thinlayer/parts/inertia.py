@@ -67,7 +67,7 @@ class Inertia(PartDefinition):
 
     def check(self, model: HostModel) -> None:
         if model.strain or model.stress:
-            raise InputError("Inertia in a periodic cell under a mean strain or stress: its inertia is not known")
+            raise InputError("Inertia in a periodic cell under a mean strain or stress is not known; leave it out")
         names = (*model.body_laws, *model.layers)
         for name in (*names, *self.density):
             require_known("body or layer", name, names, "the densities of Inertia")

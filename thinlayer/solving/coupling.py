@@ -1,4 +1,4 @@
-"""The function `coupled`, which solves two models in turn, each with results of the other, until they agree."""
+"""Two models, each with results of the other, are solved in turn until they agree."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy.typing as npt
 from forms.base import Array, InputError, require
 from thinlayer.errors import SolveError
 
-MAX_UNSTABLE = 5  # number of successive iterates with s > 1 after which the equilibrium counts as unstable
-MIN_INDEPENDENT = 0.05  # least part of a change, over its norm, that newer changes do not span, for it to be used
+MAX_UNSTABLE_STEPS = 5  # number of successive steps with s > 1 after which the equilibrium counts as unstable
+MIN_INDEPENDENT_SHARE = 0.05  # least part of a change that newer ones do not span, over its norm, for it to be used
 
 
 class Coupled(NamedTuple):
@@ -24,7 +24,7 @@ class Coupled(NamedTuple):
         value: the exchanged values, which both solutions have in common.
         s: measured derivative d(out)/d(in) of the values that come out of a step by those that go in; of several values
             its eigenvalue with the largest modulus. NaN: a single solution of each model was sufficient.
-        steps: number of solutions of both models.
+        steps: number of steps, each with one solution of both models.
     """
 
     first: Any
@@ -103,10 +103,9 @@ def coupled(
         s = float(max(slopes.real, key=lambda slope: math.inf if slope > 1 else abs(slope), default=s))
         unstable = unstable + 1 if s > 1 else 0
         agree = np.linalg.norm(values - inputs[-1]) <= rtol * np.linalg.norm(values)
-        if unstable > MAX_UNSTABLE or (agree and unstable):
-            raise SolveError(
-                f"coupled: s = {s:.3g} > 1 after {step} steps: the values run away from an unstable equilibrium"
-            )
+        if unstable > MAX_UNSTABLE_STEPS or (agree and unstable):
+            reason = f"coupled: s = {s:.3g} > 1 after {step} steps: the values run away from an unstable equilibrium"
+            raise SolveError(reason, advice="begin near a stable one, if there is one")
         if agree:
             return Coupled(solution, other, out, s, step)
         if unstable:  # away from this equilibrium, to another one
@@ -138,7 +137,7 @@ def _next_values(inputs: list[Array], outputs: list[Array]) -> tuple[Array, Arra
     for x, y in zip(inputs[-2::-1], outputs[-2::-1], strict=True):  # newest first: they tell best how it is now
         dx, dy = x - inputs[-1], y - outputs[-1]
         rest = dx - basis @ (basis.T @ dx)
-        if np.linalg.norm(rest) > MIN_INDEPENDENT * np.linalg.norm(dx):
+        if np.linalg.norm(rest) > MIN_INDEPENDENT_SHARE * np.linalg.norm(dx):
             basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
             columns.append((dx, dy))
     change = outputs[-1] - inputs[-1]

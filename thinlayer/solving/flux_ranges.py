@@ -33,9 +33,9 @@ class Conductivities(NamedTuple):
     """Conductivities of a layer, through all its sublayers.
 
     Attributes:
-        along: largest conductivity along S, the mean through the thickness.
-        across: conductivity across S, the harmonic mean.
-        capacity: capacity per volume, the mean; 0 without `Heat`.
+        along: conductivity along S: mean through the thickness, of the largest for all directions along S.
+        across: conductivity across S: harmonic mean through the thickness.
+        capacity: capacity per volume: mean through the thickness; 0 without `Heat`.
     """
 
     along: float
@@ -44,7 +44,7 @@ class Conductivities(NamedTuple):
 
     @classmethod
     def of(cls, layer: SeamLayer, state: State | None = None) -> Conductivities | None:
-        """Return those of a layer with a thickness; None if its tangent is unknown or not positive.
+        """Return the conductivities of a layer; None if it has no thickness, or its tangent is unknown or not positive.
 
         The tangent is that at rest, or else that at the mean value of the field in `state`. Where parameters vary in
         space, conductivities and capacity are those that make errors largest.

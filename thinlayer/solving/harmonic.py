@@ -96,8 +96,10 @@ def harmonic(
         check_phases(model, {name: w * times[name] * np.ones(1) for name in times})
         parts = _amplitudes(pencil, w, lossy)
         values = np.array([[observe[name](state) for name in names] for state in parts])
-        if not np.allclose(values[2], values[0] + values[1], rtol=0.0, atol=LINEARITY_TOLERANCE * abs(values).max()):
-            raise InputError("observe: a value is not linear in the displacements, which complex amplitudes need")
+        deviations = abs(values[2] - values[0] - values[1])
+        if not deviations.max(initial=0.0) <= LINEARITY_TOLERANCE * abs(values).max(initial=0.0):
+            reason = f"observe: {names[int(deviations.argmax())]!r} is not linear in the displacements"
+            raise InputError(f"{reason}, which complex amplitudes need; give a displacement, stress or force")
         rows.append(values[0] + 1j * values[1])
     return HarmonicResponse(omega, dict(zip(names, np.transpose(rows), strict=True)))
 
@@ -111,7 +113,8 @@ def _elastic(layer: ThinLayer, omega: float, kind: str) -> ThinLayer:
     """Return a viscous layer with elastic moduli: storage moduli or, for the `kind` "sum", storage plus loss moduli."""
     assert isinstance(layer.law, KelvinVoigt | Maxwell)
     if layer.law.fields:
-        raise InputError(f"harmonic: {type(layer.law).__name__} has parameters that vary with the place")
+        reason = f"harmonic: {type(layer.law).__name__} has parameters that vary with the place"
+        raise InputError(f"{reason}; give numbers, or a seam for each stretch of the layer")
     moduli = layer.law.complex_moduli(omega)
     return replace(layer, law=LinearElastic(*(m.real + (m.imag if kind == "sum" else 0.0) for m in moduli)))
 

@@ -48,7 +48,7 @@ MAX_LEVER = 0.02  # size of eps d<u_N>/ds, over that of [u], that order 0 may ne
 
 
 class Pencil:
-    """Stiffness and mass matrix, a matrix pencil, of a linear model, with and without unknowns at supports. Collective.
+    """Stiffness and mass matrix of a linear model: a matrix pencil, with and without unknowns at supports. Collective.
 
     Attributes:
         model, equations: the model and its equations, in a step without duration from rest.
@@ -73,7 +73,8 @@ class Pencil:
                 )
                 raise InputError(f"{text}; take LinearElastic with its moduli for small vibrations, and loss factors")
         if not (model.linear and model.symmetric):
-            raise InputError("vibrations: contact, or a part that is not linear and symmetric; leave it out")
+            text = "vibrations: the model has contact, or a part that is not linear and symmetric"
+            raise InputError(f"{text}; leave it out")
         warn_of_model(model)
         equations = self.equations
         equations.begin(TimeStep(equations.rest_state(0.0), 0.0, 0.0, 1.0))
@@ -102,7 +103,7 @@ class Pencil:
         return self.equations.on_unknowns(assemble_plain_matrix(form))
 
     def state(self, x: Array, omega: float) -> State:
-        """Return the state with values `x` (n,) of the free unknowns, at the largest displacement of a vibration."""
+        """Return the state of largest displacement in a vibration, from values `x` (n,) of the free unknowns."""
         self._x.set(0.0)
         self._x.array[self.free_dofs] = x
         return self.state_of(self._x, omega)
@@ -126,7 +127,8 @@ def _terms_of(model: Model, name: str) -> list[Term]:
         term = next(p for p in model.bodies if tag in np.atleast_1d(p.measure.subdomain_id()))
         terms = [replace(term, measure=term.measure.reconstruct(subdomain_id=tag))]
     if any(p.law.traits.compiled or p.law.traits.constrained for p in terms):
-        raise InputError(f"the stiffness of {name!r} alone: its law is incompressible, or varies with the place")
+        reason = f"the stiffness of {name!r} alone is not known, as its law is incompressible, or varies with the place"
+        raise InputError(f"{reason}; take LinearElastic with numbers, or no loss factor there")
     return [replace(p, prescribed_strain=None) for p in terms]
 
 
@@ -343,7 +345,7 @@ def _nearest_pairs(model: Model, K: PETSc.Mat, M: PETSc.Mat, n: int, shift: floa
             return _nearest_pairs(model, K, M, n, -float(elastic.min()) / 10)
         block = image
     if Q.shape[1] < n:
-        raise InputError(f"n is {n}; the model has {Q.shape[1]} modes")
+        raise InputError(f"n is {n}, and the model has {Q.shape[1]} modes; ask for fewer")
     raise SolveError(f"the {n} modes have not converged with {Q.shape[1]} vectors", advice="ask for fewer modes")
 
 
