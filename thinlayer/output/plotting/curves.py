@@ -260,7 +260,8 @@ def response(
         The new picture; None if `ax` is given.
 
     Raises:
-        InputError: not a response; a response has no such quantity; `ax` is not two axes.
+        InputError: not a response; a response has no such quantity; resonances of none of the responses; `ax` is not
+            two axes.
 
     Example:
         >>> import numpy as np
@@ -278,6 +279,8 @@ def response(
     """
     by_label = entry_by_label("response", "responses", responses, HarmonicResponse, "give what harmonic returns")
     marks = resonances if isinstance(resonances, Mapping) else dict.fromkeys(by_label, resonances)
+    for label in marks:
+        require_known("response", label, by_label, "resonances")
     amplitudes, phases = dict[str, tuple[Array, Array]](), dict[str, tuple[Array, Array]]()
     for label, answer in by_label.items():
         require_known("observed quantity", quantity, answer.values)
