@@ -30,7 +30,14 @@ from thinlayer.solving.history import History
 
 @dataclass(frozen=True)
 class Curing(FluxLaw):
-    """Heat in a resin with dX/dt = A exp(-theta/T) (1 - X), which sets free the heat H dX/dt; T in kelvin."""
+    """Heat in a resin with dX/dt = A exp(-theta/T) (1 - X), which sets free the heat H dX/dt; T in kelvin.
+
+    Attributes:
+        k: conductivity.
+        c, H: capacity, and heat of the whole reaction, per volume.
+        A: rate of the reaction at infinite temperature, 1/time.
+        theta: activation energy over the gas constant, kelvin.
+    """
 
     k: float
     c: float
@@ -57,12 +64,18 @@ class Curing(FluxLaw):
 
 @dataclass(frozen=True)
 class Gelling(BulkLaw):
-    """Resin whose stress grows with the strain from the gel point on, with a stiffness proportional to X - gel."""
+    """Resin whose stress grows with the strain from the gel point on, with a stiffness proportional to X - gel.
+
+    Attributes:
+        lmbda, mu: Lame's moduli, a stress, of resin that has cured (X = 1).
+        gel: degree of cure at the gel point.
+        X: degree of cure, a function of n places (d, n) and a time.
+    """
 
     lmbda: float
     mu: float
     gel: float
-    X: Callable[[Array, float], Array]  # cure at n places (d, n) and a time
+    X: Callable[[Array, float], Array]
     varies = True
     functions: ClassVar = ("X",)
     internal: ClassVar = {"sigma": (3, 3), "X_old": ()}
@@ -80,6 +93,7 @@ class Gelling(BulkLaw):
         return {"X": self.X(x, t)}
 
     def _stress(self, step: Step, e: Expr) -> Expr:
+        # before the gel point a small stiffness is left, so that the layer's tangent is not singular
         share = ufl.max_value((self.X + step.q["X_old"]) / 2 - self.gel, 1e-4) / (1 - self.gel)
         return step.q["sigma"] + share * lame_stress(self.lmbda, self.mu, e - step.e_old)
 

@@ -71,7 +71,7 @@ def half_plates(kind: str, rho: float) -> Model:
 
 
 def quantities(model: Model) -> dict[str, Callable[[State], float]]:
-    """Return what to observe: force of the pad and shear force of the glue, N/mm, kinetic and all energy, N."""
+    """Return functions to observe: force of the pad and shear force of the glue, N/mm; kinetic and total energy, N."""
     surface = Surface(model)
 
     def shear(state: State) -> float:

@@ -1,4 +1,4 @@
-"""The whole error of a layer's law and of all cells: intervals on given, uniform and adapted cells, against overkill.
+"""The whole error of a layer's law and of all cells: intervals on given, uniform and adapted cells.
 
 Four structures are solved by interface laws: a lap joint, a rubber bearing, a panel of masonry and an arch. Bounds of
 the compliance of the continuum hold for any mesh; cells are refined where they are wide, or everywhere.
@@ -85,8 +85,8 @@ def run(record: Record, *, quick: bool = False) -> None:
     """Bound compliances on given cells, on uniformly refined ones, and on cells adapted to 1 % of the change.
 
     The change is that of the compliance from the interface law on the given cells to the continuum. table.csv has a row
-    for each mesh, and asked.csv the first adapted mesh for each tolerance. The overkill is a full model of the last
-    adapted cells, all of them halved.
+    for each mesh, and asked.csv the first adapted mesh for each tolerance. A full model of the last adapted cells, all of
+    them halved, is the overkill that checks the intervals.
 
     Args:
         record: record of the run, with its folder, tables and checks.

@@ -97,7 +97,7 @@ def warn_of_insulated_sides(model: Model) -> None:
 
 
 def warn_of_fluxes(states: Sequence[State]) -> None:
-    """Warn, once for all states, if a law errs much in how values vary along S. Collective.
+    """Warn, once for all states, if values vary so along S that an interface law has large errors. Collective.
 
     A law of order 0 leaves out the flux along S. One of order 1 takes the field as linear through the layer: along S its
     flux is 1 + (delta/L)^2 times too large, with delta = eps sqrt(k_T/(12 k_n)) and the length L over which the mean
