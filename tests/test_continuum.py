@@ -318,7 +318,7 @@ def test_parts_of_the_norm_add_up():
     """Before tractions are improved, squared norms of meshes and of the law's steps add up."""
     result = blocks(1 / 16, 8)
     continuum = Continuum(result.better.model, result._subproblem, 0.0, steps=0)
-    iteration = continuum.field(result._iterate, continuum.structure.loads)
+    iteration = continuum.constitutive_error(result._iterate, continuum.structure.loads)
     stresses, layers, iterate = continuum._stresses, result._subproblem, result._iterate
     r = iterate.F - layers.dirichlet_reactions(iterate.face_u, iterate.load, iterate.side_u)
     moved = layers.neumann_displacements(layers.free_face_values(r))
@@ -349,7 +349,8 @@ def test_forces_with_a_resultant_on_the_layer_are_not_in_balance():
     continuum, iterate = Continuum(result.better.model, result._subproblem, 0.0), result._iterate
     motion = result._subproblem.free_face_values(result._subproblem.R[:, 0])
     off = iterate._replace(F=iterate.F + 1e-3 * np.abs(iterate.F).max() * motion / np.abs(motion).max())
-    assert refused(InputError, "not in balance", continuum.field, off, continuum.structure.loads).key == "balance"
+    loads = continuum.structure.loads
+    assert refused(InputError, "not in balance", continuum.constitutive_error, off, loads).key == "balance"
 
 
 def test_half_the_interval_misses():

@@ -185,6 +185,7 @@ class TractionImprovement:
         return np.asarray(self._T.T @ forces)
 
     def _precondition(self, r: Array) -> Array:
+        """Return the preconditioned residual: `r` over the diagonal, or solved with the factor of coupled changes."""
         z = r / self._diagonal
         if self._in_block.any():
             block = np.zeros(int(self._in_block.sum()))

@@ -92,6 +92,7 @@ class MacroCell:
         return rows.reshape(-1, np.prod(self.shape))
 
     def _divergence_rows(self, part: int) -> Array:
+        """Return rows (k d, parts nv nk) of the divergence on a part at its k `div_points`."""
         points, inverse = self._reference_points(part, self.div_points[part])
         gradients = np.einsum("kqn,kj->qnj", self._element.tabulate(1, points)[1:, :, :, 0], inverse)
         rows = np.zeros((len(points), len(inverse), *self.shape))

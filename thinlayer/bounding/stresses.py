@@ -46,10 +46,12 @@ class Stresses:
 
     @cached_property
     def _null_energy_inverse(self) -> Array:
+        """(nc, i, i) inverses of the energy of each cell's i stresses in `MacroCell.null_space`."""
         N = self.macro.null_space
         return np.asarray(np.linalg.inv(self._energies(self.macro.energy_tensor(N, N), N.shape[1], N.shape[1])))
 
     def _energies(self, tensor: Array, *shape: int) -> Array:
+        """Return the energies (nc, *shape) of each cell, from an energy tensor of the reference cell."""
         return (self._metric.reshape(len(self._metric), -1) @ tensor).reshape(-1, *shape)
 
     def in_equilibrium(self, moments: Array, f: Array, seed: Array) -> Array:

@@ -168,7 +168,8 @@ class StructureCells:
         The loads contain the tractions K [u]/eps on S: polynomials of the degree of the bodies' displacements `u`.
 
         Raises:
-            InputError: the laws are not of order 0, the layers have loads, or supports move.
+            InputError: the laws are not of order 0, the thickness varies, bodies are extended, the layers have loads,
+                supports move, or there are eigenstrains.
         """
         model, cells, n, d = self._model, self.cells, len(self._model.joint.cells), self.cells.d
         joint, kinematics, loads = model.domain.joint, model.structure.kinematics, self.loads
@@ -210,6 +211,7 @@ class StructureCells:
         return np.asarray(self.cells.cell_facets[table.cells[rows, 0] + first_cell, table.local[rows, 0]])
 
     def _add_supports(self, model: Model, first_cell: int) -> None:
+        """Mark in `is_free` what the supports of a model hold; its cells begin at `first_cell`."""
         supports = model.supports
         self.has_moving_supports |= any(np.any(value.components) for value in supports.values.values())
         for entry, (place, components) in enumerate(supports.entries):
@@ -372,6 +374,7 @@ class _Density:
 
 
 def _require_degree(values: Array, polynomial: Array, degree: int, where: str) -> None:
+    """Raise InputError if values differ from those of a polynomial of a degree; `where` is "volume" or "area"."""
     if np.abs(values - polynomial).max(initial=0.0) > SHAPE_TOLERANCE * np.abs(values).max(initial=0.0):
         reason = f"a load or goal per {where} is no polynomial of degree {degree} in each cell"
         raise refusal("density", reason, "give one that is, or constants")

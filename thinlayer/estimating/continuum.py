@@ -145,7 +145,7 @@ class Continuum:
         coupled = np.ones_like(is_layer) if d == 2 and len(is_layer) <= MAX_FACTORED_CELLS else is_layer
         return TractionImprovement(self._stresses, parts.is_free, coupled)
 
-    def field(self, iterate: BodyEquilibrium, loads: CellLoads) -> _ConstitutiveError:
+    def constitutive_error(self, iterate: BodyEquilibrium, loads: CellLoads) -> _ConstitutiveError:
         """Return the error between displacements that fit the supports and a stress in equilibrium with the loads.
 
         Args:
@@ -196,7 +196,7 @@ class Continuum:
         `state` is a state of the interface model.
 
         Raises:
-            InputError: the laws are not of order 0, the layers have loads, supports move, or nodes are not in balance.
+            InputError: as `StructureCells.with_law`, or forces on nodes are not in balance.
         """
         cells, U, loads = self.structure.with_law(state.u.x.array)
         parts, stress = Parts(cells, loads.is_free), cells.stress(U)
@@ -217,8 +217,8 @@ class Continuum:
         Args:
             value: the goal with the interface laws.
             at_rest: the goal at zero displacements.
-            a: field of the loads.
-            z: field of the goal's weights.
+            a: constitutive error of the iterate, under the loads.
+            z: constitutive error of the adjoint solution, under the goal's weights.
         """
         stresses, cells = self._stresses, self._stresses.cells
         g, g_z = (math.sqrt(part.squares.sum()) for part in (a, z))
@@ -240,6 +240,7 @@ class Continuum:
 
 
 def _require_balance(imbalance: float, remedy: str) -> None:
+    """Raise InputError if forces on nodes of cells are not in balance up to rounding, so that bounds would not hold."""
     if not imbalance <= MAX_IMBALANCE:
         reason = f"forces on nodes of cells are not in balance: {imbalance:.1g} of them is left"
         raise refusal("balance", f"{reason}, allowed: {MAX_IMBALANCE:g}", remedy)
@@ -268,11 +269,11 @@ def continuum_bounds(
         adjoint_solutions: name of a goal -> its adjoint solution.
     """
     weights = {name: continuum.loads_of(goal) for name, goal in goals.items()}
-    primal, bounds = continuum.field(iterate, continuum.structure.loads), {}
+    primal, bounds = continuum.constitutive_error(iterate, continuum.structure.loads), {}
     for name, goal in goals.items():
         z = adjoint_solutions[name]
         is_primal = isinstance(goal, Compliance) and iterate.is_near(z)
-        dual = primal if is_primal else continuum.field(z, weights[name])
+        dual = primal if is_primal else continuum.constitutive_error(z, weights[name])
         assert isinstance(state.model, InterfaceModel)
         bounds[name] = continuum.bounds(values[name], goal.at_rest(state, state.model), primal, dual)
     return bounds

@@ -100,6 +100,7 @@ def frequency_derivatives(
 
 
 def _interface_model(natural_modes: Modes, what: str) -> InterfaceModel:
+    """Return the model of modes, or raise InputError with the function's name `what` if it is no interface model."""
     if not (isinstance(natural_modes, Modes) and isinstance(natural_modes.model, InterfaceModel)):
         raise InputError(f"{what}: give the result of modes for an interface model (structure.interface)")
     return natural_modes.model
@@ -249,4 +250,4 @@ def estimate_frequencies(natural_modes: Modes, *, seam: str = S, width: float = 
             if (bounds[1] - bounds[0] <= np.maximum(width * np.abs(np.sqrt(values) - omega), rounding)).all():
                 break
             directions = [(U, W), (new_U, new_W)]
-    return FrequencyEstimate(omega, np.sqrt(values), bounds[0] - rounding, bounds[1] + rounding)
+    return FrequencyEstimate(omega, np.sqrt(values), np.maximum(bounds[0] - rounding, 0.0), bounds[1] + rounding)

@@ -23,7 +23,8 @@ class Coupled(NamedTuple):
         first, second: what the two functions returned: states or histories.
         value: the exchanged values, which both solutions have in common.
         s: measured derivative d(out)/d(in) of the values that come out of a step by those that go in; of several values
-            its eigenvalue with the largest modulus. NaN: a single solution of each model was sufficient.
+            the real part of an eigenvalue: one above 1 if there is one, otherwise the largest in modulus. NaN: a single
+            solution of each model was sufficient.
         steps: number of steps, each with one solution of both models.
     """
 

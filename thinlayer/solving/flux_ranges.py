@@ -33,7 +33,7 @@ class Conductivities(NamedTuple):
     """Conductivities of a layer, through all its sublayers.
 
     Attributes:
-        along: conductivity along S: mean through the thickness, of the largest for all directions along S.
+        along: conductivity along S, in the direction in which it is largest: mean through the thickness.
         across: conductivity across S: harmonic mean through the thickness.
         capacity: capacity per volume: mean through the thickness; 0 without `Heat`.
     """
@@ -59,6 +59,7 @@ class Conductivities(NamedTuple):
 
     @classmethod
     def _of_numbers(cls, layer: SeamLayer, T: float) -> Conductivities | None:
+        """Return the conductivities of a layer whose parameters are numbers, at the value T of the field; see `of`."""
         n, sums = layer.initial_tangents.n, np.zeros(3)
         n = np.pad(n, (0, 3 - len(n)))
         projector = np.eye(3) - np.outer(n, n)

@@ -61,7 +61,7 @@ def harmonic(
             besides that of viscous layers.
 
     Warns:
-        RangeWarning: the phase of a layer on S exceeds 1/2, see `Modes.phases`.
+        RangeWarning: as `solve` for the model; the phase of a layer on S exceeds 1/2, see `Modes.phases`.
 
     Raises:
         InputError: as `modes`; a frequency or loss factor out of range; a function of `observe` is not linear.
@@ -105,6 +105,7 @@ def harmonic(
 
 
 def _viscous_layers(model: Model) -> dict[str, ThinLayer]:
+    """Return the layers of `KelvinVoigt` or `Maxwell` by the names of their seams."""
     layers = {name: layer.thin_layer for name, layer in model.layers.items() if layer.thin_layer}
     return {name: thin for name, thin in layers.items() if isinstance(thin.law, KelvinVoigt | Maxwell)}
 

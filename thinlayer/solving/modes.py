@@ -119,6 +119,7 @@ class Pencil:
 
 
 def _terms_of(model: Model, name: str) -> list[Term]:
+    """Return the terms of the law of a body, or of the layer on a seam, without prescribed strains."""
     require_known("body or layer", name, (*model.body_laws, *model.layers))
     if name in model.layers:
         terms = [p for p in model.layer_terms if model.layers[name].owns_key(p.key)]
