@@ -287,6 +287,8 @@ def modes(model: Model, n: int = 6, near: float = 0.0) -> Modes:
     require(is_finite(near) and near >= 0, "near", near, "allowed: an angular frequency >= 0")
     pencil = Pencil(model)
     K, M = pencil.without_supports(pencil.K), pencil.without_supports(pencil.M)
+    if n > (count := K.getSize()[0]):
+        raise InputError(f"n is {n}; the model has {count} unknowns, and no more modes")
     diagonals = K.getDiagonal(), M.getDiagonal()
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.where(diagonals[1].array_r > 0, diagonals[0].array_r / diagonals[1].array_r, 0.0)
@@ -344,6 +346,10 @@ def _nearest_pairs(model: Model, K: PETSc.Mat, M: PETSc.Mat, n: int, shift: floa
             destroy(ksp)  # rigid motions are too near: the other frequencies give a better shift
             K.axpy(shift, M, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
             return _nearest_pairs(model, K, M, n, -float(elastic.min()) / 10)
+        if shift > 0 and len(inverses) == n and abs(inverses[0]) > MAX_SPREAD * abs(inverses[-1]):
+            destroy(ksp)  # a frequency is the given one, so that rounding hides the others
+            K.axpy(shift, M, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+            return _nearest_pairs(model, K, M, n, shift + 2 / MAX_SPREAD / abs(float(inverses[-1])))
         block = image
     if Q.shape[1] < n:
         raise InputError(f"n is {n}, and the model has {Q.shape[1]} modes; ask for fewer")
