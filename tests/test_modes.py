@@ -215,6 +215,14 @@ def test_harmonic_response_of_viscous_layers(name):
         assert values == pytest.approx([viscous_response(moduli, w, **closed) for w in (0.5, 2.0)], rel=3e-6)
 
 
+def test_modes_near_a_frequency_that_is_exact():
+    """Without a step aside, K - omega^2 M has no inverse, and rounding hides all other modes."""
+    model = beam(2).interface(ThinLayer(LinearElastic.young(E=50, nu=0.3), 0.2, order=1))
+    lowest = modes(model, 4).omega
+    for k, n, wanted in ((0, 2, lowest[:2]), (2, 3, lowest[:3]), (1, 1, lowest[1:2])):
+        assert modes(model, n, near=lowest[k]).omega == pytest.approx(wanted, rel=1e-8)
+
+
 def omegas() -> list[float]:
     return [*modes(beam(2).interface(ThinLayer(LinearElastic.young(E=50, nu=0.3), 0.2, order=1)), 4).omega]
 
@@ -235,6 +243,12 @@ def test_refused():
     squared = {"top": lambda s: TOP["top"](s) ** 2}
     loaded = bar(tractions={"TOP": (0, 1.0)})
     refused(InputError, "not linear in the displacements", lambda: harmonic(loaded, [1.0], squared, loss={"S": 0.3}))
-    refused(InputError, "omegas", lambda: harmonic(loaded, [0.0], TOP))
+    refused(InputError, "not linear in the displacements", lambda: harmonic(loaded, [1.0], squared))
+    for wrong in ([0.0], [], 1.0, ["a"]):
+        refused(InputError, "omegas", lambda: harmonic(loaded, wrong, TOP))  # noqa: B023
+    refused(InputError, "value of 'top' is array", lambda: harmonic(loaded, [1.0], {"top": lambda s: s.u.x.array}))
+    refused(InputError, "observe", lambda: harmonic(loaded, [1.0], TOP["top"]))
+    refused(InputError, "loss is 0.3", lambda: harmonic(loaded, [1.0], TOP, loss=0.3))
+    refused(InputError, "n is 100000000; the model has", lambda: modes(bar(), 10**8))
     with pytest.warns(RangeWarning, match="a shear wave crosses the layer 'S' in 1.24 radians"):
         modes(bar(), 2)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from petsc4py import PETSc
 
-from forms.base import Array, InputError, require
+from forms.base import Array, InputError, is_finite, require
 from forms.elastic import LinearElastic
 from forms.viscous import KelvinVoigt, Maxwell
 from thinlayer.discretisation.layer import ThinLayer
@@ -82,8 +82,11 @@ def harmonic(
         >>> print(abs(response.values["tip"]).round(3))
         [0.048 0.598]
     """
+    is_list = np.ndim(omegas) == 1 and len(omegas) > 0 and all(is_finite(w) and w > 0 for w in omegas)
+    require(is_list, "omegas", omegas, "allowed: a list of numbers > 0")
+    require(isinstance(observe, Mapping), "observe", observe, "give {name: function of a state}")
+    require(isinstance(loss or {}, Mapping), "loss", loss, "give {name of a seam or body: loss factor}")
     omega = np.array(omegas, float)
-    require(omega.ndim == 1 and (np.isfinite(omega) & (omega > 0)).all(), "omegas", omegas, "allowed: numbers > 0")
     factors, viscous = checked_factors(loss or {}), _viscous_layers(model)
     names, rows = model.comm.bcast([*observe]), list[ComplexArray]()
     for w in omega:
@@ -95,13 +98,18 @@ def harmonic(
         times = {name: crossing_time(pencil.inertia, layer) for name, layer in layers_on_s(pencil.model).items()}
         check_phases(model, {name: w * times[name] * np.ones(1) for name in times})
         parts = _amplitudes(pencil, w, lossy)
-        values = np.array([[observe[name](state) for name in names] for state in parts])
-        deviations = abs(values[2] - values[0] - values[1])
+        values = np.array([[_observed(name, observe[name](state)) for name in names] for state in parts])
+        deviations = abs(values[2] - (values[1] - 2 * values[0]))
         if not deviations.max(initial=0.0) <= LINEARITY_TOLERANCE * abs(values).max(initial=0.0):
             reason = f"observe: {names[int(deviations.argmax())]!r} is not linear in the displacements"
             raise InputError(f"{reason}, which complex amplitudes need; give a displacement, stress or force")
         rows.append(values[0] + 1j * values[1])
     return HarmonicResponse(omega, dict(zip(names, np.transpose(rows), strict=True)))
+
+
+def _observed(name: str, value: float) -> float:
+    require(is_finite(value), f"observe: the value of {name!r}", value, "it must be a finite real number")
+    return float(value)
 
 
 def _viscous_layers(model: Model) -> dict[str, ThinLayer]:
@@ -133,7 +141,10 @@ def _viscous_stiffnesses(
 
 
 def _amplitudes(pencil: Pencil, omega: float, lossy: Sequence[tuple[float, PETSc.Mat]]) -> list[State]:
-    """Return the states of the real and the imaginary amplitude of the response, and of their sum."""
+    """Return the states of the real and the imaginary amplitude of the response, and of the second minus twice the first.
+
+    Of the third, no quantity that is not linear has the value that follows from the others, also if the second is zero.
+    """
     equations, real = pencil.equations, [(1.0, pencil.K), (-(omega**2), pencil.M)]
     x, forces = equations.create_vector(), equations.forces_on_unknowns(equations.loads_at(0.0))
     x.array[equations.bc_dofs] = equations.prescribed
@@ -145,7 +156,7 @@ def _amplitudes(pencil: Pencil, omega: float, lossy: Sequence[tuple[float, PETSc
     free = [[(factor, pencil.without_supports(A)) for factor, A in terms] for terms in (real, lossy)]
     z = solve_complex(free[0], free[1], right_sides[0] + 1j * right_sides[1])
     states = []
-    for values, share in ((z.real, 1.0), (z.imag, 0.0), (z.real + z.imag, 1.0)):
+    for values, share in ((z.real, 1.0), (z.imag, 0.0), (z.imag - 2 * z.real, -2.0)):
         y = equations.create_vector()
         y.axpy(share, x)
         y.array[pencil.free_dofs] = values

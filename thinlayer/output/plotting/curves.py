@@ -279,8 +279,12 @@ def response(
     """
     by_label = entry_by_label("response", "responses", responses, HarmonicResponse, "give what harmonic returns")
     marks = resonances if isinstance(resonances, Mapping) else dict.fromkeys(by_label, resonances)
-    for label in marks:
+    for label, pair in marks.items():
         require_known("response", label, by_label, "resonances")
+        is_pair = pair is None or (
+            isinstance(pair, Sequence) and len(pair) == 2 and np.shape(pair[0]) == np.shape(pair[1])
+        )
+        require(is_pair, "resonances", pair, "give frequencies and loss factors, as Modes.loss returns them")
     amplitudes, phases = dict[str, tuple[Array, Array]](), dict[str, tuple[Array, Array]]()
     for label, answer in by_label.items():
         require_known("observed quantity", quantity, answer.values)
