@@ -240,7 +240,7 @@ class Forces:
 
     def work_on_bubble(self, name: str, b: Expr) -> Expr:
         """Return the virtual work of a layer's loads in the bubble amplitude `b` of order 2, a UFL form linear in b."""
-        loads = [(load, region) for _, load, region, seam in self._loads if seam == name]
+        loads = [(load, region) for _, load, region, seam in self._loads if seam == name and region.bubble_factor]
         terms = (ufl.inner(load, r.bubble_factor * r.value_in_region(b)) * r.measure for load, r in loads)
         return sum(terms, ufl.Form([]))
 

@@ -13,6 +13,7 @@ from forms.base import is_number
 from forms.law_tangents import tangent_at_rest
 from forms.tensors import VALUE_INDEX, mandel_vector
 from geometry.refusals import place_text
+from thinlayer.discretisation.key import Key
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
@@ -164,7 +165,10 @@ def warn_of_negative_conductivities(states: Sequence[State]) -> None:
         for points in law_points(state):
             if points.term.law.traits.linear:
                 continue
-            e = points.quadrature.values(mandel_vector(points.term.step(state.u).e))
+            e, term = points.quadrature.values(mandel_vector(points.term.step(state.u).e)), points.term
+            if term.bubble_strain is not None:
+                b = state.fields[str(Key.parse(term.key).bubble_key)]
+                e += points.quadrature.values(mandel_vector(term.bubble_strain(b)))
             power, squares = np.einsum("pii,pi->p", points.stress(), e[:, :3]), (e[:, :3] ** 2).sum(axis=1)
             rounding = GRADIENT_ROUNDING * np.abs(e[:, 3]).max(initial=0.0) / model.joint.size
             largest = max(float(squares.max(initial=0.0)) ** 0.5 * MIN_GRADIENT_RATIO, rounding)
