@@ -294,6 +294,21 @@ def test_error_of_the_law_without_any_mesh():
     assert str(bounds["compliance"]).endswith(text)
 
 
+def test_error_of_the_law_of_a_stiff_layer():
+    """The estimate goes on from a law of order 1, which is not the one whose error is asked for."""
+    layer, values = ThinLayer(LinearElastic.young(1000.0, 0.1), 0.05), []
+    for h in (1 / 4, 1 / 16):
+        data = {"body": LinearElastic.young(100.0, 0.3), "tractions": {"TOP": (0.3, -1.0)}, "supports": {"BOTTOM": 0.0}}
+        structure = Structure(sandwich(1.0, 0.5, 0.4, h), **data)
+        model = structure.interface(layer)
+        with pytest.warns(RangeWarning, match="order 0 leaves out"):
+            values.append(solve(model))
+    lower, upper = estimate(values[0]).continuum(law=True)["compliance"].of_law
+    goal = goals.Compliance()
+    error = goal.value_in(values[1]) / goal.value(solve(structure.full(layer, cells_through=6)), model) - 1
+    assert lower < error < upper
+
+
 def test_errors_of_a_stack_without_any_mesh_agree():
     law = Stack((0.3, LinearElastic.young(0.5, 0.2)), (0.7, LinearElastic.young(3.0, 0.3)))
     data = {

@@ -223,6 +223,8 @@ CASES = [
     ("density", lambda: bounds(goal=mean_of(lambda u: ufl.div(u))), lambda: bounds(goal=mean_of(lambda u: u[0]))),
     ("goal", lambda: bounds(goal=goals.Displacement((4.0, 1.2), (0, 1))), lambda: bounds(goal=mean_of(lambda u: u[1]))),
     ("law alone", lambda: bounds(glue(**ONE), law=True), lambda: bounds(law=True)),
+    ("law alone", lambda: bounds(glue(Rubber.shear(1.0, 0.4)), law=True), lambda: bounds(law=True)),
+    ("law alone", lambda: estimate(solve(made().bonded()), layer=glue()).continuum(law=True), lambda: bounds(law=True)),
     ("law alone", lambda: bounds(**SIDE, law=True), lambda: bounds(law=True)),
     ("law alone", lambda: bounds(goal=mean_of(lambda u: u[0]), law=True), lambda: bounds(law=True)),
     ("volume", lambda: bounds(glue(WATER)), lambda: bounds(glue(Rubber.shear(1.0, 0.49)))),

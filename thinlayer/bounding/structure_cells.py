@@ -162,18 +162,22 @@ class StructureCells:
                 raise refusal("eigenstrain", reason, "give numbers, or more regions") from error
 
     # ---------------------------------------------------------------- interface laws
-    def with_law(self, u: Array) -> tuple[StraightCells, Array, CellLoads]:
+    def with_law(self, model: InterfaceModel, u: Array) -> tuple[StraightCells, Array, CellLoads]:
         """Return the bodies with interface laws of order 0: cells, their displacements (nc, n, d), and loads.
 
-        The loads contain the tractions K [u]/eps on S: polynomials of the degree of the bodies' displacements `u`.
+        The loads contain the tractions K [u]/eps on S: polynomials of the degree of the bodies' displacements `u`. They
+        are those of `model`, on the same mesh; the estimate may have begun from laws of another order.
 
         Raises:
             InputError: the laws are not of order 0, the thickness varies, bodies are extended, the layers have loads,
                 supports move, or there are eigenstrains.
         """
-        model, cells, n, d = self._model, self.cells, len(self._model.joint.cells), self.cells.d
+        cells, n, d = self.cells, len(self._model.joint.cells), self.cells.d
         joint, kinematics, loads = model.domain.joint, model.structure.kinematics, self.loads
         layers = {name: layer.as_thin_layer for name, layer in model.layers.items()}
+        if model.bonds or any(layer.law.traits.constrained for layer in model.layers.values()):
+            reason = "bodies are bonded at S, or a layer's law has a pressure field"
+            raise refusal("law alone", reason, "estimate a state with an interface law of LinearElastic")
         if joint.parted is not None or any(layer.order or layer.profile for layer in layers.values()):
             raise refusal("law alone", "the law is not of order 0 on S", "use order=0, a number as eps, bodies='kept'")
         on_layer = loads.moments[cells.moment_rows[n:]] * cells.is_outer[cells.cell_facets[n:]][..., None, None]

@@ -198,7 +198,8 @@ class Continuum:
         Raises:
             InputError: as `StructureCells.with_law`, or forces on nodes are not in balance.
         """
-        cells, U, loads = self.structure.with_law(state.u.x.array)
+        assert isinstance(state.model, InterfaceModel)
+        cells, U, loads = self.structure.with_law(state.model, state.u.x.array)
         parts, stress = Parts(cells, loads.is_free), cells.stress(U)
         moments, imbalance = TractionBalance(cells, loads.is_free).moments(stress, loads, U)
         _require_balance(imbalance, "use order=0, and laws without memory")
