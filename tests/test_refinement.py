@@ -147,6 +147,14 @@ def test_marked_parts_are_half_of_the_interval():
     assert (list(cells), list(facets), rows["S"].tolist(), law) == ([], [0], [False, False], True)
 
 
+@pytest.mark.parametrize("of", ["goal", "change"])
+def test_a_goal_that_equilibrium_determines_needs_no_finer_cells(of):
+    """A reaction that is zero but for rounding, and a change that is: both are smaller than any interval around them."""
+    held = Structure(sandwich(1.0, 0.5, 0.5, 0.5), body=BODY, supports={"BOTTOM": 0.0}, tractions={"TOP": (0, 1.0)})
+    result = solve_to(held.interface(ThinLayer(BODY, 0.1)), [goals.Reaction("BOTTOM", (1, 0))], of=of)
+    assert (result.reached, len(result.table.rows)) == (True, 1)
+
+
 def test_refusals():
     quads = Structure(
         sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral"), body=BODY, supports={"BOTTOM": 0.0}, tractions={}
@@ -157,6 +165,7 @@ def test_refusals():
     law = HolonomicCoulomb(200.0, 80.0, 0.5)
     assert refused(InputError, "", solve_to, blocks().structure.interface(law)).key == "no thickness"
     refused(InputError, "tolerance", solve_to, blocks(), tolerance=0.0)
+    refused(InputError, "goals is", solve_to, blocks(), [])
     refused(InputError, "structure.interface", solve_to, quads.full(layer))
     refused(InputError, "change", solve_to, blocks(), of="value")
     point = goals.Displacement((0.0, 0.5), (0, 1))

@@ -29,7 +29,7 @@ from thinlayer.estimating.continuum import ContinuumBounds
 from thinlayer.estimating.estimate import estimate
 from thinlayer.estimating.global_local import DEFAULT_WIDTH
 from thinlayer.estimating.goals import Compliance, Goal
-from thinlayer.estimating.result import Estimate
+from thinlayer.estimating.result import FIXED_GOAL_TOLERANCE, Estimate
 from thinlayer.solving.petsc import Options
 from thinlayer.solving.solve import solve
 from thinlayer.system.progress import report
@@ -220,7 +220,7 @@ def solve_to(
         >>> print(result.table["unknowns"], result.reached)
         [588. 608.] True
     """
-    _check_arguments(model, tolerance, of, max_cells)
+    _check_arguments(model, goals, tolerance, of, max_cells)
     start, width, table, best = time.perf_counter(), DEFAULT_WIDTH, Table(), None
     first_values: dict[str, float] = {}
     heights = {name: level_heights(1, 4, layer.as_thin_layer.fractions) for name, layer in model.layers.items()}
@@ -235,7 +235,7 @@ def solve_to(
             return best.ended(tolerance, f"finer cells have no bounds: {error}")
         first_values = first_values or {name: b.value for name, b in bounds.items()}
         bounds = {name: replace(b, value=first_values[name]) for name, b in bounds.items()}
-        errors = {name: _relative_half(b, of) for name, b in bounds.items()}
+        errors = {name: _relative_half(b, of, result.goals[name].scale) for name, b in bounds.items()}
         worst, layers = max(errors, key=lambda name: errors[name]), result.inside.model
         assert isinstance(layers, LayerModel)
         inflated = layers.inflated_joint
@@ -274,16 +274,24 @@ def _divided(heights: Heights, rows: Mapping[str, BoolArray], together: bool) ->
     return out
 
 
-def _relative_half(bounds: ContinuumBounds, of: str) -> float:
-    """Return half the interval over the goal or, `of` = "change", over its change."""
+def _relative_half(bounds: ContinuumBounds, of: str, scale: float) -> float:
+    """Return half the interval over the goal or, `of` = "change", over its change; 0 if it is rounding of `scale`."""
     middle = (bounds.lower + bounds.upper) / 2
     size = abs(middle) if of == "goal" else abs(middle - bounds.value)
     half = (bounds.upper - bounds.lower) / 2
-    return half / size if size else math.inf if half else 0.0
+    if half <= FIXED_GOAL_TOLERANCE * scale:  # equilibrium determines the goal, which may be zero, and its change is
+        return 0.0
+    return half / size if size else math.inf
 
 
-def _check_arguments(model: InterfaceModel, tolerance: float, of: str, max_cells: int) -> None:
+def _check_arguments(model: InterfaceModel, goals: Sequence[Goal], tolerance: float, of: str, max_cells: int) -> None:
     require(isinstance(model, InterfaceModel), "solve_to: model", model, "give structure.interface(layer)")
+    require(
+        not isinstance(goals, Sequence) or len(goals) > 0,
+        "solve_to: goals",
+        goals,
+        "give at least one of thinlayer.goals",
+    )
     require(is_finite(tolerance) and tolerance > 0, "solve_to: tolerance", tolerance, "allowed: > 0, such as 0.02")
     require_known("reference (of=...)", of, ("goal", "change"), "solve_to")
     require(is_integer(max_cells, 1), "solve_to: max_cells", max_cells, "allowed: whole numbers >= 1")
