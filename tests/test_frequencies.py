@@ -135,7 +135,7 @@ def test_refused():
     meshed, near = modes(beam(2).full(layer), 1), modes(beam(2).interface(layer), 1, near=1e4)
     for wrong in (free, near):
         refused(InputError, "give the lowest modes", lambda m=wrong: estimate_frequencies(m))
-    for wrong in (meshed, lowest.model):
+    for wrong in (meshed, meshed.model, lowest.model):
         refused(InputError, "for an interface model", lambda m=wrong: estimate_frequencies(m))
     refused(InputError, "for an interface model", lambda: frequency_derivatives(meshed, ["S.E"]))
     refused(InputError, "'S.rho'", lambda: frequency_derivatives(lowest, ["S.rho"]))

@@ -166,7 +166,7 @@ def checked_seams(model: InterfaceModel, bonds: Collection[str], seam: str) -> l
     """
     if not model.layers:
         raise InputError("estimate: the model has no layer whose mesh could be dropped; give a model with layers")
-    require_known("layer", seam, (S, *model.layers), "estimate")
+    require_known("layer", seam, {S: None, **model.layers}, "estimate")
     if bonds and seam not in (S, *bonds):
         text = f"estimate: {seam!r} has a layer, and bonds are at {', '.join(bonds)}"
         raise InputError(f"{text}; ask of a bond, or of all, or solve it with layers alone")
