@@ -234,6 +234,8 @@ def test_on_two_ranks(there):
 
 def test_refused():
     refused(InputError, "has no mass", lambda: modes(bar(parts=[])))
+    for density, words in ((3.0, "density is 3.0"), ({"LOWER": 1.0, "UPPER": 1.0, "GLUE": 1.0}, "layer 'GLUE'; known")):
+        refused(InputError, words, bar, parts=[Inertia(density)])
     refused(InputError, "VonMises is not linear", lambda: modes(bar(law=VonMises(0.0, 1 / 32, 0.02, 0.02), order=0)))
     refused(InputError, "in 2.24 radians", lambda: modes(bar(), 3))
     refused(InputError, "n is 0", lambda: modes(bar(), 0))

@@ -43,8 +43,8 @@ def test_responses_have_amplitudes_phases_and_resonances():
     assert [text.xy[0] for text in amplitude.texts] == pytest.approx(np.array([1.0, 3.0]) / (2 * np.pi))
     assert amplitude.get_yscale() == "log"
     refused(InputError, "observed quantity 'top'", lambda: plotting.response(answers, "top", "", ""))
-    wrong = {"sofft": pairs["soft"]}
-    refused(InputError, "'sofft'.*'soft'", lambda: plotting.response(answers, "tip", "", "", resonances=wrong))
+    for wrong, words in ((omega, "as Modes.loss"), ((1, 2), "as Modes.loss"), ({"stiff": None}, "response 'stiff'")):
+        refused(InputError, words, plotting.response, answers, "tip", "", "", resonances=wrong)
 
 
 def test_symbols_are_written_as_mathematics(tmp_path):

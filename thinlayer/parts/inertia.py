@@ -69,7 +69,8 @@ class Inertia(PartDefinition):
         if model.strain or model.stress:
             raise InputError("Inertia in a periodic cell under a mean strain or stress is not known; leave it out")
         names = (*model.body_laws, *model.layers)
-        for name in (*names, *self.density):
+        require(isinstance(self.density, Mapping), "Inertia: density", self.density, "give {name: mass per volume}")
+        for name in (*self.density, *names):  # an unknown name explains why another one is missing
             require_known("body or layer", name, names, "the densities of Inertia")
             rho, least = self.density.get(name), "> 0" if name in model.body_laws else ">= 0"
             is_allowed = is_finite(rho) and rho is not None and (rho > 0 or (rho == 0 and least == ">= 0"))

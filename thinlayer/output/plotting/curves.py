@@ -281,10 +281,10 @@ def response(
     marks = resonances if isinstance(resonances, Mapping) else dict.fromkeys(by_label, resonances)
     for label, pair in marks.items():
         require_known("response", label, by_label, "resonances")
-        is_pair = pair is None or (
-            isinstance(pair, Sequence) and len(pair) == 2 and np.shape(pair[0]) == np.shape(pair[1])
+        is_pair = isinstance(pair, Sequence) and len(pair) == 2 and np.ndim(pair[0]) == np.ndim(pair[1]) == 1
+        require(
+            is_pair or pair is None, "resonances", pair, "give frequencies and loss factors, as Modes.loss returns them"
         )
-        require(is_pair, "resonances", pair, "give frequencies and loss factors, as Modes.loss returns them")
     amplitudes, phases = dict[str, tuple[Array, Array]](), dict[str, tuple[Array, Array]]()
     for label, answer in by_label.items():
         require_known("observed quantity", quantity, answer.values)
