@@ -2,7 +2,7 @@
 
 import math
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -127,6 +127,22 @@ def test_sources_within_a_column():
         assert rise == pytest.approx(Q * eps / k * (1 / 4 - z**2) / 2, rel=1e-9, abs=1e-12)
     refused(InputError, "take Probe", surface.value_in_layer, full)
     refused(InputError, "height is 0.6", surface.value_in_layer, state, 0.6)
+
+
+@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of short steps
+def test_a_march_from_a_steady_state_stays_there():
+    """With the mean of the layer, which a source has moved; a state of other laws is no state of the march."""
+    joint, data = (
+        sandwich(1, 0.4, 0.6, h=0.2, cell="quadrilateral"),
+        {"supports": {"BOTTOM": 0.2}, "sources": {"S": 3.0}},
+    )
+    steady = solve(Structure(joint, body=Conduction(1.3), **data).interface(ThinLayer(Conduction(0.05), 0.2, order=2)))
+    layer = ThinLayer(Heat(0.05, 0.7), 0.2, order=2)
+    last = march(Structure(joint, body=Heat(1.3, 0.9), **data, initial=steady).interface(layer), [0.01, 0.03]).last
+    wanted = Surface(steady.model).value_in_layer(steady)
+    assert Surface(last.model).value_in_layer(last) == pytest.approx(wanted, rel=1e-9)
+    moved = replace(steady, model=Structure(joint, body=Heat(1.3, 0.9), **data).interface(layer))
+    refused(InputError, "initial=state", march, moved, [0.01])
 
 
 @pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of order 1

@@ -14,7 +14,7 @@ from thinlayer.discretisation.form_compilation import compiled
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.mesh_functions import SharedDofs, broken_space
-from thinlayer.discretisation.state import Configuration
+from thinlayer.discretisation.state import Configuration, State
 from thinlayer.parts.compiled_part import CompiledPart
 from thinlayer.parts.part import Block, FieldPart, FileOrder, StepOutcome
 from thinlayer.pointwise.quadrature import assemble_values
@@ -27,7 +27,7 @@ class BubblePart(FieldPart):
     The field is <T> + z [T] + 6 (1/4 - z^2) b at the height z, from -1/2 to 1/2 of the thickness. The equation of b is
     the balance of fluxes, sinks and sources in the layer, for virtual fields of the same shape. The nodes are those of
     the upper side of S; b is zero where a support holds the side of the layer, and free where it is insulated. Marches
-    begin with b = 0, a field that is linear through the layer.
+    begin with b = 0, a field that is linear through the layer, or with b of the state of order 2 that is `initial`.
 
     Args:
         model: the model.
@@ -58,6 +58,14 @@ class BubblePart(FieldPart):
 
     def own_prescribed(self, t: float | None) -> tuple[IntArray, Array]:
         return self._zero_dofs, np.zeros(len(self._zero_dofs))
+
+    def own_values_before(self, old: Configuration) -> Array:
+        """Return b before a step; at rest that of the state from which a march begins, if this has the same unknown."""
+        initial = self._model.structure.initial
+        if self.key in old.fields or not (isinstance(initial, State) and self.key in initial.fields):
+            return super().own_values_before(old)
+        values = np.array(initial.fields[self.key].x.array[: self.own_size])
+        return values if len(values) == self.own_size else np.zeros(self.own_size)
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         """Do nothing: the parts `laws` do."""

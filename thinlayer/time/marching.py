@@ -155,6 +155,9 @@ def march(
         targets = plan.targets(start, model.break_times if ends_at_breaks else ())
         on_path, first = plan.is_path or traits.softens, targets[0] - start if plan.first is None else plan.first
         plan.check_model(equations, theta, solver.get("method"))
+        if initial_states and (missing := set(model.quadratures) - set(initial_states[-1].memory)):
+            text = f"march: the state is one of other laws, without what {min(missing)!r} remembers"
+            raise InputError(f"{text}; begin from its own model or, from a steady field, with Structure(initial=state)")
         for t in (start, *targets):
             equations.data_at(t)  # raises errors of data that are out of range
         if not on_path:
