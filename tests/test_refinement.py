@@ -150,8 +150,8 @@ def test_marked_parts_are_half_of_the_interval():
 @pytest.mark.parametrize("of", ["goal", "change"])
 def test_a_goal_that_equilibrium_determines_needs_no_finer_cells(of):
     """A reaction that is zero but for rounding, and a change that is: both are smaller than any interval around them."""
-    held = Structure(sandwich(1.0, 0.5, 0.5, 0.5), body=BODY, supports={"BOTTOM": 0.0}, tractions={"TOP": (0, 1.0)})
-    result = solve_to(held.interface(ThinLayer(BODY, 0.1)), [goals.Reaction("BOTTOM", (1, 0))], of=of)
+    column = Structure(sandwich(1.0, 0.5, 0.5, 0.5), body=BODY, supports={"BOTTOM": 0.0}, tractions={"TOP": (0, 1.0)})
+    result = solve_to(column.interface(ThinLayer(BODY, 0.1)), [goals.Reaction("BOTTOM", (1, 0))], of=of)
     assert (result.reached, len(result.table.rows)) == (True, 1)
 
 
