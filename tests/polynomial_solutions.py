@@ -13,7 +13,7 @@ from forms.tensors import isotropic_tensor
 from geometry.topology import lagrange
 from thinlayer.bounding.cells import StraightCells, mass_matrix
 from thinlayer.bounding.loops import TractionImprovement
-from thinlayer.bounding.parts import Parts
+from thinlayer.bounding.subcells import Subcells
 from thinlayer.bounding.stresses import Stresses
 from thinlayer.bounding.tractions import CellLoads, TractionBalance
 
@@ -83,21 +83,21 @@ class Problem:
 
     def stress_in_equilibrium(self, U, loads, steps=8):
         """The seed, the stress in equilibrium and the balance."""
-        parts, stress = Parts(self.cells, loads.is_free), self.cells.stress(U)
+        subcells, stress = Subcells(self.cells, loads.is_free), self.cells.stress(U)
         moments, balance = TractionBalance(self.cells, loads.is_free).moments(stress, loads, U)
-        stress, loads, stresses = parts.stress(stress, U), parts.loads(loads), Stresses(parts.cells)
-        seed, moments = stresses.of(stress), parts.moments(moments, stress, loads)
-        is_layer = np.zeros(len(parts.cells.corners), bool)
-        improvement = TractionImprovement(stresses, parts.is_free, is_layer)
+        stress, loads, stresses = subcells.stress(stress, U), subcells.loads(loads), Stresses(subcells.cells)
+        seed, moments = stresses.of(stress), subcells.moments(moments, stress, loads)
+        is_layer = np.zeros(len(subcells.cells.corners), bool)
+        improvement = TractionImprovement(stresses, subcells.is_free, is_layer)
         return stresses, seed, improvement.improved(loads, moments, seed, steps), balance
 
     def squared_error(self):
         """Squared energy norm of the error of the finite element solution."""
-        parts = Parts(self.cells, self.loads.is_free)
-        cells = parts.cells
+        subcells = Subcells(self.cells, self.loads.is_free)
+        cells = subcells.cells
         x, w = basix.make_quadrature(basix.CellType[cells.cell_type], 6)
         error = replace(self, cells=cells).stress(places(cells, x))
-        error -= cells.stress_values(x) @ cells.stress(parts.displacements(self.U))
+        error -= cells.stress_values(x) @ cells.stress(subcells.displacements(self.U))
         return float(np.einsum("cqr,crs,cqs,q,c->", error, cells.compliance, error, w, cells.J))
 
 

@@ -21,7 +21,7 @@ from thinlayer import Pressure, Structure, ThinLayer, estimate, goals, solve
 from thinlayer.bounding.cells import StraightCells
 from thinlayer.bounding.loops import balanced_changes
 from thinlayer.bounding.macro import macro_cell
-from thinlayer.bounding.parts import Parts
+from thinlayer.bounding.subcells import Subcells
 from thinlayer.bounding.stresses import Stresses
 from thinlayer.bounding.tractions import TractionBalance
 from thinlayer.errors import InputError, RangeWarning, SolveError
@@ -71,11 +71,11 @@ def bounded(problem, rng):
     Z = problem.solved(weights)
     _, seed_z, stress_z, _ = problem.stress_in_equilibrium(Z, weights)
     d_z = stress_z - seed_z
-    parts = Parts(cells, loads.is_free)
-    cells, U, Z = parts.cells, parts.displacements(problem.U), parts.displacements(Z)
+    subcells = Subcells(cells, loads.is_free)
+    cells, U, Z = subcells.cells, subcells.displacements(problem.U), subcells.displacements(Z)
     x, w = basix.make_quadrature(basix.CellType[cells.cell_type], 6)
-    goal = np.einsum("cqi,ci,q,c->", problem.exact(places(cells, x)), parts.repeated(q[:, 0]), w, cells.J)
-    middle = parts.loads(weights).work(cells, U) + parts.loads(loads).work(cells, Z)
+    goal = np.einsum("cqi,ci,q,c->", problem.exact(places(cells, x)), subcells.repeated(q[:, 0]), w, cells.J)
+    middle = subcells.loads(weights).work(cells, U) + subcells.loads(loads).work(cells, Z)
     middle -= (cells.nodal_forces(cells.stress(U)) * Z).sum()
     middle += stresses.product(d, d_z).sum() / 2
     g, g_z = (math.sqrt(stresses.product(a, a).sum()) for a in (d, d_z))

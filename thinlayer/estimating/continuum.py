@@ -26,7 +26,7 @@ from dolfinx import fem
 from forms.base import Array
 from geometry.joint import Joint
 from thinlayer.bounding.loops import TractionImprovement
-from thinlayer.bounding.parts import Parts
+from thinlayer.bounding.subcells import Subcells
 from thinlayer.bounding.stresses import Stresses
 from thinlayer.bounding.structure_cells import StructureCells, refusal
 from thinlayer.bounding.tractions import CellLoads, TractionBalance
@@ -134,16 +134,16 @@ class Continuum:
             raise refusal("not linear", "laws are not linear, or not symmetric", "use estimate(...).energy")
         self._model, self._layers, self._steps = model, layers, steps
         self.structure = StructureCells(model, layers, t)
-        self._parts = Parts(self.structure.cells, self.structure.is_free)
-        self._stresses = Stresses(self._parts.cells)
+        self._subcells = Subcells(self.structure.cells, self.structure.is_free)
+        self._stresses = Stresses(self._subcells.cells)
         self._balance = TractionBalance(self.structure.cells, self.structure.is_free)
 
     @cached_property
     def _improvement(self) -> TractionImprovement:
-        parts = self._parts
-        is_layer, d = np.repeat(self.structure.is_layer, parts.count), parts.cells.d
+        subcells = self._subcells
+        is_layer, d = np.repeat(self.structure.is_layer, subcells.count), subcells.cells.d
         coupled = np.ones_like(is_layer) if d == 2 and len(is_layer) <= MAX_FACTORED_CELLS else is_layer
-        return TractionImprovement(self._stresses, parts.is_free, coupled)
+        return TractionImprovement(self._stresses, subcells.is_free, coupled)
 
     def constitutive_error(self, iterate: BodyEquilibrium, loads: CellLoads) -> _ConstitutiveError:
         """Return the error between displacements that fit the supports and a stress in equilibrium with the loads.
@@ -155,7 +155,7 @@ class Continuum:
         Raises:
             InputError: the iterate is not in equilibrium at all nodes.
         """
-        layers, stresses, parts = self._layers, self._stresses, self._parts
+        layers, stresses, subcells = self._layers, self._stresses, self._subcells
         w = layers.dirichlet_displacements(iterate.face_u, iterate.load, iterate.side_u)
         r = iterate.F - layers.dirichlet_reactions(iterate.face_u, iterate.load, iterate.side_u)
         w_of_forces = w + layers.neumann_displacements(layers.free_face_values(r))
@@ -163,9 +163,9 @@ class Continuum:
         stress = self.structure.stress(iterate.u, w_of_forces) - loads.eigenstress[:, None]
         moments, imbalance = self._balance.moments(stress, loads, U)
         _require_balance(imbalance, "use a thicker layer, or less contrast")
-        of_faces = parts.stress(self.structure.stress(iterate.u, w) - loads.eigenstress[:, None], U)
-        stress, U, loads = parts.stress(stress, U_of_forces), parts.displacements(U), parts.loads(loads)
-        moments = parts.moments(moments, stress, loads)
+        of_faces = subcells.stress(self.structure.stress(iterate.u, w) - loads.eigenstress[:, None], U)
+        stress, U, loads = subcells.stress(stress, U_of_forces), subcells.displacements(U), subcells.loads(loads)
+        moments = subcells.moments(moments, stress, loads)
         seed, of_U = stresses.of(stress), stresses.of(stresses.cells.stress(U) - loads.eigenstress[:, None])
         difference = self._improvement.improved(loads, moments, seed, self._steps) - of_U
         of_law = seed - stresses.of(of_faces)  # whose pressures differ from those of U by the mesh
@@ -200,15 +200,15 @@ class Continuum:
         """
         assert isinstance(state.model, InterfaceModel)
         cells, U, loads = self.structure.with_law(state.model, state.u.x.array)
-        parts, stress = Parts(cells, loads.is_free), cells.stress(U)
+        subcells, stress = Subcells(cells, loads.is_free), cells.stress(U)
         moments, imbalance = TractionBalance(cells, loads.is_free).moments(stress, loads, U)
         _require_balance(imbalance, "use order=0, and laws without memory")
-        stress, U, loads = parts.stress(stress, U), parts.displacements(U), parts.loads(loads)
-        stresses = Stresses(parts.cells)
-        moments, seed = parts.moments(moments, stress, loads), stresses.of(stress)
+        stress, U, loads = subcells.stress(stress, U), subcells.displacements(U), subcells.loads(loads)
+        stresses = Stresses(subcells.cells)
+        moments, seed = subcells.moments(moments, stress, loads), stresses.of(stress)
         improvement = TractionImprovement(stresses, loads.is_free, np.zeros(len(U), bool))
         difference = improvement.improved(loads, moments, seed, self._steps) - seed
-        value, square = loads.work(parts.cells, U), float(stresses.product(difference, difference).sum())
+        value, square = loads.work(subcells.cells, U), float(stresses.product(difference, difference).sum())
         rounding = IMBALANCE_FACTOR * imbalance * value
         return value - rounding, value + square + rounding
 
@@ -231,7 +231,7 @@ class Continuum:
         imbalance = max(a.imbalance, z.imbalance)
         half = g * g_z / 2 + IMBALANCE_FACTOR * imbalance * math.sqrt(abs(energies[1] * energies[2]))
         by_cell = (a.squares * _ratio(g_z, g) + z.squares * _ratio(g, g_z)) / 2
-        by_cell = by_cell.reshape(-1, self._parts.count).sum(axis=1)
+        by_cell = by_cell.reshape(-1, self._subcells.count).sum(axis=1)
         total = max(float(by_cell.sum()), 1e-300)
         law = min((a.law_square * _ratio(g_z, g) + z.law_square * _ratio(g, g_z)) / 2 / total, 1.0)
         bodies = float(by_cell[~self.structure.is_layer].sum()) / total
