@@ -13,8 +13,8 @@ from forms.tensors import isotropic_tensor
 from geometry.topology import lagrange
 from thinlayer.bounding.cells import StraightCells, mass_matrix
 from thinlayer.bounding.loops import TractionImprovement
-from thinlayer.bounding.subcells import Subcells
 from thinlayer.bounding.stresses import Stresses
+from thinlayer.bounding.subcells import Subcells
 from thinlayer.bounding.tractions import CellLoads, TractionBalance
 
 TRIANGLES = np.array([[0, 1, 3], [0, 2, 3]])

@@ -21,8 +21,8 @@ from thinlayer import Pressure, Structure, ThinLayer, estimate, goals, solve
 from thinlayer.bounding.cells import StraightCells
 from thinlayer.bounding.loops import balanced_changes
 from thinlayer.bounding.macro import macro_cell
-from thinlayer.bounding.subcells import Subcells
 from thinlayer.bounding.stresses import Stresses
+from thinlayer.bounding.subcells import Subcells
 from thinlayer.bounding.tractions import TractionBalance
 from thinlayer.errors import InputError, RangeWarning, SolveError
 from thinlayer.estimating.continuum import Continuum

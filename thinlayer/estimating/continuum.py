@@ -26,9 +26,9 @@ from dolfinx import fem
 from forms.base import Array
 from geometry.joint import Joint
 from thinlayer.bounding.loops import TractionImprovement
-from thinlayer.bounding.subcells import Subcells
 from thinlayer.bounding.stresses import Stresses
 from thinlayer.bounding.structure_cells import StructureCells, refusal
+from thinlayer.bounding.subcells import Subcells
 from thinlayer.bounding.tractions import CellLoads, TractionBalance
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
