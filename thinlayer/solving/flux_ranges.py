@@ -166,8 +166,8 @@ def warn_of_negative_conductivities(states: Sequence[State]) -> None:
             if points.term.law.traits.linear:
                 continue
             e, term = points.quadrature.values(mandel_vector(points.term.step(state.u).e)), points.term
-            if term.bubble_strain is not None:
-                b = state.fields[str(Key.parse(term.key).bubble_key)]
+            b = state.fields.get(str(Key.parse(term.key).bubble_key))  # states at rest have none, as it is zero
+            if term.bubble_strain is not None and b is not None:
                 e += points.quadrature.values(mandel_vector(term.bubble_strain(b)))
             power, squares = np.einsum("pii,pi->p", points.stress(), e[:, :3]), (e[:, :3] ** 2).sum(axis=1)
             rounding = GRADIENT_ROUNDING * np.abs(e[:, 3]).max(initial=0.0) / model.joint.size
