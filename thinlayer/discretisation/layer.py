@@ -245,6 +245,14 @@ def law_of_terms(law: BulkLaw, mesh: Mesh) -> BulkLaw:
     return law.compiled_copy() if law.fields else law_with_constants(law, mesh)
 
 
+def conductivities_of(tangents: Sequence[Array], n: Array) -> tuple[Array, Array]:
+    """Return the conductivities (k,) of k tangents (6, 6) across S, with the normal `n` (d,), and the largest along S."""
+    n = np.pad(n, (0, 3 - len(n)))
+    K = np.array([(C[:3, :3] + C[:3, :3].T) / 2 for C in tangents])
+    projector = np.eye(3) - np.outer(n, n)
+    return np.einsum("i,kij,j->k", n, K, n), np.linalg.eigvalsh(projector @ K @ projector)[:, -1]
+
+
 class InitialTangents:
     """Tangents (derivatives of stress by strain) of the laws of a layer's sublayers at zero strain, before any loading.
 
@@ -281,11 +289,8 @@ class InitialTangents:
     @property
     def conductivities(self) -> tuple[Array, Array, Array]:
         """Fractions (k,) of a scalar field's k sublayers, their conductivities across S, and largest ones along S."""
-        n = np.pad(self.n, (0, 3 - len(self.n)))
-        K = np.array([np.eye(3) if C is None else (C[:3, :3] + C[:3, :3].T) / 2 for _, _, C in self.sublayers])
-        projector = np.eye(3) - np.outer(n, n)
-        along = np.linalg.eigvalsh(projector @ K @ projector)[:, -1]
-        return np.array([a for a, *_ in self.sublayers]), np.einsum("i,kij,j->k", n, K, n), along
+        tangents = [np.eye(6) if C is None else C for _, _, C in self.sublayers]
+        return np.array([a for a, *_ in self.sublayers]), *conductivities_of(tangents, self.n)
 
     def locking_violation(self) -> Violation | None:
         """Return why the interface law of order 1 is much too stiff (it locks); None if it is not.

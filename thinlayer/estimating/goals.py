@@ -96,12 +96,9 @@ class Goal(ABC):
 
     def value_in(self, state: State) -> float:
         """Return Q in a state of an interface model. Collective."""
-        model, remedy = (
-            state.model,
-            "with the layer meshed, take goal.value(state, an interface model of the structure)",
-        )
-        require(isinstance(model, InterfaceModel), f"{self.name}: the model", model, remedy)
-        return self.value(state, cast(InterfaceModel, model))
+        remedy = "with the layer meshed, take goal.value(state, an interface model of the structure)"
+        require(isinstance(state.model, InterfaceModel), f"{self.name}: the model", state.model, remedy)
+        return self.value(state, cast(InterfaceModel, state.model))
 
     def at_rest(self, state: State, model: InterfaceModel) -> float:
         """Return a linear goal's value at zero displacements, from prescribed strains and loads alone. Collective.

@@ -161,7 +161,7 @@ class Refinement:
 
     def ended(self, tolerance: float, reason: str) -> Refinement:
         """Warn that the tolerance is not reached, and return the result with the reason."""
-        remedy = "the bounds hold all the same; allow more cells, or a larger tolerance"
+        remedy = "the bounds hold all the same; allow a larger tolerance"
         text = f"solve_to: the tolerance {percent(tolerance)} is not reached: {reason}; {remedy}"
         warn("tolerance", text, self.estimate.state.model.comm)
         return replace(self, reason=reason)
@@ -250,7 +250,7 @@ def solve_to(
             return best
         largest = inflated.points[inflated.corners[int(np.argmax(bounds[worst].by_cell))]].mean(axis=0)
         if n_cells > max_cells or len(table.rows) == MAX_MESHES:
-            limit = f"max_cells={max_cells}" if n_cells > max_cells else f"{MAX_MESHES} meshes"
+            limit = f"max_cells={max_cells}, which may be larger" if n_cells > max_cells else f"{MAX_MESHES} meshes"
             text = (
                 f"{worst} is known to {percent(best.errors[worst])}, with the largest part near {place_text(largest)}"
             )

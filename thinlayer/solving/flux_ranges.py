@@ -14,7 +14,7 @@ from forms.law_tangents import tangent_at_rest
 from forms.tensors import VALUE_INDEX, mandel_vector
 from geometry.refusals import place_text
 from thinlayer.discretisation.key import Key
-from thinlayer.discretisation.layer import SeamLayer
+from thinlayer.discretisation.layer import SeamLayer, conductivities_of
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.solving.history import History
@@ -61,17 +61,14 @@ class Conductivities(NamedTuple):
     @classmethod
     def _of_numbers(cls, layer: SeamLayer, T: float) -> Conductivities | None:
         """Return the conductivities of a layer whose parameters are numbers, at the value T of the field; see `of`."""
-        n, sums = layer.initial_tangents.n, np.zeros(3)
-        n = np.pad(n, (0, 3 - len(n)))
-        projector = np.eye(3) - np.outer(n, n)
-        for fraction, law, C in layer.initial_tangents.sublayers:
-            C = tangent_at_rest(law, layer.initial_tangents.n, T) if C is None else C
-            if C is None or np.linalg.eigvalsh((C[:3, :3] + C[:3, :3].T) / 2)[0] <= 0:
-                return None
-            K, capacity = (C[:3, :3] + C[:3, :3].T) / 2, law.parameters().get("c")
-            along = np.linalg.eigvalsh(projector @ K @ projector)[-1]
-            sums += fraction * np.array([along, 1 / (n @ K @ n), capacity if is_number(capacity) else 0.0])
-        return cls(sums[0], 1 / sums[1], sums[2])
+        sublayers, n = layer.initial_tangents.sublayers, layer.initial_tangents.n
+        tangents = [tangent_at_rest(law, n, T) if C is None else C for _, law, C in sublayers]
+        positive = [C for C in tangents if C is not None and np.linalg.eigvalsh(C[:3, :3] + C[:3, :3].T)[0] > 0]
+        if len(positive) < len(tangents):
+            return None
+        fractions, (across, along) = np.array([a for a, *_ in sublayers]), conductivities_of(positive, n)
+        capacities = [c if is_number(c := law.parameters().get("c")) else 0.0 for _, law, _ in sublayers]
+        return cls(float(fractions @ along), float(1 / (fractions @ (1 / across))), float(fractions @ capacities))
 
 
 def warn_of_insulated_sides(model: Model) -> None:

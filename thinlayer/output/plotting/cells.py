@@ -69,7 +69,7 @@ def cells(
     is_fit = parts.shape == (len(joint.cells),) and bool((parts >= 0).all())
     require(is_fit, "cells: values", values, f"give a number >= 0 for each of the {len(joint.cells)} cells")
     if joint.dim != 2:
-        raise InputError("cells: pictures of cells are for two dimensions; in 3D write the values to a file")
+        raise InputError("cells: 3D joints have no such picture; places are joint.points[joint.corners].mean(axis=1)")
     corners = joint.corners[:, [0, 1, 3, 2]] if is_tensor(joint.cell_type) else joint.corners
     shares = parts / (parts.sum() or 1.0)
     largest = float(shares.max()) or 1.0
