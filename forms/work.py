@@ -216,7 +216,7 @@ class Term:
             (B-bar). It applies to compiled laws over cells. None: no projection.
         traction: on S, function of a stress (3, 3) that returns the traction (c,) with the same virtual work on [u].
             None: stress times n.
-        bubble_strain: in laws of order 2, function that returns the strain (3, 3), UFL, of the layer's own unknown on S,
+        bubble_strain: in laws of order 2, function that returns the strain (3, 3), UFL, of the bubble's amplitude on S,
             see `Interface.bubble_strain`; it adds to that of displacements. None: there is none.
         mobility: flux along S per gradient of the pressure, for laws of order 1 with a pressure on S; 0 for others. It
             is eps^3/(12 mu) with the thickness eps and the shear modulus mu, near free ends times their `flow_factor`.

@@ -273,10 +273,8 @@ class InterfaceModel(Model):
         def work_argument(v: Expr) -> Expr:
             return share * sides.upper(v) + (1 - share) * sides.lower(v)
 
-        return LoadRegion(
-            sides.measure, weight, sides.upper, work_argument, base_argument, jump=sides.jump,
-            bubble_factor=6 * (1 / 4 - height**2) if source else 1.0,
-        )  # fmt: skip
+        region = LoadRegion(sides.measure, weight, sides.upper, work_argument, base_argument, jump=sides.jump)
+        return replace(region, bubble_factor=6 * (1 / 4 - height**2) if source else 1.0)
 
 
 def _law_on_surface(domain: Domain, joint: Joint, name: str, upper: InterfaceSide, law: BulkLaw) -> BulkLaw:
