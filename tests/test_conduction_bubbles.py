@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import AnisotropicConduction, Conduction, FluxLaw, Heat
+from forms import AnisotropicConduction, Conduction, FluxLaw, Heat, LinearElastic
 from geometry import sandwich
 from tests.fourier import K, blocks, compliance
 from tests.on_ranks import on_ranks
@@ -22,6 +22,7 @@ from thinlayer import (
     Structure,
     Surface,
     SurfaceSource,
+    ThermalExpansion,
     ThinLayer,
     derivative,
     estimate,
@@ -215,3 +216,22 @@ def test_marches_from_files_on_two_ranks(there, tmp_path):
     surface = Surface(history.model)
     assert surface.norm(surface.value_in_layer(history.last, 0.1)) == pytest.approx(values[1], rel=1e-10)
     refused(InputError, "order 2 has none", derivative, history, goals.PointValue((0.5, 0.3)), ["S.k"])
+
+
+def test_the_mean_of_the_layer_expands_it():
+    """A layer of uniform strain along S opens by eps alpha (1 + nu)/(1 - nu) T; the twin takes the faces' temperature."""
+    joint, eps, alpha, nu = sandwich(10, 2, 2, h=1, h_S=0.5), 0.2, 1e-4, 0.3
+    data = {"supports": {"BOTTOM": 20, "TOP": 20}, "sources": {"S": 0.05}}
+    heated = solve(Structure(joint, body=Conduction(0.2), **data).interface(ThinLayer(Conduction(1e-3), eps, order=2)))
+    surface = Surface(heated.model)
+    mean = surface.function(surface.value_in_layer(heated))
+    bodies, jumps = Structure(joint, body=LinearElastic.young(70e3, nu), supports={"BOTTOM": 0}), []
+    for T in (mean, heated):
+        hot = ThinLayer(
+            LinearElastic.young(100, nu), eps, order=1, eigenstrain=ThermalExpansion(alpha, T, reference=20)
+        )
+        state = solve(bodies.interface(hot))
+        jumps.append(Surface(state.model).jump(state)[1].mean())
+    rise = 0.05 * eps / 2 * 2 / 0.2 + 0.05 * eps**2 / (12 * 1e-3)  # of the faces, and of the mean above them
+    assert jumps[0] == pytest.approx(eps * alpha * (1 + nu) / (1 - nu) * rise, rel=1e-3)
+    assert jumps[1] < 0.3 * jumps[0]

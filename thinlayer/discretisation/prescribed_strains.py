@@ -275,7 +275,8 @@ class ThermalExpansion(Eigenstrain):
         T: change of temperature, degrees: a number, a function (x, t) of UFL coordinates, `piecewise`, or a scalar
             DOLFINx Function on a mesh that covers the bodies. Or the temperature itself: a state of heat, or a history,
             which is linear in time between its states. A layer on S takes the values on both sides, linear through the
-            thickness; of order 0 their mean.
+            thickness; of order 0 their mean. Its mean in a state of order 2 is not among them: give
+            `Surface.function` of `Surface.value_in_layer` for it.
         factor: factor of T - reference, a number or a function (x, t). With it a DOLFINx Function can grow in time;
             otherwise it acts suddenly.
         reference: temperature without strain; needed if T is a state or a history. None: T is a change from it.
